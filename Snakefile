@@ -1,0 +1,50 @@
+# motionsplat: from one video of a moving scene to poses, masks, depth and 4D Gaussians. See README.md.
+from snakemake.utils import min_version
+
+min_version("9.19")
+
+
+configfile: "config.yaml"
+
+
+include: "workflow/rules/common.smk"
+include: "workflow/rules/simulate.smk"
+include: "workflow/rules/inspect.smk"
+include: "workflow/rules/flow.smk"
+include: "workflow/rules/segment.smk"
+include: "workflow/rules/ba.smk"
+include: "workflow/rules/scene.smk"
+include: "workflow/rules/control.smk"
+include: "workflow/rules/gaussians.smk"
+include: "workflow/rules/eval.smk"
+
+
+container: "docker://python:3.11-slim"
+
+
+localrules:
+    all,
+    poses,
+    masks,
+    gaussians,
+
+
+rule all:
+    default_target: True
+    input:
+        rules.report.output,
+
+
+rule poses:
+    input:
+        expand("<results>/{dataset}/{seq}/ba/poses.parquet", dataset=DATASET, seq=SEQUENCES),
+
+
+rule masks:
+    input:
+        expand("<results>/{dataset}/{seq}/masks", dataset=DATASET, seq=SEQUENCES),
+
+
+rule gaussians:
+    input:
+        expand("<results>/{dataset}/{seq}/gaussians/gaussians.ply", dataset=DATASET, seq=SEQUENCES),

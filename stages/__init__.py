@@ -1,0 +1,18 @@
+"""motionsplat: one folder per stage; stages meet only in the files they read and write."""
+
+import os
+import sys
+import time
+from pathlib import Path
+
+START_S = time.perf_counter()
+"""When this process began its stage; the reported seconds include the imports."""
+
+# Read once, when libgomp and OpenBLAS load, hence before numpy or torch:
+# spinning OpenMP threads cost 2-20x when two jobs share two cores, and a multi-threaded BLAS
+# inside a numba prange costs 5-10x. Snakemake sets OMP_NUM_THREADS from `threads:`.
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+os.environ["OPENBLAS_NUM_THREADS"] = "1"
+os.environ.setdefault("OMP_NUM_THREADS", str(os.cpu_count() or 1))
+os.environ.setdefault("NUMBA_NUM_THREADS", os.environ["OMP_NUM_THREADS"])
+os.environ.setdefault("NUMBA_CACHE_DIR", str(Path(sys.prefix) / "numba_cache"))

@@ -1,0 +1,17 @@
+"""Options of the pose stage."""
+
+from typing import Literal
+
+from pydantic import Field
+
+from stages.shared.options import Options
+
+
+class BAOptions(Options):
+    """Initial poses and focal length, then masked dense bundle adjustment."""
+
+    intrinsics: Literal["estimate", "truth"] = Field(
+        "estimate", description="estimate one shared focal length, or take the cameras' true K"
+    )
+    stride_px: int = Field(8, ge=2, le=32, description="one inverse depth per this many pixels, each way")
+    seed: int = Field(0, ge=0, description="seed of the robust two-view fits")

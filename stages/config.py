@@ -1,0 +1,134 @@
+"""The whole configuration: one section per script, shared keys on top, checked before any work.
+
+`python -m stages.config` prints the JSON schema; workflow/schemas/config.schema.json is its committed copy.
+"""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import Field
+
+from stages.ba.options import BAOptions
+from stages.control.options import ControlOptions
+from stages.eval.options import ColmapOptions, EvaluateOptions, ReportOptions
+from stages.flow.options import FlowOptions, MotionOptions
+from stages.gaussians.options import GaussiansOptions, RenderOptions
+from stages.scene.options import SceneOptions
+from stages.segment.options import SegmentOptions
+from stages.shared.errors import InputError
+from stages.shared.options import Options, to_flags, validate
+from stages.shared.sequences import Sequence, check_sequence, choose, sequence_folders
+from stages.simulate.options import SimulateOptions
+
+SIMULATED = "simulated"
+SCENES = Path(__file__).parent / "simulate" / "scenes"
+
+
+class Config(Options):
+    """config.yaml. Keys that several stages share stand on top; a section may override them."""
+
+    dataset: str = Field(SIMULATED, description="'simulated', or a folder: MPI-Sintel, frame folders, or frames")
+    pass_: Literal["clean", "final"] = Field("final", alias="pass", description="which MPI-Sintel pass to read")
+    sequences: Literal["all"] | list[str] = Field("all", description="'all' or a list of names")
+    rounds: int = Field(2, ge=1, le=5, description="how often motion, masks and poses are estimated in turn")
+    intrinsics: Literal["estimate", "truth"] = Field("estimate", description="focal length: estimate it or use truth")
+    holdout_every: int = Field(8, ge=2, description="one frame in this many is held out from training")
+    holdout_first: int = Field(4, ge=0, description="0-based index of the first held-out frame")
+    device: Literal["auto", "cpu", "cuda"] = Field("auto", description="where to train and render")
+    seed: int = Field(0, ge=0, description="seed of everything random")
+    simulate: SimulateOptions = SimulateOptions()
+    flow: FlowOptions = FlowOptions()
+    motion: MotionOptions = MotionOptions()
+    segment: SegmentOptions = SegmentOptions()
+    ba: BAOptions = BAOptions()
+    scene: SceneOptions = SceneOptions()
+    control: ControlOptions = ControlOptions()
+    gaussians: GaussiansOptions = GaussiansOptions()
+    render: RenderOptions = RenderOptions()
+    evaluate: EvaluateOptions = EvaluateOptions()
+    colmap: ColmapOptions = ColmapOptions()
+    report: ReportOptions = ReportOptions()
+
+
+SHARED_KEYS = ("intrinsics", "holdout_every", "holdout_first", "device", "seed")
+
+
+def load(raw: Mapping[str, Any]) -> Config:
+    """Check a parsed config.yaml (merged with its overrides).
+
+    Raises:
+        InputError: one line for the first thing that is wrong.
+    """
+    return validate(Config, raw, "config.yaml")
+
+
+def section(config: Config, name: str) -> Options:
+    """The options of one script: its section, with shared keys from the top where it does not set them."""
+    options: Options = getattr(config, name)
+    inherited = {key: getattr(config, key) for key in SHARED_KEYS if key in type(options).model_fields}
+    chosen = inherited | {key: getattr(options, key) for key in options.model_fields_set}
+    return type(options)(**(options.model_dump() | chosen))
+
+
+def flags(config: Config, name: str) -> str:
+    """The command-line flags of one script."""
+    return to_flags(section(config, name))
+
+
+def dataset_name(config: Config) -> str:
+    """The folder name under results/."""
+    return SIMULATED if config.dataset == SIMULATED else Path(config.dataset).resolve().name
+
+
+def find_sequences(config: Config) -> dict[str, Sequence]:
+    """The chosen sequences with frames and sizes; simulated ones as their scene files promise.
+
+    Raises:
+        InputError: for missing folders, unknown names and unreadable frames.
+    """
+    if config.dataset == SIMULATED:
+        return {name: _promised(name, path) for name, path in scene_files(config).items()}
+    dataset = Path(config.dataset)
+    chosen = choose(config.sequences, sequence_folders(dataset, config.pass_), dataset)
+    return {name: check_sequence(name, folder) for name, folder in chosen.items()}
+
+
+def frame_folders(config: Config) -> dict[str, str]:
+    """The folder of frames of every chosen sequence; simulated ones lie under simulated/."""
+    if config.dataset == SIMULATED:
+        return {name: f"{SIMULATED}/training/{config.pass_}/{name}" for name in scene_files(config)}
+    dataset = Path(config.dataset)
+    folders = choose(config.sequences, sequence_folders(dataset, config.pass_), dataset)
+    return {name: str(folder) for name, folder in folders.items()}
+
+
+def scene_files(config: Config) -> dict[str, Path]:
+    """The chosen scene files: names from the library, or paths of YAML files."""
+    library = {path.stem: path for path in sorted(SCENES.glob("*.yaml"))}
+    if config.sequences == "all":
+        return library
+    own = {Path(name).stem: Path(name) for name in config.sequences if name.endswith((".yaml", ".yml"))}
+    for path in own.values():
+        if not path.is_file():
+            raise InputError(path, "a scene file", "nothing there", f"library scenes: {', '.join(library)}")
+    named = [name for name in config.sequences if not name.endswith((".yaml", ".yml"))]
+    return choose(named, library, SCENES) | own
+
+
+def _promised(name: str, scene: Path) -> Sequence:
+    from stages.simulate.scene import load_scene
+
+    promise = load_scene(scene)
+    numbers = list(range(1, promise.frames + 1))
+    return Sequence(name, [Path(f"frame_{n:04d}.png") for n in numbers], numbers, promise.width, promise.height)
+
+
+def main() -> None:
+    """Print the JSON schema of config.yaml."""
+    print(json.dumps(Config.model_json_schema(by_alias=True), indent=2))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,166 @@
+"""Every file that stages exchange: one reader and one writer per kind, atomic, with metadata, never pickle.
+
+Tables are Parquet; dense per-row tensors are Arrow IPC with fixed-shape-tensor columns (memory-mapped on reading);
+models are safetensors; the rest is JSON and PNG. `metadata` carries units and options; the writers add
+`format_version` and the digest of the code that wrote the file.
+"""
+
+import contextlib
+import json
+import shutil
+import sys
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from stages.shared.digest import code_digest
+from stages.shared.errors import InputError
+
+FORMAT_VERSION = 1
+
+
+@contextlib.contextmanager
+def atomic(path: Path) -> Iterator[Path]:
+    """A temporary name beside `path` (file or folder) that takes its place only if the block succeeds."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_name(f".{path.name}.partial")
+    _remove(partial)
+    try:
+        yield partial
+        if path.is_dir():
+            shutil.rmtree(path)
+        partial.replace(path)
+    finally:
+        _remove(partial)
+
+
+@contextlib.contextmanager
+def atomic_folder(path: Path) -> Iterator[Path]:
+    """Like `atomic`, for a folder that is made empty."""
+    with atomic(path) as partial:
+        partial.mkdir()
+        yield partial
+
+
+def write_table(path: Path, columns: Mapping[str, Any], metadata: Mapping[str, Any] | None = None) -> None:
+    """Write columns of equal length (arrays [n], [n, k], lists of str) as Parquet."""
+    table = pa.table({name: _column(values) for name, values in columns.items()})
+    with atomic(path) as partial:
+        pq.write_table(table.replace_schema_metadata(_encode(metadata)), partial)
+
+
+def read_table(path: Path) -> dict[str, np.ndarray]:
+    """Read a Parquet table into arrays: [n] for scalars, [n, k] for lists; strings and nulls as objects."""
+    table = _checked(path, "a Parquet table", lambda: pq.read_table(path))
+    return {name: _to_numpy(table[name]) for name in table.column_names}
+
+
+def write_dense(path: Path, columns: Mapping[str, np.ndarray], metadata: Mapping[str, Any] | None = None) -> None:
+    """Write arrays [n] and [n, ...] row by row as Arrow IPC with fixed-shape-tensor columns."""
+    arrays = {name: _tensor_column(np.ascontiguousarray(values)) for name, values in columns.items()}
+    schema = pa.schema([(name, array.type) for name, array in arrays.items()]).with_metadata(_encode(metadata))
+    with atomic(path) as partial, pa.OSFile(str(partial), "wb") as sink, pa.ipc.new_file(sink, schema) as writer:
+        writer.write_batch(pa.record_batch(list(arrays.values()), schema=schema))
+
+
+def read_dense(path: Path) -> dict[str, np.ndarray]:
+    """Memory-map an Arrow IPC file: read-only arrays [n] and [n, ...] without a copy."""
+    table = _checked(path, "an Arrow IPC file", lambda: pa.ipc.open_file(pa.memory_map(str(path))).read_all())
+    return {name: _to_numpy(table[name]) for name in table.column_names}
+
+
+def read_metadata(path: Path) -> dict[str, Any]:
+    """The metadata of a table (.parquet), dense file (.arrow) or model (.safetensors)."""
+    if path.suffix == ".safetensors":
+        from safetensors import safe_open
+
+        with safe_open(path, framework="numpy") as file:
+            raw = {key.encode(): value.encode() for key, value in (file.metadata() or {}).items()}
+    elif path.suffix == ".parquet":
+        raw = _checked(path, "a Parquet table", lambda: pq.read_schema(path).metadata)
+    else:
+        raw = _checked(path, "an Arrow file", lambda: pa.ipc.open_file(pa.memory_map(str(path))).schema.metadata)
+    return {key.decode(): json.loads(value) for key, value in (raw or {}).items() if not key.startswith(b"ARROW")}
+
+
+def write_model(path: Path, tensors: Mapping[str, np.ndarray], metadata: Mapping[str, Any] | None = None) -> None:
+    """Write named arrays as safetensors."""
+    from safetensors.numpy import save_file
+
+    text = {key.decode(): value.decode() for key, value in _encode(metadata).items()}
+    with atomic(path) as partial:
+        save_file({name: np.ascontiguousarray(value) for name, value in tensors.items()}, partial, metadata=text)
+
+
+def read_model(path: Path) -> dict[str, np.ndarray]:
+    """Read the arrays of a safetensors file."""
+    from safetensors.numpy import load_file
+
+    return dict(_checked(path, "a safetensors file", lambda: load_file(path)))
+
+
+def write_json(path: Path, content: Mapping[str, Any]) -> None:
+    """Write a JSON object, with `format_version` in front."""
+    with atomic(path) as partial:
+        partial.write_text(json.dumps({"format_version": FORMAT_VERSION, **content}, indent=2) + "\n")
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """Read a JSON object."""
+    content: dict[str, Any] = _checked(path, "a JSON object", lambda: json.loads(path.read_text()))
+    return content
+
+
+def _checked(path: Path, expected: str, read: Any) -> Any:
+    try:
+        return read()
+    except (OSError, ValueError, pa.ArrowInvalid) as error:
+        found = str(error).splitlines()[0]
+        raise InputError(path, expected, found, "run the stage that writes it again") from error
+    except Exception as error:
+        if type(error).__name__ != "SafetensorError":
+            raise
+        raise InputError(path, expected, str(error), "run the stage that writes it again") from error
+
+
+def _encode(metadata: Mapping[str, Any] | None) -> dict[bytes, bytes]:
+    main = sys.modules.get("__main__")
+    spec = getattr(main, "__spec__", None)
+    stage = spec.name if spec and spec.name.startswith("stages.") else None
+    stamp = {"format_version": FORMAT_VERSION, "code": code_digest(stage) if stage else None, **(metadata or {})}
+    return {key.encode(): json.dumps(value).encode() for key, value in stamp.items()}
+
+
+def _column(values: Any) -> pa.Array:
+    if isinstance(values, np.ndarray) and values.ndim == 2:
+        return pa.FixedSizeListArray.from_arrays(pa.array(values.ravel()), values.shape[1])
+    return pa.array(values)
+
+
+def _tensor_column(values: np.ndarray) -> pa.Array:
+    if values.ndim == 1:
+        return pa.array(values)
+    kind = pa.fixed_shape_tensor(pa.from_numpy_dtype(values.dtype), values.shape[1:])
+    size = int(np.prod(values.shape[1:]))
+    storage = pa.FixedSizeListArray.from_arrays(pa.array(values.ravel()), size)
+    return pa.ExtensionArray.from_storage(kind, storage)
+
+
+def _to_numpy(column: pa.ChunkedArray) -> np.ndarray:
+    array = column.combine_chunks() if column.num_chunks != 1 else column.chunk(0)
+    if isinstance(array.type, pa.FixedShapeTensorType):
+        return np.asarray(array.to_numpy_ndarray())
+    if pa.types.is_fixed_size_list(array.type):
+        return np.asarray(array.flatten()).reshape(len(array), array.type.list_size)
+    return np.asarray(array.to_numpy(zero_copy_only=False))
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)

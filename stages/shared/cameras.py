@@ -1,0 +1,124 @@
+"""Pinhole cameras and the camera tables. OpenCV axes, pixel centres at integers, cam_from_world [4, 4]."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stages.shared import lie
+from stages.shared.artifacts import atomic, read_table, write_table
+
+
+@dataclass(frozen=True)
+class Cameras:
+    """Cameras of T frames.
+
+    Attributes:
+        cam_from_world: [T, 4, 4] float64.
+        Ks: [T, 3, 3] float64, in pixels of the full-size frame.
+        numbers: [T] frame numbers as in the file names.
+        covariance: [T, 6, 6] of the left twist [translation, rotation] per pose, zero where none is known.
+        status: [T] "estimated", or why not ("rotation-only", "failed", ...).
+    """
+
+    cam_from_world: np.ndarray
+    Ks: np.ndarray
+    numbers: np.ndarray
+    covariance: np.ndarray
+    status: np.ndarray
+
+    @property
+    def centres(self) -> np.ndarray:
+        """Camera centres in the world, [T, 3]."""
+        return lie.inverse(self.cam_from_world)[:, :3, 3]
+
+
+def make_cameras(
+    cam_from_world: np.ndarray,
+    Ks: np.ndarray,
+    numbers: np.ndarray,
+    covariance: np.ndarray | None = None,
+    status: np.ndarray | None = None,
+) -> Cameras:
+    """Cameras with zero covariance and status "estimated" unless given; Ks may be one [3, 3]."""
+    T = len(cam_from_world)
+    return Cameras(
+        np.asarray(cam_from_world, float),
+        np.broadcast_to(Ks, (T, 3, 3)).astype(float),
+        np.asarray(numbers, np.int64),
+        np.zeros((T, 6, 6)) if covariance is None else covariance,
+        np.full(T, "estimated", object) if status is None else np.asarray(status, object),
+    )
+
+
+def write_cameras(path: Path, cameras: Cameras, metadata: dict[str, Any] | None = None) -> None:
+    """Write `ba/poses.parquet`: frame, qw qx qy qz tx ty tz (cam_from_world), fx fy cx cy (px), covariance, status."""
+    quats = lie.quat_from_matrix(cameras.cam_from_world[:, :3, :3])
+    columns: dict[str, Any] = {"frame": cameras.numbers}
+    columns |= {name: quats[:, k] for k, name in enumerate(("qw", "qx", "qy", "qz"))}
+    columns |= {name: cameras.cam_from_world[:, k, 3] for k, name in enumerate(("tx", "ty", "tz"))}
+    K_entries = {"fx": (0, 0), "fy": (1, 1), "cx": (0, 2), "cy": (1, 2)}
+    columns |= {name: cameras.Ks[:, row, column] for name, (row, column) in K_entries.items()}
+    columns |= {"covariance": cameras.covariance.reshape(-1, 36), "status": list(cameras.status)}
+    units = {"units": "pixels; scene units; covariance of the left twist [translation, rotation rad]"}
+    write_table(path, columns, units | (metadata or {}))
+
+
+def read_cameras(path: Path) -> Cameras:
+    """Read what `write_cameras` wrote."""
+    table = read_table(path)
+    R = lie.matrix_from_quat(np.stack([table[name] for name in ("qw", "qx", "qy", "qz")], axis=-1))
+    t = np.stack([table[name] for name in ("tx", "ty", "tz")], axis=-1)
+    Ks = intrinsics(table["fx"], table["fy"], table["cx"], table["cy"])
+    covariance = table["covariance"].reshape(-1, 6, 6)
+    return Cameras(lie.from_parts(R, t), Ks, table["frame"], covariance, table["status"])
+
+
+def write_tum(path: Path, cameras: Cameras) -> None:
+    """Write world_from_camera as TUM lines: timestamp (the frame number) tx ty tz qx qy qz qw."""
+    world_from_cam = lie.inverse(cameras.cam_from_world)
+    quats_wxyz = lie.quat_from_matrix(world_from_cam[:, :3, :3])
+    rows = np.column_stack([cameras.numbers, world_from_cam[:, :3, 3], np.roll(quats_wxyz, -1, axis=1)])
+    with atomic(path) as partial:
+        partial.write_text("".join(" ".join(f"{value:.17g}" for value in row) + "\n" for row in rows))
+
+
+def intrinsics(fx: Any, fy: Any, cx: Any, cy: Any) -> np.ndarray:
+    """K [..., 3, 3] from focal lengths and principal point in pixels."""
+    fx, fy, cx, cy = np.broadcast_arrays(*(np.asarray(value, float) for value in (fx, fy, cx, cy)))
+    K = np.zeros((*fx.shape, 3, 3))
+    K[..., 0, 0], K[..., 1, 1], K[..., 0, 2], K[..., 1, 2], K[..., 2, 2] = fx, fy, cx, cy, 1.0
+    return K
+
+
+def centred_intrinsics(focal_px: float, width: int, height: int) -> np.ndarray:
+    """K [3, 3] with one focal length and the principal point at the image centre ((W - 1) / 2, (H - 1) / 2)."""
+    return intrinsics(focal_px, focal_px, (width - 1) / 2, (height - 1) / 2)
+
+
+def scale_intrinsics(Ks: np.ndarray, factor: float) -> np.ndarray:
+    """Ks of the image resized by `factor`, with pixel centres at integers: u' = (u + 0.5) factor - 0.5."""
+    scaled = np.array(Ks, float)
+    scaled[..., :2, :] *= factor
+    scaled[..., :2, 2] += (factor - 1) / 2
+    return scaled
+
+
+def project(points: np.ndarray, cam_from_world: np.ndarray, K: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels [..., 2] and z-depths [...] of world points [..., 3] in one camera ([4, 4], [3, 3])."""
+    xyz = points @ cam_from_world[:3, :3].T + cam_from_world[:3, 3]
+    uvw = xyz @ K.T
+    return uvw[..., :2] / uvw[..., 2:], xyz[..., 2]
+
+
+def unproject(uv: np.ndarray, depth: np.ndarray, cam_from_world: np.ndarray, K: np.ndarray) -> np.ndarray:
+    """World points [..., 3] of pixels [..., 2] at z-depths [...] in one camera ([4, 4], [3, 3])."""
+    rays = np.stack([(uv[..., 0] - K[0, 2]) / K[0, 0], (uv[..., 1] - K[1, 2]) / K[1, 1], np.ones_like(depth)], axis=-1)
+    return np.asarray((rays * depth[..., None] - cam_from_world[:3, 3]) @ cam_from_world[:3, :3])
+
+
+def pixel_grid(height: int, width: int) -> np.ndarray:
+    """Pixel coordinates (u, v) [H, W, 2] float64."""
+    v, u = np.mgrid[:height, :width]
+    return np.stack([u, v], axis=-1).astype(float)

@@ -1,0 +1,208 @@
+"""Turn a stage's `main` into its command line, from its signature and its options model."""
+
+import argparse
+import errno
+import inspect
+import json
+import os
+import resource
+import sys
+import time
+import traceback
+import types
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NoReturn, Union, get_args, get_origin, get_type_hints
+
+import stages
+from stages.shared import log
+from stages.shared.errors import InputError
+from stages.shared.options import Options, validate
+
+
+@dataclass(frozen=True)
+class In:
+    """Marks a path parameter of `main` as an input that must exist."""
+
+    help: str
+
+
+@dataclass(frozen=True)
+class Out:
+    """Marks a path parameter of `main` as an output; its folder is made, and must be writable."""
+
+    help: str
+
+
+@dataclass(frozen=True)
+class _PathFlag:
+    """A path parameter of `main`: a single path, an optional one, or a list."""
+
+    name: str
+    mark: In | Out
+    many: bool
+    required: bool
+
+
+def run(main: Callable[..., None], argv: Sequence[str] | None = None) -> NoReturn:
+    """Parse flags, call `main(paths..., options)`, write the time spent, and exit.
+
+    Path parameters are annotated `Annotated[Path, In("...")]` or `Out("...")`; one parameter may be an
+    `Options` model. Exit codes: 0 done, 2 bad input (one line), 130 interrupted, 1 a bug of ours.
+    """
+    stage = _module_name(main).removeprefix("stages.")
+    flags, model = _signature(main)
+    parser = _parser(main, flags, model)
+    arguments = vars(parser.parse_args(argv))
+    log_file, stats_file = arguments.pop("log"), arguments.pop("stats")
+    try:
+        log.setup(log_file)
+        paths = {flag.name: arguments.pop(flag.name) for flag in flags}
+        _check_paths(flags, paths)
+        call: dict[str, Any] = dict(paths)
+        if model is not None:
+            given = {name: value for name, value in arguments.items() if value is not None}
+            call["options"] = validate(model, given, stage)
+            log.logger.info("options: %s", call["options"].model_dump_json())
+        main(**call)
+        if stats_file is not None:
+            outputs = [paths[flag.name] for flag in flags if isinstance(flag.mark, Out)]
+            _write_stats(stats_file, stage, outputs)
+    except BaseException as error:  # the one place where every failure becomes an exit code
+        sys.exit(_report_failure(stage, error, log_file))
+    sys.exit(0)
+
+
+def _module_name(main: Callable[..., None]) -> str:
+    spec = sys.modules[main.__module__].__spec__
+    return spec.name if spec else main.__module__
+
+
+def _signature(main: Callable[..., None]) -> tuple[list[_PathFlag], type[Options] | None]:
+    flags, model = [], None
+    hints = get_type_hints(main, include_extras=True)
+    for name, parameter in inspect.signature(main).parameters.items():
+        annotation = hints[name]
+        if isinstance(annotation, type) and issubclass(annotation, Options):
+            model = annotation
+            continue
+        kind, mark = get_args(annotation)
+        required = parameter.default is inspect.Parameter.empty
+        flags.append(_PathFlag(name, mark, get_origin(kind) is list, required))
+    return flags, model
+
+
+class _OneLineParser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        self.exit(2, f"{self.prog}: {message}; see --help\n")
+
+
+def _parser(main: Callable[..., None], flags: list[_PathFlag], model: type[Options] | None) -> argparse.ArgumentParser:
+    parser = _OneLineParser(
+        prog=f"python -m {_module_name(main)}",
+        description=inspect.getdoc(main),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    for flag in flags:
+        kind = "input" if isinstance(flag.mark, In) else "output"
+        parser.add_argument(
+            _dashed(flag.name),
+            type=Path,
+            nargs="+" if flag.many else None,
+            required=flag.required,
+            default=[] if flag.many else None,
+            help=f"{kind}: {flag.mark.help}",
+        )
+    for name, field in (model.model_fields if model else {}).items():
+        text = f"{field.description or ''} (default: {field.get_default(call_default_factory=True)})".replace("%", "%%")
+        if field.annotation is bool:
+            parser.add_argument(_dashed(name), action=argparse.BooleanOptionalAction, default=None, help=text)
+        else:
+            nargs = "*" if _is_sequence(field.annotation) else None
+            parser.add_argument(_dashed(name), nargs=nargs, metavar=name.upper(), help=text)
+    parser.add_argument("--log", type=Path, help="file for the log (default: none)")
+    parser.add_argument("--stats", type=Path, help="file for seconds, memory and output size, as JSON (default: none)")
+    return parser
+
+
+def _dashed(name: str) -> str:
+    return "--" + name.replace("_", "-")
+
+
+def _is_sequence(annotation: Any) -> bool:
+    if get_origin(annotation) in (Union, types.UnionType):
+        return any(_is_sequence(part) for part in get_args(annotation))
+    return get_origin(annotation) in (list, tuple)
+
+
+def _check_paths(flags: list[_PathFlag], paths: dict[str, Any]) -> None:
+    for flag in flags:
+        value = paths[flag.name]
+        for path in value if isinstance(value, list) else [value] if value else []:
+            if isinstance(flag.mark, In) and not path.exists():
+                raise InputError(path, "an existing file or folder", "nothing there", f"check {_dashed(flag.name)}")
+            if isinstance(flag.mark, Out):
+                ensure_writable_parent(path)
+
+
+def ensure_writable_parent(path: Path) -> None:
+    """Create the folder that `path` will lie in.
+
+    Raises:
+        InputError: if it cannot be made or written.
+    """
+    advice = "choose another output folder or change its permissions"
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(path.parent, "a folder that can be made", error.strerror or str(error), advice) from error
+    if not os.access(path.parent, os.W_OK):
+        raise InputError(path.parent, "a folder that can be written", "no write permission", advice)
+
+
+def _write_stats(stats_file: Path, stage: str, outputs: list[Any]) -> None:
+    from stages.shared.artifacts import write_json
+
+    own, children = resource.getrusage(resource.RUSAGE_SELF), resource.getrusage(resource.RUSAGE_CHILDREN)
+    torch = sys.modules.get("torch")
+    on_gpu = torch is not None and torch.cuda.is_available() and torch.cuda.max_memory_allocated() > 0
+    write_json(
+        stats_file,
+        {
+            "stage": stage,
+            "wall_s": time.perf_counter() - stages.START_S,
+            "cpu_s": own.ru_utime + own.ru_stime + children.ru_utime + children.ru_stime,
+            "peak_mb": max(own.ru_maxrss, children.ru_maxrss) / 1024,
+            "gpu_peak_mb": torch.cuda.max_memory_allocated() / 2**20 if torch is not None and on_gpu else None,
+            "output_mb": sum(_size_bytes(path) for path in outputs if path) / 1e6,
+        },
+    )
+
+
+def _size_bytes(path: Path) -> int:
+    if path.is_dir():
+        return sum(file.stat().st_size for file in path.rglob("*") if file.is_file())
+    return path.stat().st_size if path.exists() else 0
+
+
+def _report_failure(stage: str, error: BaseException, log_file: Path | None) -> int:
+    """Say in one line what went wrong, keep the traceback in the log, and name the exit code."""
+    log.logger.info("traceback:\n%s", traceback.format_exc())
+    if isinstance(error, InputError):
+        print(f"{stage}: {error}", file=sys.stderr)
+        return 2
+    if isinstance(error, KeyboardInterrupt):
+        print(f"{stage}: interrupted; nothing half-written was left", file=sys.stderr)
+        return 130
+    if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
+        print(f"{stage}: {error.filename}: the disk is full; free some space and run again", file=sys.stderr)
+        return 2
+    if isinstance(error, SystemExit):
+        return int(error.code or 0)
+    if log_file is None:
+        traceback.print_exc()
+    where = f"the traceback is in {log_file}" if log_file else "traceback above"
+    print(f"{stage}: internal error: {type(error).__name__}: {error}; {where}", file=sys.stderr)
+    return 1

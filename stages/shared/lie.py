@@ -1,0 +1,102 @@
+"""SO(3) and SE(3) in float64, stable at zero and at half a turn; tangent vectors are [translation, rotation]."""
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+
+def skew(v: np.ndarray) -> np.ndarray:
+    """Cross-product matrices [..., 3, 3] of vectors [..., 3]."""
+    x, y, z = np.moveaxis(np.asarray(v, float), -1, 0)
+    zero = np.zeros_like(x)
+    return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(*x.shape, 3, 3)
+
+
+def exp_so3(omega: np.ndarray) -> np.ndarray:
+    """Rotation matrices [..., 3, 3] of rotation vectors [..., 3] in radians."""
+    omega = np.asarray(omega, float)
+    return Rotation.from_rotvec(omega.reshape(-1, 3)).as_matrix().reshape(*omega.shape[:-1], 3, 3)
+
+
+def log_so3(R: np.ndarray) -> np.ndarray:
+    """Rotation vectors [..., 3] in radians, of length 0..pi, of rotation matrices [..., 3, 3]."""
+    R = np.asarray(R, float)
+    return Rotation.from_matrix(R.reshape(-1, 3, 3)).as_rotvec().reshape(*R.shape[:-2], 3)
+
+
+def exp_se3(xi: np.ndarray) -> np.ndarray:
+    """Rigid motions [..., 4, 4] of twists [..., 6] = [rho, omega].
+
+    t = V rho with V = I + b [w]x + c [w]x^2, b = (1 - cos a) / a^2, c = (a - sin a) / a^3 (series near a = 0).
+    """
+    xi = np.asarray(xi, float)
+    rho, omega = xi[..., :3], xi[..., 3:]
+    angle = np.linalg.norm(omega, axis=-1)
+    b, c = _one_minus_cos(angle), _angle_minus_sin(angle)
+    W = skew(omega)
+    V = np.eye(3) + b[..., None, None] * W + c[..., None, None] * (W @ W)
+    return from_parts(exp_so3(omega), np.einsum("...ij,...j->...i", V, rho))
+
+
+def log_se3(T: np.ndarray) -> np.ndarray:
+    """Twists [..., 6] of rigid motions [..., 4, 4]; inverse of `exp_se3` for angles up to pi.
+
+    V^-1 = I - [w]x / 2 + k [w]x^2 with k = (1 - (a / 2) cot(a / 2)) / a^2 (series near a = 0).
+    """
+    T = np.asarray(T, float)
+    omega = log_so3(T[..., :3, :3])
+    angle = np.linalg.norm(omega, axis=-1)
+    small = angle < 1e-2
+    half = np.where(small, 1.0, angle) / 2
+    exact = (1 - half / np.tan(half)) / (2 * half) ** 2
+    k = np.where(small, 1 / 12 + angle**2 / 720 + angle**4 / 30240, exact)
+    W = skew(omega)
+    V_inv = np.eye(3) - W / 2 + k[..., None, None] * (W @ W)
+    return np.concatenate([np.einsum("...ij,...j->...i", V_inv, T[..., :3, 3]), omega], axis=-1)
+
+
+def adjoint(T: np.ndarray) -> np.ndarray:
+    """Adjoints [..., 6, 6] of rigid motions [..., 4, 4]: T exp(xi) T^-1 = exp(Ad(T) xi)."""
+    R, t = T[..., :3, :3], T[..., :3, 3]
+    Ad = np.zeros((*T.shape[:-2], 6, 6))
+    Ad[..., :3, :3] = Ad[..., 3:, 3:] = R
+    Ad[..., :3, 3:] = skew(t) @ R
+    return Ad
+
+
+def inverse(T: np.ndarray) -> np.ndarray:
+    """Inverses of rigid motions [..., 4, 4]."""
+    R_inv = np.swapaxes(T[..., :3, :3], -1, -2)
+    return from_parts(R_inv, -np.einsum("...ij,...j->...i", R_inv, T[..., :3, 3]))
+
+
+def from_parts(R: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """Rigid motions [..., 4, 4] from rotations [..., 3, 3] and translations [..., 3]."""
+    T = np.zeros((*R.shape[:-2], 4, 4))
+    T[..., :3, :3], T[..., :3, 3], T[..., 3, 3] = R, t, 1.0
+    return T
+
+
+def quat_from_matrix(R: np.ndarray) -> np.ndarray:
+    """Unit quaternions wxyz [..., 4], w >= 0, of rotation matrices [..., 3, 3]."""
+    R = np.asarray(R, float)
+    quat = Rotation.from_matrix(R.reshape(-1, 3, 3)).as_quat(canonical=True, scalar_first=True)
+    return quat.reshape(*R.shape[:-2], 4)
+
+
+def matrix_from_quat(quat: np.ndarray) -> np.ndarray:
+    """Rotation matrices [..., 3, 3] of quaternions wxyz [..., 4] (normalised here; zero raises ValueError)."""
+    quat = np.asarray(quat, float)
+    return Rotation.from_quat(quat.reshape(-1, 4), scalar_first=True).as_matrix().reshape(*quat.shape[:-1], 3, 3)
+
+
+def _one_minus_cos(angle: np.ndarray) -> np.ndarray:
+    """(1 - cos a) / a^2 = sinc(a / 2)^2 / 2, without cancellation."""
+    return 0.5 * np.sinc(angle / (2 * np.pi)) ** 2
+
+
+def _angle_minus_sin(angle: np.ndarray) -> np.ndarray:
+    """(a - sin a) / a^3."""
+    small = angle < 1e-1
+    safe = np.where(small, 1.0, angle)
+    series = 1 / 6 - angle**2 / 120 + angle**4 / 5040 - angle**6 / 362880
+    return np.where(small, series, (safe - np.sin(safe)) / safe**3)

@@ -1,0 +1,85 @@
+"""Option models: the one source of a script's flags, its config section, its schema and its defaults."""
+
+import difflib
+import shlex
+from collections.abc import Mapping
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo, field_validator
+
+from stages.shared.errors import InputError
+
+
+class Options(BaseModel):
+    """Base of every option model: unknown keys are refused, values are immutable once checked.
+
+    A number written as text ("1e-3", which YAML 1.1 reads as a string) is accepted as that number.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True, allow_inf_nan=False)
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _no_surprises(cls, value: Any, info: ValidationInfo) -> Any:
+        """Refuse true/false for a number; take an empty section for one with defaults."""
+        annotation = cls.model_fields[str(info.field_name)].annotation
+        if isinstance(value, bool) and annotation in (int, float):
+            raise ValueError(f"a number of type {annotation.__name__}")
+        is_section = isinstance(annotation, type) and issubclass(annotation, Options)
+        return {} if value is None and is_section else value
+
+
+OptionsT = TypeVar("OptionsT", bound=Options)
+
+
+def validate(model: type[OptionsT], values: Mapping[str, Any], where: str) -> OptionsT:
+    """Build `model` from `values`.
+
+    Args:
+        where: what the user sees in front of the option's name, e.g. "config.yaml".
+
+    Raises:
+        InputError: one line for the first wrong option, with the nearest name if it is unknown.
+    """
+    try:
+        return model(**values)
+    except ValidationError as error:
+        first, *others = error.errors()
+        raise _as_input_error(model, first, where, len(others)) from error
+
+
+def to_flags(options: Options) -> str:
+    """Command-line flags that rebuild `options`, every field spelled out."""
+    words: list[str] = []
+    for name, value in options.model_dump(mode="json").items():
+        flag = "--" + name.replace("_", "-")
+        if isinstance(value, bool):
+            words.append(flag if value else "--no-" + name.replace("_", "-"))
+        elif isinstance(value, list):
+            words += [flag, *map(str, value)]
+        elif value is not None:
+            words += [flag, str(value)]
+    return shlex.join(words)
+
+
+def _as_input_error(model: type[Options], error: Any, where: str, others: int) -> InputError:
+    location = [str(part) for part in error["loc"] if not str(part).startswith(("literal[", "list["))]
+    name = ".".join(location)
+    more = f" ({others} more wrong after it)" if others else ""
+    if error["type"] == "extra_forbidden":
+        known = _known_names(model, location[:-1])
+        near = difflib.get_close_matches(location[-1], known, n=1)
+        advice = f"did you mean '{near[0]}'?" if near else f"known here: {', '.join(sorted(known))}"
+        return InputError(f"{where}: {name}", "a known option", f"'{location[-1]}'", advice + more)
+    expected = error["msg"].removeprefix("Input should be ").removeprefix("Value error, ")
+    return InputError(f"{where}: {name}", expected, repr(error["input"]), f"correct '{name}'{more}")
+
+
+def _known_names(model: type[Options], path: list[str]) -> list[str]:
+    for part in path:
+        field = model.model_fields.get(part)
+        annotation = field.annotation if field else None
+        if not (isinstance(annotation, type) and issubclass(annotation, Options)):
+            return []
+        model = annotation
+    return [field.alias or name for name, field in model.model_fields.items()]

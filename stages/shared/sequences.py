@@ -1,0 +1,191 @@
+"""Find and check image sequences: MPI-Sintel folders, a folder of frame folders, or one folder of frames."""
+
+import difflib
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from PIL import Image, UnidentifiedImageError
+
+from stages.shared.artifacts import read_json
+from stages.shared.errors import InputError
+
+SUFFIXES = (".png", ".jpg", ".jpeg")
+MIN_FRAMES = 3
+TRUTH_KINDS = {
+    "camdata_left": ".cam",
+    "depth": ".dpt",
+    "flow": ".flo",
+    "motion_mask": ".png",
+    "occlusions": ".png",
+    "invalid": ".png",
+    "clean_right": ".png",
+    "camdata_right": ".cam",
+}
+
+
+@dataclass(frozen=True)
+class Sequence:
+    """One video: frames in order and whatever truth lies beside them.
+
+    Attributes:
+        frames: T image files; `numbers` [T] are the numbers in their names.
+        truth: kind (a key of TRUTH_KINDS) -> frame number -> file.
+    """
+
+    name: str
+    frames: list[Path]
+    numbers: list[int]
+    width: int
+    height: int
+    truth: dict[str, dict[int, Path]] = field(default_factory=dict)
+    warnings: list[str] = field(default_factory=list)
+
+    def has_truth(self, kind: str) -> bool:
+        """Whether every frame has this kind of truth (flow: every frame but the last)."""
+        needed = self.numbers[:-1] if kind == "flow" else self.numbers
+        return all(number in self.truth.get(kind, {}) for number in needed)
+
+
+def sequence_folders(dataset: Path, pass_name: str) -> dict[str, Path]:
+    """Every sequence of `dataset` with its folder of frames, by name.
+
+    Raises:
+        InputError: if the folder or the pass is missing, or nothing in it is a sequence.
+    """
+    advice = "set `dataset:` to an MPI-Sintel folder, a folder of frame folders, or a folder of frames"
+    if not dataset.is_dir():
+        raise InputError(dataset, "a folder", "a file" if dataset.exists() else "nothing there", advice)
+    if _frame_files(dataset):
+        return {dataset.resolve().name: dataset}
+    training = dataset / "training" if (dataset / "training").is_dir() else dataset
+    passes = [name for name in ("clean", "final") if (training / name).is_dir()]
+    if passes and pass_name not in passes:
+        raise InputError(training, f"the pass '{pass_name}'", f"only {', '.join(passes)}", f"set `pass: {passes[0]}`")
+    parent = training / pass_name if passes else dataset
+    folders = {folder.name: folder for folder in sorted(parent.iterdir()) if folder.is_dir() and _frame_files(folder)}
+    if not folders:
+        raise InputError(parent, "folders of PNG or JPG frames", "none", advice)
+    return folders
+
+
+def choose(wanted: str | Iterable[str], folders: dict[str, Path], dataset: Path) -> dict[str, Path]:
+    """The wanted sequences ("all" or names) of `folders`.
+
+    Raises:
+        InputError: for an unknown name, with the nearest one.
+    """
+    if wanted == "all":
+        return folders
+    for name in wanted:
+        if name not in folders:
+            near = difflib.get_close_matches(name, folders, n=1)
+            advice = f"did you mean '{near[0]}'?" if near else f"there are: {', '.join(folders)}"
+            raise InputError(dataset, f"a sequence '{name}'", f"{len(folders)} others", advice)
+    return {name: folders[name] for name in wanted}
+
+
+def check_sequence(name: str, folder: Path) -> Sequence:
+    """Check the frames by their names, headers and last bytes (no decoding) and list the truth beside them.
+
+    Raises:
+        InputError: for fewer than 3 frames, a gap in the numbering, different sizes, or an unreadable file.
+    """
+    files = _frame_files(folder)
+    if len(files) < MIN_FRAMES:
+        raise InputError(folder, f"at least {MIN_FRAMES} frames", f"{len(files)}", "add frames or choose another folder")
+    numbers = [_number(path) for path in files]
+    order = sorted(range(len(files)), key=numbers.__getitem__)
+    files, numbers = [files[k] for k in order], [numbers[k] for k in order]
+    for before, after, path in zip(numbers, numbers[1:], files[1:], strict=False):
+        if after != before + 1:
+            found = "the same number twice" if after == before else f"{after} after {before}"
+            raise InputError(path, f"frame number {before + 1}", found, "renumber the frames without gaps")
+    sizes, modes = zip(*(_header(path) for path in files), strict=True)
+    for path, size in zip(files, sizes, strict=True):
+        if size != sizes[0]:
+            found = f"{size[0]} x {size[1]}"
+            raise InputError(path, f"{sizes[0][0]} x {sizes[0][1]} like the first frame", found, "resize the frames")
+    width, height = sizes[0]
+    return Sequence(name, files, numbers, width, height, _truth(folder), _conversions(set(modes)))
+
+
+def sequence_to_json(sequence: Sequence) -> dict[str, Any]:
+    """The content of `sequence.json`, with absolute paths."""
+    truth = {kind: {str(n): str(p.resolve()) for n, p in files.items()} for kind, files in sequence.truth.items()}
+    return {
+        "name": sequence.name,
+        "width": sequence.width,
+        "height": sequence.height,
+        "numbers": sequence.numbers,
+        "frames": [str(path.resolve()) for path in sequence.frames],
+        "truth": truth,
+        "warnings": sequence.warnings,
+    }
+
+
+def read_sequence(path: Path) -> Sequence:
+    """Read `sequence.json`."""
+    content = read_json(path)
+    truth = {kind: {int(n): Path(p) for n, p in files.items()} for kind, files in content["truth"].items()}
+    return Sequence(
+        content["name"],
+        [Path(frame) for frame in content["frames"]],
+        content["numbers"],
+        content["width"],
+        content["height"],
+        truth,
+        content["warnings"],
+    )
+
+
+def _frame_files(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES and path.is_file())
+
+
+def _number(path: Path) -> int:
+    digits = re.findall(r"\d+", path.stem)
+    if not digits:
+        raise InputError(path, "a frame number in the name, as in frame_0001.png", "none", "rename the frames")
+    return int(digits[-1])
+
+
+def _header(path: Path) -> tuple[tuple[int, int], str]:
+    """Size (width, height) and Pillow mode; refuses files that are no image or end too early."""
+    try:
+        with Image.open(path) as image:
+            size, mode = image.size, image.mode
+    except (UnidentifiedImageError, OSError, SyntaxError) as error:
+        raise InputError(path, "a PNG or JPEG image", "something else or a broken header", "replace the file") from error
+    end = b"IEND\xaeB`\x82" if path.suffix.lower() == ".png" else b"\xff\xd9"
+    with path.open("rb") as file:
+        file.seek(-min(64, path.stat().st_size), 2)
+        if end not in file.read():
+            raise InputError(path, "a complete image", "one that ends too early", "copy or export the file again")
+    return size, mode
+
+
+def _conversions(modes: set[str]) -> list[str]:
+    told = {
+        "L": "grey frames are used as RGB with equal channels",
+        "1": "black-and-white frames are used as RGB with equal channels",
+        "I;16": "16-bit frames are reduced to 8 bits",
+        "I": "16-bit frames are reduced to 8 bits",
+        "RGBA": "the alpha channel is dropped",
+        "LA": "grey frames are used as RGB; the alpha channel is dropped",
+        "P": "palette frames are expanded to RGB",
+    }
+    return sorted(told[mode] for mode in modes if mode in told)
+
+
+def _truth(folder: Path) -> dict[str, dict[int, Path]]:
+    """Truth files beside `<training>/<pass>/<sequence>`, by kind and frame number."""
+    training = folder.parent.parent
+    found = {}
+    for kind, suffix in TRUTH_KINDS.items():
+        if folder.parent.name in ("clean", "final") and (training / kind / folder.name).is_dir():
+            files = sorted((training / kind / folder.name).glob(f"*{suffix}"))
+            found[kind] = {_number(path): path for path in files}
+    return found

@@ -1,0 +1,11 @@
+"""Options of the simulator."""
+
+from pydantic import Field
+
+from stages.shared.options import Options
+
+
+class SimulateOptions(Options):
+    """Sintel-style scenes with exact truth (`dataset: simulated`)."""
+
+    seed: int = Field(0, ge=0, description="seed of camera noise, textures and placement")

@@ -1,0 +1,22 @@
+rule inspect:
+    input:
+        unpack(frame_source),
+    output:
+        sequence="<results>/{dataset}/{seq}/sequence.json",
+        figure=report(
+            "<results>/{dataset}/{seq}/figures/inspect.png",
+            caption="../report/inspect.rst",
+            category="Input",
+            labels={"sequence": "{seq}", "figure": "frames"},
+        ),
+        stats="<results>/{dataset}/{seq}/stats/inspect.json",
+    log:
+        "<logs>/{dataset}/{seq}/inspect.log",
+    params:
+        code=code_digest("stages.inspect.check"),
+        folder=frame_folder,
+    resources:
+        mem_mb=megabytes(300, 3),
+    shell:
+        "python -m stages.inspect.check --frames {params.folder} --output {output.sequence}"
+        " --figure {output.figure} --log {log} --stats {output.stats}"
