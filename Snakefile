@@ -19,9 +19,6 @@ include: "workflow/rules/gaussians.smk"
 include: "workflow/rules/eval.smk"
 
 
-container: "docker://python:3.11-slim"
-
-
 localrules:
     all,
     poses,
@@ -37,7 +34,11 @@ rule all:
 
 rule poses:
     input:
-        expand("<results>/{dataset}/{seq}/ba/poses.parquet", dataset=DATASET, seq=SEQUENCES),
+        expand(
+            "<results>/{dataset}/{seq}/ba/poses.parquet",
+            dataset=DATASET,
+            seq=SEQUENCES,
+        ),
 
 
 rule masks:
@@ -47,4 +48,8 @@ rule masks:
 
 rule gaussians:
     input:
-        expand("<results>/{dataset}/{seq}/gaussians/gaussians.ply", dataset=DATASET, seq=SEQUENCES),
+        expand(
+            "<results>/{dataset}/{seq}/gaussians/gaussians.ply",
+            dataset=DATASET,
+            seq=SEQUENCES,
+        ),

@@ -3,7 +3,6 @@
 import argparse
 import errno
 import inspect
-import json
 import os
 import resource
 import sys

@@ -9,7 +9,7 @@ MASK_COLOUR = np.array([255, 60, 40])
 
 
 def flow_to_rgb(flow: np.ndarray, max_px: float | None = None) -> np.ndarray:
-    """Colour code of flow [H, W, 2]: hue is direction, saturation is length up to `max_px` (default: 98th percentile)."""
+    """Colour code of flow [H, W, 2]: hue is direction, saturation is length up to `max_px` (or the 98th percentile)."""
     length = np.linalg.norm(flow, axis=-1)
     limit = max_px if max_px is not None else float(np.percentile(length, 98))
     angle = np.arctan2(flow[..., 1], flow[..., 0])

@@ -2,7 +2,7 @@
 
 import logging
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sized
 from pathlib import Path
 from typing import TypeVar
 
@@ -32,7 +32,7 @@ def setup(log: Path | None) -> None:
 
 def progress(items: Iterable[ItemT], title: str, total: int | None = None) -> Iterator[ItemT]:
     """Yield `items` with a bar on a terminal and a log line at every tenth of the way."""
-    if total is None and hasattr(items, "__len__"):
+    if total is None and isinstance(items, Sized):
         total = len(items)
     last_tenth = 0
     bar = tqdm(items, desc=title, total=total, leave=False, disable=not sys.stderr.isatty())

@@ -95,7 +95,9 @@ def check_sequence(name: str, folder: Path) -> Sequence:
     """
     files = _frame_files(folder)
     if len(files) < MIN_FRAMES:
-        raise InputError(folder, f"at least {MIN_FRAMES} frames", f"{len(files)}", "add frames or choose another folder")
+        raise InputError(
+            folder, f"at least {MIN_FRAMES} frames", f"{len(files)}", "add frames or choose another folder"
+        )
     numbers = [_number(path) for path in files]
     order = sorted(range(len(files)), key=numbers.__getitem__)
     files, numbers = [files[k] for k in order], [numbers[k] for k in order]
@@ -158,7 +160,9 @@ def _header(path: Path) -> tuple[tuple[int, int], str]:
         with Image.open(path) as image:
             size, mode = image.size, image.mode
     except (UnidentifiedImageError, OSError, SyntaxError) as error:
-        raise InputError(path, "a PNG or JPEG image", "something else or a broken header", "replace the file") from error
+        raise InputError(
+            path, "a PNG or JPEG image", "something else or a broken header", "replace the file"
+        ) from error
     end = b"IEND\xaeB`\x82" if path.suffix.lower() == ".png" else b"\xff\xd9"
     with path.open("rb") as file:
         file.seek(-min(64, path.stat().st_size), 2)

@@ -13,13 +13,15 @@ rule ba:
         stats="<results>/{dataset}/{seq}/{round}stats/ba.json",
     log:
         "<logs>/{dataset}/{seq}/{round}ba.log",
+    conda:
+        "../envs/motionsplat.yaml"
+    threads: 4
+    resources:
+        mem_mb=megabytes(800, 100),
     params:
         code=code_digest("stages.ba.solve"),
         flags=flags("ba"),
         previous=previous_flags,
-    resources:
-        mem_mb=megabytes(800, 100),
-    threads: 4
     shell:
         "python -m stages.ba.solve --sequence {input.sequence} --flow {input.flow} --masks {input.masks}"
         " {params.previous} --poses {output.poses} --trajectory {output.trajectory} --depth {output.depth}"

@@ -1,4 +1,4 @@
-# What every rule needs: the checked configuration, the sequences, code digests, flags and memory.
+# Shared by all stages: the checked configuration, the sequences, code digests, flags and memory.
 import os
 import re
 import sys
@@ -12,8 +12,12 @@ from stages.shared.digest import code_digest
 from stages.shared.errors import InputError
 
 # Jobs run `python -m stages...` from any working directory with this environment's Python.
-os.environ["PYTHONPATH"] = os.pathsep.join([str(REPO), os.environ.get("PYTHONPATH", "")])
-os.environ["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
+os.environ.update(
+    PYTHONPATH=os.pathsep.join([str(REPO), os.environ.get("PYTHONPATH", "")]),
+    PATH=os.pathsep.join(
+        [str(Path(sys.executable).parent), os.environ.get("PATH", "")]
+    ),
+)
 
 
 try:
@@ -55,7 +59,10 @@ def previous_cameras(wildcards):
     if number == 1:
         return {}
     folder = f"<results>/{wildcards.dataset}/{wildcards.seq}/round{number - 1}/ba"
-    return {"previous_poses": f"{folder}/poses.parquet", "previous_depth": f"{folder}/depth.arrow"}
+    return {
+        "previous_poses": f"{folder}/poses.parquet",
+        "previous_depth": f"{folder}/depth.arrow",
+    }
 
 
 def previous_flags(wildcards, input):
@@ -85,6 +92,21 @@ def frame_source(wildcards):
 def stage_stats(wildcards):
     """The time files of every stage up to the evaluation, of all rounds."""
     folder = f"<results>/{wildcards.dataset}/{wildcards.seq}"
-    once = [f"{folder}/stats/{name}.json" for name in ("inspect", "flow", "scene", "control", "gaussians", "render", "colmap")]
+    once = [
+        f"{folder}/stats/{name}.json"
+        for name in (
+            "inspect",
+            "flow",
+            "scene",
+            "control",
+            "gaussians",
+            "render",
+            "colmap",
+        )
+    ]
     rounds = ["", *(f"round{number}/" for number in range(1, CONFIG.rounds))]
-    return once + [f"{folder}/{part}stats/{name}.json" for part in rounds for name in ("motion", "segment", "ba")]
+    return once + [
+        f"{folder}/{part}stats/{name}.json"
+        for part in rounds
+        for name in ("motion", "segment", "ba")
+    ]

@@ -13,12 +13,14 @@ rule control:
         stats="<results>/{dataset}/{seq}/stats/control.json",
     log:
         "<logs>/{dataset}/{seq}/control.log",
+    conda:
+        "../envs/motionsplat.yaml"
+    threads: 4
+    resources:
+        mem_mb=megabytes(1200, 60),
     params:
         code=code_digest("stages.control.fit"),
         flags=flags("control"),
-    resources:
-        mem_mb=megabytes(1200, 60),
-    threads: 4
     shell:
         "python -m stages.control.fit --sequence {input.sequence} --flow {input.flow} --masks {input.masks}"
         " --poses {input.poses} --depth {input.depth} --scene {input.scene} --points {output.points}"

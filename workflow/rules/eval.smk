@@ -6,12 +6,14 @@ rule colmap:
         stats="<results>/{dataset}/{seq}/stats/colmap.json",
     log:
         "<logs>/{dataset}/{seq}/colmap.log",
+    conda:
+        "../envs/motionsplat.yaml"
+    threads: 2
+    resources:
+        mem_mb=megabytes(800, 60),
     params:
         code=code_digest("stages.eval.colmap"),
         flags=flags("colmap"),
-    resources:
-        mem_mb=megabytes(800, 60),
-    threads: 2
     shell:
         "python -m stages.eval.colmap --sequence {input.sequence} --output {output.poses}"
         " {params.flags} --log {log} --stats {output.stats}"
@@ -41,11 +43,13 @@ rule evaluate:
         stats="<results>/{dataset}/{seq}/stats/evaluate.json",
     log:
         "<logs>/{dataset}/{seq}/evaluate.log",
+    conda:
+        "../envs/motionsplat.yaml"
+    resources:
+        mem_mb=megabytes(600, 60),
     params:
         code=code_digest("stages.eval.evaluate"),
         flags=flags("evaluate"),
-    resources:
-        mem_mb=megabytes(600, 60),
     shell:
         "python -m stages.eval.evaluate --sequence {input.sequence} --flow {input.flow} --masks {input.masks}"
         " --poses {input.poses} --depth {input.depth} --colmap {input.colmap} --renders {input.renders}"
@@ -66,12 +70,14 @@ rule report:
         ),
     log:
         f"<logs>/{DATASET}/report.log",
+    conda:
+        "../envs/motionsplat.yaml"
+    resources:
+        mem_mb=1500,
     params:
         code=code_digest("stages.eval.report"),
         flags=flags("report"),
         sequences=expand("<results>/{dataset}/{seq}", seq=SEQUENCES, dataset=DATASET),
-    resources:
-        mem_mb=1500,
     shell:
         "python -m stages.eval.report --sequences {params.sequences} --published {input.published}"
         " --output {output.html} {params.flags} --log {log}"

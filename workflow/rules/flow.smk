@@ -7,12 +7,14 @@ rule flow:
         stats="<results>/{dataset}/{seq}/stats/flow.json",
     log:
         "<logs>/{dataset}/{seq}/flow.log",
+    conda:
+        "../envs/motionsplat.yaml"
+    threads: 4
+    resources:
+        mem_mb=megabytes(500, 60),
     params:
         code=code_digest("stages.flow.estimate"),
         flags=flags("flow"),
-    resources:
-        mem_mb=megabytes(500, 60),
-    threads: 4
     shell:
         "python -m stages.flow.estimate --sequence {input.sequence} --output {output.flow}"
         " --figure {output.figure} {params.flags} --log {log} --stats {output.stats}"
@@ -29,13 +31,15 @@ rule motion:
         stats="<results>/{dataset}/{seq}/{round}stats/motion.json",
     log:
         "<logs>/{dataset}/{seq}/{round}motion.log",
+    conda:
+        "../envs/motionsplat.yaml"
+    threads: 4
+    resources:
+        mem_mb=megabytes(600, 60),
     params:
         code=code_digest("stages.flow.motion"),
         flags=flags("motion"),
         previous=previous_flags,
-    resources:
-        mem_mb=megabytes(600, 60),
-    threads: 4
     shell:
         "python -m stages.flow.motion --sequence {input.sequence} --flow {input.flow} {params.previous}"
         " --output {output.prior} --figure {output.figure} {params.flags} --log {log} --stats {output.stats}"

@@ -15,13 +15,15 @@ rule train:
         stats="<results>/{dataset}/{seq}/stats/gaussians.json",
     log:
         "<logs>/{dataset}/{seq}/gaussians.log",
-    params:
-        code=code_digest("stages.gaussians.train"),
-        flags=flags("gaussians"),
+    conda:
+        "../envs/motionsplat.yaml"
+    threads: 4
     resources:
         mem_mb=megabytes(1500, 60),
         gpu=1,
-    threads: 4
+    params:
+        code=code_digest("stages.gaussians.train"),
+        flags=flags("gaussians"),
     shell:
         "python -m stages.gaussians.train --sequence {input.sequence} --masks {input.masks} --poses {input.poses}"
         " --depth {input.depth} --scene {input.scene} --points {input.points} --deformation {input.deformation}"
@@ -45,13 +47,15 @@ rule render:
         stats="<results>/{dataset}/{seq}/stats/render.json",
     log:
         "<logs>/{dataset}/{seq}/render.log",
-    params:
-        code=code_digest("stages.gaussians.render"),
-        flags=flags("render"),
+    conda:
+        "../envs/motionsplat.yaml"
+    threads: 4
     resources:
         mem_mb=megabytes(1000, 10),
         gpu=1,
-    threads: 4
+    params:
+        code=code_digest("stages.gaussians.render"),
+        flags=flags("render"),
     shell:
         "python -m stages.gaussians.render --sequence {input.sequence} --poses {input.poses} --model {input.model}"
         " --output {output.renders} --video {output.video} {params.flags} --log {log} --stats {output.stats}"

@@ -12,11 +12,13 @@ rule inspect:
         stats="<results>/{dataset}/{seq}/stats/inspect.json",
     log:
         "<logs>/{dataset}/{seq}/inspect.log",
+    conda:
+        "../envs/motionsplat.yaml"
+    resources:
+        mem_mb=megabytes(300, 3),
     params:
         code=code_digest("stages.inspect.check"),
         folder=frame_folder,
-    resources:
-        mem_mb=megabytes(300, 3),
     shell:
         "python -m stages.inspect.check --frames {params.folder} --output {output.sequence}"
         " --figure {output.figure} --log {log} --stats {output.stats}"

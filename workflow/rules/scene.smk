@@ -11,11 +11,13 @@ rule scene:
         stats="<results>/{dataset}/{seq}/stats/scene.json",
     log:
         "<logs>/{dataset}/{seq}/scene.log",
+    conda:
+        "../envs/motionsplat.yaml"
+    resources:
+        mem_mb=megabytes(500, 60),
     params:
         code=code_digest("stages.scene.decide"),
         flags=flags("scene"),
-    resources:
-        mem_mb=megabytes(500, 60),
     shell:
         "python -m stages.scene.decide --sequence {input.sequence} --flow {input.flow} --masks {input.masks}"
         " --poses {input.poses} --depth {input.depth} --output {output.scene} --figure {output.figure}"

@@ -9,12 +9,14 @@ rule segment:
         stats="<results>/{dataset}/{seq}/{round}stats/segment.json",
     log:
         "<logs>/{dataset}/{seq}/{round}segment.log",
+    conda:
+        "../envs/motionsplat.yaml"
+    threads: 4
+    resources:
+        mem_mb=megabytes(500, 60),
     params:
         code=code_digest("stages.segment.refine"),
         flags=flags("segment"),
-    resources:
-        mem_mb=megabytes(500, 60),
-    threads: 4
     shell:
         "python -m stages.segment.refine --sequence {input.sequence} --flow {input.flow} --prior {input.prior}"
         " --output {output.masks} --figure {output.figure} {params.flags} --log {log} --stats {output.stats}"

@@ -5,11 +5,13 @@ rule simulate:
         manifest="simulated/{seq}.json",
     log:
         "<logs>/simulated/{seq}/simulate.log",
+    conda:
+        "../envs/motionsplat.yaml"
+    threads: 4
+    resources:
+        mem_mb=megabytes(600, 0),
     params:
         code=code_digest("stages.simulate.render"),
         flags=flags("simulate"),
-    resources:
-        mem_mb=megabytes(600, 0),
-    threads: 4
     shell:
         "python -m stages.simulate.render --scene {input.scene} --output simulated {params.flags} --log {log}"
