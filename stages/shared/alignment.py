@@ -3,7 +3,7 @@
 import numpy as np
 
 RANK_TOLERANCE = 1e-8
-"""A direction counts if its spread exceeds this share of the widest one (and 1e-6 of it of the distance from the origin)."""
+"""A direction counts if it spreads over more than this share of the widest one, and over more than rounding."""
 
 
 class DegenerateError(ValueError):
