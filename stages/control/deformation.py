@@ -1,0 +1,153 @@
+"""Motion of the control points over time: two models behind one interface, and their file.
+
+Both map times 0..1 to a rotation and a translation per control point, relative to the canonical frame.
+"""
+
+import itertools
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from scipy.interpolate import CubicSpline
+from torch import Tensor
+
+from stages.control import quaternions
+from stages.shared.artifacts import read_model, read_table, write_model, write_table
+
+
+class Deformation(torch.nn.Module):
+    """Canonical control points with their motion.
+
+    Attributes:
+        points: [P, 3] float32, canonical positions in scene units (a buffer: they are not trained).
+        log_radii: [P] logarithms of the kernel radii sigma_k in scene units, trained.
+        centre, extent: where the points lie and how far they reach; makes the motion independent of the scene's unit.
+    """
+
+    points: Tensor
+    centre: Tensor
+    extent: Tensor
+
+    def __init__(self, points: Tensor, log_radii: Tensor) -> None:
+        super().__init__()
+        centre = points.mean(0)
+        self.register_buffer("points", points.clone())
+        self.register_buffer("centre", centre)
+        self.register_buffer("extent", (points - centre).abs().max().clamp_min(log_radii.exp().max()))
+        self.log_radii = torch.nn.Parameter(log_radii.clone())
+
+    def raw_motion(self, times: Tensor) -> Tensor:
+        """Motion [B, P, 7] at times [B]: quaternion minus identity, translation in extents."""
+        raise NotImplementedError
+
+    def forward(self, times: Tensor) -> tuple[Tensor, Tensor]:
+        """Unit quaternions wxyz [B, P, 4] and translations [B, P, 3] in scene units at times [B] in 0..1."""
+        raw = self.raw_motion(times)
+        identity = raw.new_tensor([1.0, 0.0, 0.0, 0.0])
+        return quaternions.normalise(raw[..., :4] + identity), raw[..., 4:] * self.extent
+
+
+class MLPDeformation(Deformation):
+    """The paper's network over position and time.
+
+    Few time frequencies on purpose: ten of them fit the training frames and lose 1.4 dB between them.
+    """
+
+    frequencies: Tensor
+
+    def __init__(
+        self,
+        points: Tensor,
+        log_radii: Tensor,
+        width: int = 128,
+        depth: int = 4,
+        position_frequencies: int = 6,
+        time_frequencies: int = 4,
+    ) -> None:
+        super().__init__(points, log_radii)
+        self.register_buffer("frequencies", torch.tensor([position_frequencies, time_frequencies]))
+        sizes = [4 + 6 * position_frequencies + 2 * time_frequencies, *[width] * depth]
+        self.hidden = torch.nn.ModuleList(torch.nn.Linear(a, b) for a, b in itertools.pairwise(sizes))
+        self.head = torch.nn.Linear(sizes[-1], 7)
+        torch.nn.init.normal_(self.head.weight, std=1e-3)  # start at rest
+        torch.nn.init.zeros_(self.head.bias)
+
+    def raw_motion(self, times: Tensor) -> Tensor:
+        position_frequencies, time_frequencies = self.frequencies.tolist()
+        positions = _encode((self.points - self.centre) / self.extent, position_frequencies)
+        moments = _encode(2 * times[:, None] - 1, time_frequencies)
+        B, P = len(moments), len(positions)
+        x = torch.cat([positions.expand(B, -1, -1), moments[:, None].expand(-1, P, -1)], dim=-1)
+        for layer in self.hidden:
+            x = torch.relu(layer(x))
+        return self.head(x)
+
+
+class TableDeformation(Deformation):
+    """A rotation and a translation per control point and training frame, with a natural cubic spline between frames."""
+
+    knots: Tensor
+
+    def __init__(self, points: Tensor, log_radii: Tensor, knots: Tensor) -> None:
+        """knots: [F] ascending times in 0..1, one per training frame, F >= 2."""
+        super().__init__(points, log_radii)
+        self.register_buffer("knots", knots.to(torch.float64))
+        self.table = torch.nn.Parameter(torch.zeros(len(knots), len(points), 7))
+
+    def raw_motion(self, times: Tensor) -> Tensor:
+        knots = self.knots.cpu().numpy()
+        inside = np.clip(times.detach().cpu().numpy().astype(float), knots[0], knots[-1])
+        basis = CubicSpline(knots, np.eye(len(knots)), bc_type="natural")(inside)
+        return torch.einsum("bf,fpc->bpc", torch.as_tensor(basis).to(self.table), self.table)
+
+
+def _encode(x: Tensor, frequencies: int) -> Tensor:
+    """x [..., D] with sin and cos of pi 2^l x for l < frequencies: [..., D (1 + 2 frequencies)]."""
+    angles = (x[..., None] * (math.pi * 2.0 ** torch.arange(frequencies, device=x.device))).flatten(-2)
+    return torch.cat([x, angles.sin(), angles.cos()], dim=-1)
+
+
+def deformation_tensors(deformation: Deformation) -> dict[str, np.ndarray]:
+    """Every tensor of the model by name, enough to rebuild it; the names tell the kind."""
+    return {name: tensor.detach().cpu().numpy() for name, tensor in deformation.state_dict().items()}
+
+
+def deformation_from_tensors(tensors: Mapping[str, np.ndarray]) -> Deformation:
+    """Rebuild the model that `deformation_tensors` took apart."""
+    state = {name: torch.from_numpy(np.array(values)) for name, values in tensors.items()}
+    points, log_radii = state["points"], state["log_radii"]
+    model: Deformation
+    if "knots" in state:
+        model = TableDeformation(points, log_radii, state["knots"])
+    else:
+        width, depth = len(state["hidden.0.weight"]), sum(name.endswith(".weight") for name in state) - 1
+        model = MLPDeformation(points, log_radii, width, depth, *state["frequencies"].tolist())
+    model.load_state_dict(state)
+    return model
+
+
+def save_points(path: Path, deformation: Deformation | None, metadata: Mapping[str, Any]) -> None:
+    """Write `control/points.parquet`: x y z radius, in scene units of the canonical frame; no row without motion."""
+    points = np.zeros((0, 3), np.float32) if deformation is None else deformation.points.cpu().numpy()
+    radii = np.zeros(0, np.float32) if deformation is None else deformation.log_radii.detach().exp().cpu().numpy()
+    columns = {name: points[:, axis] for axis, name in enumerate("xyz")} | {"radius": radii}
+    write_table(path, columns, {"units": "scene units, canonical frame", **metadata})
+
+
+def save_deformation(path: Path, deformation: Deformation | None, metadata: Mapping[str, Any]) -> None:
+    """Write `control/deformation.safetensors`: the motion without the points; no tensor without motion."""
+    tensors = {} if deformation is None else deformation_tensors(deformation)
+    motion = {name: values for name, values in tensors.items() if name not in ("points", "log_radii")}
+    write_model(path, motion, metadata)
+
+
+def load_deformation(path: Path, points_path: Path) -> Deformation | None:
+    """Read what `save_deformation` and `save_points` wrote; None for a scene without moving parts."""
+    table = read_table(points_path)
+    if len(table["x"]) == 0:
+        return None
+    points = np.stack([table[name] for name in "xyz"], axis=-1)
+    return deformation_from_tensors(read_model(path) | {"points": points, "log_radii": np.log(table["radius"])})

@@ -1,0 +1,112 @@
+"""Linear blend skinning: Gaussians follow the K nearest control points (paper, eq. of MA-GS; DESIGN section 5).
+
+w~_jk = exp(-|mu_j - p_k|^2 / (2 sigma_k^2)), w_jk = w~_jk / sum_k w~_jk,
+mu'_j = sum_k w_jk (R_k (mu_j - p_k) + p_k + T_k), q'_j = normalise((sum_k w_jk r_k) x q_j).
+"""
+
+from typing import Any
+
+import numpy as np
+import torch
+from scipy.spatial import cKDTree
+from torch import Tensor
+
+from stages.control import lbs_kernels, quaternions
+
+
+def neighbours(points: Tensor, means: Tensor, K: int) -> tuple[Tensor, Tensor]:
+    """The K control points nearest to each mean (all of them if there are fewer), nearest first.
+
+    Args:
+        points: [P, 3] control points, P >= 1.
+        means: [N, 3].
+
+    Returns:
+        index int64 [N, K] and sq_dist float32 [N, K] in squared scene units, both on the device of `means`;
+        neither carries a gradient.
+    """
+    K = min(K, len(points))
+    query = means.detach().cpu().numpy().astype(np.float64)
+    dist, index = cKDTree(points.detach().cpu().numpy().astype(np.float64)).query(query, k=np.arange(1, K + 1))
+    sq_dist = torch.as_tensor(np.square(dist).reshape(-1, K), dtype=torch.float32, device=means.device)
+    return torch.as_tensor(index.reshape(-1, K), dtype=torch.int64, device=means.device), sq_dist
+
+
+def lbs_weights(sq_dist: Tensor, log_radii: Tensor, index: Tensor) -> Tensor:
+    """Normalised exponential kernel [N, K]; rows sum to one however far the point is from every control point.
+
+    The softmax shifts the exponents by the largest before exp: the plain quotient is 0 / 0 some 13 radii away.
+
+    Args:
+        sq_dist: [N, K] squared distances. log_radii: [P] logarithms of sigma_k. index: [N, K].
+    """
+    exponents = -0.5 * sq_dist * torch.exp(-2 * log_radii)[index]
+    return torch.softmax(exponents, dim=-1)
+
+
+def blend(
+    means: Tensor,
+    quats: Tensor,
+    points: Tensor,
+    point_quats: Tensor,
+    point_translations: Tensor,
+    weights: Tensor,
+    index: Tensor,
+) -> tuple[Tensor, Tensor]:
+    """Move and turn Gaussians with their control points; differentiable in everything but `index`.
+
+    Quaternions q and -q are one rotation: each neighbour's sign is aligned with the heaviest neighbour's, which
+    keeps the blend at least 1/K long, so its normalisation is safe by construction.
+
+    Args:
+        means: [N, 3]. quats: [N, 4] wxyz, any length but zero. points: [P, 3]. point_quats: [P, 4] unit.
+        point_translations: [P, 3]. weights: [N, K], rows sum to one. index: [N, K].
+
+    Returns:
+        means' [N, 3] and unit quats' [N, 4]. On the CPU a fused numba kernel, elsewhere `blend_torch`.
+    """
+    arguments = (means, quats, points, point_quats, point_translations, weights, index)
+    if means.device.type != "cpu":
+        return blend_torch(*arguments)
+    rotations = quaternions.rotation_matrices(point_quats)
+    moved: tuple[Tensor, Tensor] = _Blend.apply(  # type: ignore[no-untyped-call]
+        means, quats, rotations, points, points + point_translations, point_quats, weights, index
+    )
+    return moved
+
+
+def blend_torch(
+    means: Tensor,
+    quats: Tensor,
+    points: Tensor,
+    point_quats: Tensor,
+    point_translations: Tensor,
+    weights: Tensor,
+    index: Tensor,
+) -> tuple[Tensor, Tensor]:
+    """`blend` as gather and einsum: for accelerators, any float type, and the oracle of the kernel."""
+    rotations = quaternions.rotation_matrices(point_quats)
+    local = means[:, None] - points[index]
+    moved = torch.einsum("nkab,nkb->nka", rotations[index], local) + (points + point_translations)[index]
+    neighbour_quats = point_quats[index]
+    heaviest = neighbour_quats.take_along_dim(weights.argmax(-1)[:, None, None], dim=1)
+    signs = torch.where((neighbour_quats * heaviest).sum(-1) < 0, -1.0, 1.0).detach().to(weights.dtype)
+    blended = ((weights * signs)[..., None] * neighbour_quats).sum(1)
+    turned = quaternions.multiply(quaternions.normalise(blended), quaternions.normalise(quats))
+    return (weights[..., None] * moved).sum(1), turned
+
+
+class _Blend(torch.autograd.Function):
+    """The fused kernel with its hand-written backward pass."""
+
+    @staticmethod
+    def forward(ctx: Any, *tensors: Tensor) -> tuple[Tensor, Tensor]:
+        arrays = [tensor.detach().contiguous().numpy() for tensor in tensors]
+        ctx.arrays = arrays
+        moved, turned = lbs_kernels.forward(*arrays)
+        return torch.from_numpy(moved), torch.from_numpy(turned)
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
+        g_means, g_quats = (gradient.contiguous().numpy() for gradient in gradients)
+        return (*map(torch.from_numpy, lbs_kernels.backward(*ctx.arrays, g_means, g_quats)), None)
