@@ -30,8 +30,11 @@ class Config(Options):
     """config.yaml. Keys that several stages share stand on top; a section may override them."""
 
     dataset: str = Field(SIMULATED, description="'simulated', or a folder: MPI-Sintel, frame folders, or frames")
+    scenes: Literal["all"] | list[str] = Field(
+        ["demo"], description="if simulated: library scenes or YAML files to render"
+    )
     pass_: Literal["clean", "final"] = Field("final", alias="pass", description="which MPI-Sintel pass to read")
-    sequences: Literal["all"] | list[str] = Field("all", description="'all' or a list of names")
+    sequences: Literal["all"] | list[str] = Field("all", description="'all' or a list of names within the dataset")
     rounds: int = Field(2, ge=1, le=5, description="how often motion, masks and poses are estimated in turn")
     intrinsics: Literal["estimate", "truth"] = Field("estimate", description="focal length: estimate it or use truth")
     holdout_every: int = Field(8, ge=2, description="one frame in this many is held out from training")
@@ -89,31 +92,30 @@ def find_sequences(config: Config) -> dict[str, Sequence]:
         InputError: for missing folders, unknown names and unreadable frames.
     """
     if config.dataset == SIMULATED:
-        return {name: _promised(name, path) for name, path in scene_files(config).items()}
-    dataset = Path(config.dataset)
-    chosen = choose(config.sequences, sequence_folders(dataset, config.pass_), dataset)
-    return {name: check_sequence(name, folder) for name, folder in chosen.items()}
+        return {name: _promised(name, scene_files(config)[name]) for name in frame_folders(config)}
+    return {name: check_sequence(name, Path(folder)) for name, folder in frame_folders(config).items()}
 
 
 def frame_folders(config: Config) -> dict[str, str]:
     """The folder of frames of every chosen sequence; simulated ones lie under simulated/."""
-    if config.dataset == SIMULATED:
-        return {name: f"{SIMULATED}/training/{config.pass_}/{name}" for name in scene_files(config)}
     dataset = Path(config.dataset)
-    folders = choose(config.sequences, sequence_folders(dataset, config.pass_), dataset)
-    return {name: str(folder) for name, folder in folders.items()}
+    if config.dataset == SIMULATED:
+        folders = {name: Path(SIMULATED, "training", config.pass_, name) for name in scene_files(config)}
+    else:
+        folders = sequence_folders(dataset, config.pass_)
+    return {name: str(folder) for name, folder in choose(config.sequences, folders, dataset).items()}
 
 
 def scene_files(config: Config) -> dict[str, Path]:
-    """The chosen scene files: names from the library, or paths of YAML files."""
+    """The scenes to render, by name: from the library, or paths of YAML files."""
     library = {path.stem: path for path in sorted(SCENES.glob("*.yaml"))}
-    if config.sequences == "all":
+    if config.scenes == "all":
         return library
-    own = {Path(name).stem: Path(name) for name in config.sequences if name.endswith((".yaml", ".yml"))}
+    own = {Path(name).stem: Path(name) for name in config.scenes if name.endswith((".yaml", ".yml"))}
     for path in own.values():
         if not path.is_file():
             raise InputError(path, "a scene file", "nothing there", f"library scenes: {', '.join(library)}")
-    named = [name for name in config.sequences if not name.endswith((".yaml", ".yml"))]
+    named = [name for name in config.scenes if not name.endswith((".yaml", ".yml"))]
     return choose(named, library, SCENES) | own
 
 

@@ -1,0 +1,64 @@
+"""Fixtures that several test files share."""
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+REPO = Path(__file__).resolve().parents[1]
+DATA = REPO.parent / "shared" / "data"
+SOURCES = ("Snakefile", "config.yaml", "profiles", "workflow", "stages")
+
+
+def run_snakemake(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """`snakemake ARGUMENTS` in `folder`, with its output as text."""
+    command = [sys.executable, "-m", "snakemake", *arguments]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=900, check=False)
+
+
+def write_frames(folder: Path, count: int = 4, size: tuple[int, int] = (48, 64), first: int = 1) -> Path:
+    """A folder of `count` textured PNG frames of (height, width)."""
+    folder.mkdir(parents=True, exist_ok=True)
+    rng = np.random.default_rng(0)
+    for number in range(first, first + count):
+        image = rng.integers(0, 255, (*size, 3), dtype=np.uint8)
+        cv2.imwrite(str(folder / f"frame_{number:04d}.png"), image)
+    return folder
+
+
+@pytest.fixture
+def frames(tmp_path: Path) -> Path:
+    """A dataset folder with one valid sequence of four small frames in `clip`."""
+    write_frames(tmp_path / "data" / "clip")
+    return tmp_path / "data"
+
+
+def copy_sources(folder: Path) -> Path:
+    """The sources of the workflow in `folder`, to edit freely."""
+    for name in SOURCES:
+        if (REPO / name).is_dir():
+            skip = shutil.ignore_patterns("__pycache__")
+            shutil.copytree(REPO / name, folder / name, ignore=skip, dirs_exist_ok=True)
+        else:
+            shutil.copy2(REPO / name, folder / name)
+    return folder
+
+
+@pytest.fixture
+def repo_copy(tmp_path: Path) -> Path:
+    """A copy of the workflow's sources."""
+    return copy_sources(tmp_path)
+
+
+@pytest.fixture(scope="session")
+def rendered(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The rendered sequences with exact truth, in MPI-Sintel layout."""
+    if not (DATA / "unpack.py").exists():
+        pytest.skip(f"no measuring data at {DATA}")
+    target = tmp_path_factory.mktemp("rendered")
+    subprocess.run([sys.executable, str(DATA / "unpack.py"), str(target)], check=True)
+    return target

@@ -1,0 +1,146 @@
+"""Round trips of every file kind, metadata, and what a failed write leaves behind."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import REPO
+from evo.tools import file_interface
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from stages.shared import artifacts, lie, sintel
+from stages.shared.cameras import intrinsics, make_cameras, read_cameras, write_cameras, write_tum
+from stages.shared.errors import InputError
+
+floats = st.floats(-1e6, 1e6, width=32)
+
+
+def test_table_round_trip(tmp_path: Path) -> None:
+    columns = {"frame": np.arange(3), "pose": np.random.default_rng(0).normal(size=(3, 7)), "status": ["a", "b", "c"]}
+    artifacts.write_table(tmp_path / "t.parquet", columns, {"units": "px"})
+    back = artifacts.read_table(tmp_path / "t.parquet")
+    assert np.array_equal(back["frame"], columns["frame"])
+    assert np.array_equal(back["pose"], columns["pose"])
+    assert list(back["status"]) == ["a", "b", "c"]
+    metadata = artifacts.read_metadata(tmp_path / "t.parquet")
+    assert metadata["units"] == "px"
+    assert metadata["format_version"] == artifacts.FORMAT_VERSION
+
+
+@pytest.mark.parametrize("dtype", [np.float16, np.float32, np.float64, np.uint8])
+def test_dense_round_trip_is_memory_mapped(tmp_path: Path, dtype: type) -> None:
+    values = np.random.default_rng(0).integers(0, 200, (5, 4, 6, 2)).astype(dtype)
+    artifacts.write_dense(tmp_path / "d.arrow", {"source": np.arange(5), "flow": values}, {"scale": 0.5})
+    back = artifacts.read_dense(tmp_path / "d.arrow")
+    assert back["flow"].dtype == dtype
+    assert np.array_equal(back["flow"], values)
+    assert not back["flow"].flags.owndata
+    assert artifacts.read_metadata(tmp_path / "d.arrow")["scale"] == 0.5
+
+
+def test_model_round_trip(tmp_path: Path) -> None:
+    tensors = {"means": np.random.default_rng(0).normal(size=(7, 3)).astype(np.float32), "empty": np.zeros((0, 4))}
+    artifacts.write_model(tmp_path / "m.safetensors", tensors, {"kind": "mlp"})
+    back = artifacts.read_model(tmp_path / "m.safetensors")
+    assert all(np.array_equal(back[name], tensors[name]) for name in tensors)
+    assert artifacts.read_metadata(tmp_path / "m.safetensors")["kind"] == "mlp"
+
+
+@pytest.mark.parametrize(
+    ("name", "read"),
+    [
+        ("x.parquet", artifacts.read_table),
+        ("x.arrow", artifacts.read_dense),
+        ("x.safetensors", artifacts.read_model),
+        ("x.json", artifacts.read_json),
+    ],
+)
+def test_a_damaged_artifact_is_bad_input(tmp_path: Path, name: str, read: object) -> None:
+    (tmp_path / name).write_bytes(b"damaged beyond recognition")
+    with pytest.raises(InputError, match=name):
+        read(tmp_path / name)  # type: ignore[operator]
+
+
+def test_a_failed_write_keeps_the_old_file_and_leaves_nothing_else(tmp_path: Path) -> None:
+    path = tmp_path / "result.json"
+    artifacts.write_json(path, {"value": 1})
+
+    def write_half() -> None:
+        with artifacts.atomic(path) as partial:
+            partial.write_text("half")
+            raise OSError("disk full")
+
+    with pytest.raises(OSError, match="disk full"):
+        write_half()
+    assert artifacts.read_json(path)["value"] == 1
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_killed_write_leaves_no_final_name(tmp_path: Path) -> None:
+    code = (
+        "import os, signal, sys; from pathlib import Path; from stages.shared.artifacts import atomic_folder\n"
+        "with atomic_folder(Path(sys.argv[1])) as partial:\n"
+        "    (partial / 'one').write_text('1'); os.kill(os.getpid(), signal.SIGKILL)"
+    )
+    subprocess.run([sys.executable, "-c", code, str(tmp_path / "masks")], cwd=REPO, check=False)
+    assert not (tmp_path / "masks").exists()
+    with artifacts.atomic_folder(tmp_path / "masks") as partial:
+        (partial / "two").write_text("2")
+    assert [path.name for path in tmp_path.rglob("*")] == ["masks", "two"]
+
+
+@settings(max_examples=25, deadline=None)
+@given(hnp.arrays(np.float32, st.tuples(st.integers(1, 9), st.integers(1, 9), st.just(2)), elements=floats))
+def test_flo_and_dpt_are_bit_exact(tmp_path_factory: pytest.TempPathFactory, values: np.ndarray) -> None:
+    folder = tmp_path_factory.mktemp("sintel")
+    sintel.write_flo(folder / "a.flo", values)
+    assert sintel.read_flo(folder / "a.flo").tobytes() == values.tobytes()
+    sintel.write_dpt(folder / "a.dpt", values[..., 0])
+    assert sintel.read_dpt(folder / "a.dpt").tobytes() == np.ascontiguousarray(values[..., 0]).tobytes()
+
+
+def test_cam_is_172_bytes_and_bit_exact(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    K, cam_from_world = rng.normal(size=(3, 3)), rng.normal(size=(3, 4))
+    sintel.write_cam(tmp_path / "a.cam", K, cam_from_world)
+    assert (tmp_path / "a.cam").stat().st_size == 172
+    back = sintel.read_cam(tmp_path / "a.cam")
+    assert np.array_equal(back[0], K)
+    assert np.array_equal(back[1], cam_from_world)
+
+
+def random_cameras() -> object:
+    """Six cameras with random poses and covariance."""
+    rng = np.random.default_rng(1)
+    poses = lie.exp_se3(rng.normal(size=(6, 6)))
+    return make_cameras(poses, intrinsics(500, 500, 255.5, 108.5), np.arange(16, 22), rng.normal(size=(6, 6, 6)))
+
+
+def test_cameras_round_trip(tmp_path: Path) -> None:
+    cameras = random_cameras()
+    write_cameras(tmp_path / "poses.parquet", cameras, {"focal": "estimated"})  # type: ignore[arg-type]
+    back = read_cameras(tmp_path / "poses.parquet")
+    for name in ("cam_from_world", "Ks", "numbers", "covariance"):
+        assert np.allclose(getattr(back, name), getattr(cameras, name), atol=1e-12), name
+    assert list(back.status) == ["estimated"] * 6
+
+
+def test_trajectory_opens_in_evo_as_world_from_camera(tmp_path: Path) -> None:
+    cameras = random_cameras()
+    write_tum(tmp_path / "trajectory.tum", cameras)  # type: ignore[arg-type]
+    trajectory = file_interface.read_tum_trajectory_file(str(tmp_path / "trajectory.tum"))
+    assert trajectory.check()[0]
+    assert np.allclose(trajectory.positions_xyz, cameras.centres, atol=1e-12)  # type: ignore[attr-defined]
+    world_from_cam = lie.inverse(cameras.cam_from_world)  # type: ignore[attr-defined]
+    assert np.allclose(np.stack(trajectory.poses_se3), world_from_cam, atol=1e-12)
+
+
+def test_nothing_in_the_project_pickles() -> None:
+    for path in (REPO / "stages").rglob("*.py"):
+        text = path.read_text()
+        assert "pickle" not in text.replace("never pickle", "").replace("No pickle", ""), path
+        assert "torch.save" not in text, path

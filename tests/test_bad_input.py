@@ -1,0 +1,214 @@
+"""Bad input stops before any work: exit code 2, one line that helps, no output, no traceback."""
+
+import os
+import re
+import shutil
+import struct
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from conftest import REPO, run_snakemake, write_frames
+
+from stages.shared import sintel
+from stages.shared.errors import InputError
+from stages.shared.images import read_rgb
+from stages.shared.sequences import check_sequence
+
+
+def refuse(folder: Path, options: str, *phrases: str) -> None:
+    """Assert that snakemake in `folder` with these options stops in one line that holds the phrases."""
+    (folder / "mine.yaml").write_text(options)
+    before = {path for path in folder.rglob("*") if ".snakemake" not in path.parts}
+    snakefile = str(REPO / "Snakefile")
+    result = run_snakemake(folder, "-s", snakefile, "--cores", "1", "--configfile", "mine.yaml")
+    said = [line for line in result.stderr.splitlines() if not line.startswith(("Using workflow", "Config file"))]
+    assert result.returncode == 2, result.stderr + result.stdout
+    assert len(said) == 1, result.stderr
+    assert all(phrase in said[0] for phrase in phrases), said[0]
+    assert "Traceback" not in result.stdout + result.stderr
+    assert {path for path in folder.rglob("*") if ".snakemake" not in path.parts} == before
+
+
+@pytest.mark.parametrize(
+    ("options", "phrases"),
+    [
+        ("dataset: nowhere", ("nowhere", "expected a folder", "found nothing there")),
+        ("dataset: data\nsequences: [clap]", ("'clap'", "did you mean 'clip'?")),
+        ("scenes: [dem]", ("'dem'", "did you mean 'demo'?")),
+        ("scenes: [own.yaml]", ("own.yaml", "a scene file")),
+        ("flwo: {}", ("flwo", "did you mean 'flow'?")),
+        ("flow: {ofsets: [1]}", ("flow.ofsets", "did you mean 'offsets'?")),
+        ("control: {points: many}", ("control.points", "integer", "'many'")),
+        ("control: {points: -3}", ("control.points", "greater than or equal to 16", "-3")),
+        ("control: {points: true}", ("control.points", "a number", "True")),
+        ("holdout_every: eight", ("holdout_every", "integer", "'eight'")),
+        ("pass: finale", ("pass", "'clean' or 'final'", "'finale'")),
+        ("ba: 3", ("ba", "dictionary", "3")),
+    ],
+)
+def test_wrong_configuration(frames: Path, options: str, phrases: tuple[str, ...]) -> None:
+    refuse(frames.parent, options, *phrases)
+
+
+def truncate(folder: Path) -> None:
+    path = folder / "frame_0002.png"
+    path.write_bytes(path.read_bytes()[:-40])
+
+
+def remove_third(folder: Path) -> None:
+    (folder / "frame_0003.png").unlink()
+
+
+def resize_second(folder: Path) -> None:
+    cv2.imwrite(str(folder / "frame_0002.png"), np.zeros((20, 30, 3), np.uint8))
+
+
+def replace_by_text(folder: Path) -> None:
+    (folder / "frame_0002.png").write_text("not an image")
+
+
+def duplicate_number(folder: Path) -> None:
+    shutil.copy(folder / "frame_0002.png", folder / "other_0002.png")
+
+
+def unnumber(folder: Path) -> None:
+    (folder / "frame_0002.png").rename(folder / "second.png")
+
+
+@pytest.mark.parametrize(
+    ("damage", "phrases"),
+    [
+        (truncate, ("frame_0002.png", "a complete image", "ends too early")),
+        (remove_third, ("frame_0004.png", "frame number 3", "4 after 2")),
+        (resize_second, ("frame_0002.png", "64 x 48", "30 x 20")),
+        (replace_by_text, ("frame_0002.png", "PNG or JPEG")),
+        (duplicate_number, ("0002.png", "the same number twice")),
+        (unnumber, ("second.png", "a frame number in the name")),
+    ],
+)
+def test_wrong_frames(frames: Path, damage: Callable[[Path], None], phrases: tuple[str, ...]) -> None:
+    damage(frames / "clip")
+    refuse(frames.parent, "dataset: data", *phrases)
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_too_few_frames(tmp_path: Path, count: int) -> None:
+    write_frames(tmp_path / "data" / "clip", count)
+    refuse(tmp_path, "dataset: data", "clip", "at least 3 frames", f"found {count}")
+
+
+def test_no_frames(tmp_path: Path) -> None:
+    (tmp_path / "data" / "clip").mkdir(parents=True)
+    refuse(tmp_path, "dataset: data", "data", "folders of PNG or JPG frames", "found none")
+
+
+def test_a_missing_pass_names_the_one_there(tmp_path: Path) -> None:
+    write_frames(tmp_path / "sintel" / "training" / "clean" / "alley_1", first=16)
+    refuse(tmp_path, "dataset: sintel", "the pass 'final'", "only clean", "set `pass: clean`")
+
+
+def test_numbering_need_not_begin_at_one(tmp_path: Path) -> None:
+    folder = write_frames(tmp_path / "alley_1", first=16)
+    assert check_sequence("alley_1", folder).numbers == [16, 17, 18, 19]
+
+
+@pytest.mark.parametrize(
+    ("image", "told"),
+    [
+        (np.full((48, 64), 77, np.uint8), "grey frames are used as RGB"),
+        (np.full((48, 64), 77 * 257, np.uint16), "16-bit frames are reduced to 8 bits"),
+        (np.full((48, 64, 4), 77, np.uint8), "the alpha channel is dropped"),
+    ],
+)
+def test_stated_conversions_of_odd_images(tmp_path: Path, image: np.ndarray, told: str) -> None:
+    for number in range(1, 4):
+        cv2.imwrite(str(tmp_path / f"frame_{number:04d}.png"), image)
+    sequence = check_sequence("odd", tmp_path)
+    assert any(told in warning for warning in sequence.warnings)
+    rgb = read_rgb(sequence.frames[0])
+    assert rgb.shape == (48, 64, 3)
+    assert np.all(rgb == 77)
+
+
+def run_check(folder: Path, output: Path) -> subprocess.CompletedProcess[str]:
+    """The input check from the command line."""
+    flags = ["--frames", str(folder), "--output", str(output), "--figure", str(output.with_suffix(".png"))]
+    command = [sys.executable, "-m", "stages.inspect.check", *flags]
+    return subprocess.run(command, capture_output=True, text=True, cwd=REPO, check=False)
+
+
+def sintel_clip(root: Path) -> Path:
+    """A folder of frames in MPI-Sintel layout, with valid truth beside it."""
+    folder = write_frames(root / "training" / "final" / "clip")
+    for number in range(1, 5):
+        name = f"frame_{number:04d}"
+        for kind in ("flow", "depth", "camdata_left"):
+            (root / "training" / kind / "clip").mkdir(parents=True, exist_ok=True)
+        sintel.write_flo(root / "training/flow/clip" / f"{name}.flo", np.zeros((48, 64, 2)))
+        sintel.write_dpt(root / "training/depth/clip" / f"{name}.dpt", np.ones((48, 64)))
+        sintel.write_cam(root / "training/camdata_left/clip" / f"{name}.cam", np.eye(3), np.eye(3, 4))
+    return folder
+
+
+@pytest.mark.parametrize(
+    "kind", ["flow/clip/frame_0002.flo", "depth/clip/frame_0002.dpt", "camdata_left/clip/frame_0002.cam"]
+)
+@pytest.mark.parametrize("damage", ["tag", "size", "empty"])
+def test_damaged_truth(tmp_path: Path, kind: str, damage: str) -> None:
+    folder = sintel_clip(tmp_path)
+    assert run_check(folder, tmp_path / "out" / "fine.json").returncode == 0
+    path = tmp_path / "training" / kind
+    content = path.read_bytes()
+    broken = {"tag": struct.pack("<f", 1.5) + content[4:], "size": content[:-8], "empty": b""}[damage]
+    path.write_bytes(broken)
+    result = run_check(folder, tmp_path / "out" / "sequence.json")
+    assert result.returncode == 2
+    assert path.name in result.stderr
+    assert len(result.stderr.splitlines()) == 1
+    assert not (tmp_path / "out" / "sequence.json").exists()
+
+
+def test_truth_of_another_size(tmp_path: Path) -> None:
+    folder = sintel_clip(tmp_path)
+    sintel.write_dpt(tmp_path / "training/depth/clip/frame_0001.dpt", np.ones((10, 20)))
+    result = run_check(folder, tmp_path / "sequence.json")
+    assert result.returncode == 2
+    assert "64 x 48 like the frames, found 20 x 10" in result.stderr
+
+
+def test_an_output_folder_that_is_a_file(frames: Path) -> None:
+    blocker = frames / "blocker"
+    blocker.write_text("in the way")
+    result = run_check(frames / "clip", blocker / "sequence.json")
+    assert result.returncode == 2
+    assert re.search(r"blocker: expected a folder that can be made, found .*; choose another", result.stderr)
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
+def test_an_output_folder_without_permission(frames: Path) -> None:
+    locked = frames / "locked"
+    locked.mkdir(mode=0o500)
+    result = run_check(frames / "clip", locked / "sequence.json")
+    assert result.returncode == 2
+    assert "no write permission" in result.stderr
+
+
+def test_an_unknown_flag_is_one_line() -> None:
+    command = [sys.executable, "-m", "stages.inspect.check", "--frame", "x"]
+    result = subprocess.run(command, capture_output=True, text=True, cwd=REPO, check=False)
+    assert result.returncode == 2
+    assert len(result.stderr.splitlines()) == 1
+
+
+def test_a_truncated_jpeg_is_refused(tmp_path: Path) -> None:
+    for number in range(1, 4):
+        cv2.imwrite(str(tmp_path / f"frame_{number:04d}.jpg"), np.zeros((48, 64, 3), np.uint8))
+    whole = (tmp_path / "frame_0003.jpg").read_bytes()
+    (tmp_path / "frame_0003.jpg").write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(InputError, match=r"frame_0003\.jpg"):
+        check_sequence("clip", tmp_path)

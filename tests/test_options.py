@@ -1,0 +1,97 @@
+"""One options model gives flags, section, schema, defaults: these tests keep the four in step, and starts light."""
+
+import json
+import re
+import subprocess
+import sys
+
+import pytest
+import yaml
+from conftest import REPO
+
+from stages import config as settings
+from stages.shared.errors import InputError
+from stages.shared.options import Options, to_flags, validate
+
+SECTIONS = [name for name, field in settings.Config.model_fields.items() if isinstance(field.default, Options)]
+LIGHT_SCRIPTS = [
+    *("inspect.check", "flow.estimate", "flow.motion", "segment.refine", "ba.solve", "scene.decide"),
+    *("eval.colmap", "eval.evaluate", "eval.report", "simulate.render"),
+]
+SCRIPTS = [*LIGHT_SCRIPTS, "control.fit", "gaussians.train", "gaussians.render"]
+
+
+def test_schema_is_the_committed_one() -> None:
+    committed = json.loads((REPO / "workflow/schemas/config.schema.json").read_text())
+    fresh = settings.Config.model_json_schema(by_alias=True)
+    assert committed == fresh, "run: python -m stages.config > workflow/schemas/config.schema.json"
+
+
+def test_shipped_config_states_every_option_with_its_default() -> None:
+    shipped = yaml.safe_load((REPO / "config.yaml").read_text())
+    assert settings.load(shipped) == settings.Config()
+    inherited = set(settings.SHARED_KEYS)
+    for name, field in settings.Config.model_fields.items():
+        assert (field.alias or name) in shipped
+        if name in SECTIONS:
+            fields = set(type(field.default).model_fields) - inherited
+            assert fields == set(shipped[name] or {}), name
+
+
+def test_shipped_config_explains_every_option() -> None:
+    for line in (REPO / "config.yaml").read_text().splitlines():
+        if re.match(r"\s*\w+: \S", line):
+            assert "#" in line, f"no comment: {line}"
+
+
+@pytest.mark.parametrize("name", SECTIONS)
+def test_every_option_has_a_description(name: str) -> None:
+    for option, field in type(getattr(settings.Config(), name)).model_fields.items():
+        assert field.description, f"{name}.{option}"
+
+
+def test_flags_rebuild_the_options() -> None:
+    config = settings.load({"flow": {"offsets": [1, 4]}, "seed": 3})
+    assert "--offsets 1 4" in settings.flags(config, "flow")
+    assert "--seed 3" in settings.flags(config, "ba")
+
+
+def test_a_section_overrides_a_shared_key() -> None:
+    config = settings.load({"seed": 3, "ba": {"seed": 4}})
+    assert "--seed 4" in settings.flags(config, "ba")
+    assert "--seed 3" in settings.flags(config, "control")
+
+
+def test_numbers_as_text_are_numbers() -> None:
+    class Example(Options):
+        """One number of each kind."""
+
+        rate: float = 0.1
+        count: int = 1
+
+    assert validate(Example, {"rate": "1e-3", "count": "5"}, "test") == Example(rate=0.001, count=5)
+    with pytest.raises(InputError, match="rate"):
+        validate(Example, {"rate": "nan"}, "test")
+    assert to_flags(Example()) == "--rate 0.1 --count 1"
+
+
+@pytest.mark.parametrize("script", SCRIPTS)
+def test_help_is_quick_and_complete(script: str) -> None:
+    code = (
+        "import sys, runpy; sys.argv = ['x', '--help']\n"
+        f"try: runpy.run_module('stages.{script}', run_name='__main__')\n"
+        "except SystemExit: pass\n"
+        "heavy = {'torch', 'kornia', 'pycolmap', 'matplotlib.pyplot'} & set(sys.modules)\n"
+        "print('HEAVY', sorted(heavy))"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=REPO, check=True)
+    assert "--log" in result.stdout
+    assert "input:" in result.stdout
+    if script in LIGHT_SCRIPTS:
+        assert "HEAVY []" in result.stdout
+
+
+def test_conda_environment_is_the_lock() -> None:
+    lock = [line for line in (REPO / "requirements.lock").read_text().splitlines() if not line.startswith("#")]
+    environment = yaml.safe_load((REPO / "workflow/envs/motionsplat.yaml").read_text())
+    assert environment["dependencies"][-1] == {"pip": lock}

@@ -1,0 +1,134 @@
+"""What Snakemake would do, read from dry-run reasons: targets, reruns, memory, working directories."""
+
+import re
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from conftest import copy_sources, run_snakemake, write_frames
+
+EVERY_RULE = {
+    *("simulate", "inspect", "flow", "motion", "segment", "ba", "scene", "control", "train", "render"),
+    *("colmap", "evaluate", "report", "all"),
+}
+AFTER_FLOW = EVERY_RULE - {"simulate", "inspect", "flow", "colmap"}
+AFTER_SCENE = AFTER_FLOW - {"motion", "segment", "ba", "scene"}
+
+
+def planned(result: subprocess.CompletedProcess[str]) -> set[str]:
+    """The rules that a dry run would execute."""
+    assert result.returncode == 0, result.stderr
+    return set(re.findall(r"^(?:local)?rule (\w+):", result.stdout + result.stderr, re.MULTILINE))
+
+
+@pytest.fixture(scope="module")
+def everything_done(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A working folder in which Snakemake believes that everything has run (empty outputs, recorded params)."""
+    folder = copy_sources(tmp_path_factory.mktemp("done"))
+    plan = run_snakemake(folder, "-n")
+    for line in re.findall(r"^    output: (.*)$", plan.stdout + plan.stderr, re.MULTILINE):
+        for name in line.split(", "):
+            path = folder / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.touch() if path.suffix else path.mkdir(exist_ok=True)
+    assert run_snakemake(folder, "--touch", "-F").returncode == 0
+    assert planned(run_snakemake(folder, "-n")) == set()
+    return folder
+
+
+@pytest.fixture
+def finished(everything_done: Path) -> Iterator[Path]:
+    """The finished folder, to edit freely: its sources are restored afterwards."""
+    yield everything_done
+    copy_sources(everything_done)
+
+
+def with_options(folder: Path, text: str) -> list[str]:
+    """Arguments of a dry run with overrides."""
+    (folder / "mine.yaml").write_text(text)
+    return ["-n", "--configfile", "config.yaml", "mine.yaml"]
+
+
+def test_plain_snakemake_plans_every_stage(repo_copy: Path) -> None:
+    assert planned(run_snakemake(repo_copy, "-n")) == EVERY_RULE
+
+
+@pytest.mark.parametrize(
+    ("override", "rerun"),
+    [
+        ("flow: {max_width_px: 300}", AFTER_FLOW | {"flow"}),
+        ("control: {points: 77}", AFTER_SCENE),
+        ("gaussians: {steps: 33}", AFTER_SCENE - {"control"}),
+        ("holdout_every: 7", AFTER_SCENE),
+        ("simulate: {seed: 5}", EVERY_RULE),
+        ("colmap: {seed: 5}", {"colmap", "evaluate", "report", "all"}),
+        ("report: {title: Mine}", {"report", "all"}),
+        ("flow: {}", set()),
+    ],
+)
+def test_an_option_reruns_its_readers_and_their_dependents(finished: Path, override: str, rerun: set[str]) -> None:
+    assert planned(run_snakemake(finished, *with_options(finished, override))) == rerun
+
+
+def test_a_number_as_text_equals_the_number(finished: Path) -> None:
+    assert planned(run_snakemake(finished, *with_options(finished, 'holdout_every: "8"'))) == set()
+
+
+def test_a_comment_or_docstring_reruns_nothing(finished: Path) -> None:
+    for name in ("stages/shared/cameras.py", "stages/eval/report.py"):
+        path = finished / name
+        path.write_text(path.read_text().replace('"""', '"""Other words. ', 1) + "\n# a comment\n")
+    assert planned(run_snakemake(finished, "-n")) == set()
+
+
+def test_a_changed_function_reruns_its_users_only(finished: Path) -> None:
+    path = finished / "stages/eval/report.py"
+    path.write_text(path.read_text() + "\nNEW = 1\n")
+    assert planned(run_snakemake(finished, "-n")) == {"report", "all"}
+    path = finished / "stages/shared/split.py"
+    path.write_text(path.read_text() + "\nNEW = 1\n")
+    assert planned(run_snakemake(finished, "-n")) == AFTER_SCENE
+
+
+def test_forced_rule_and_until(finished: Path) -> None:
+    forced = planned(run_snakemake(finished, "-n", "-R", "segment"))
+    assert forced == AFTER_FLOW
+    assert planned(run_snakemake(finished, "-n", "-F", "--until", "ba")) == {
+        *("simulate", "inspect", "flow", "motion", "segment", "ba")
+    }
+
+
+@pytest.mark.parametrize(
+    ("target", "last"), [("poses", "ba"), ("masks", "segment"), ("gaussians", "train"), ("report", "report")]
+)
+def test_targets_stop_at_their_stage(repo_copy: Path, target: str, last: str) -> None:
+    rules = planned(run_snakemake(repo_copy, "-n", target))
+    assert last in rules
+    assert ("evaluate" in rules) == (target == "report")
+
+
+def test_another_working_directory(repo_copy: Path, tmp_path: Path) -> None:
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    assert planned(run_snakemake(repo_copy, "-n", "--directory", str(elsewhere))) == EVERY_RULE
+
+
+def test_sequences_of_a_folder_with_memory_by_pixels(repo_copy: Path) -> None:
+    write_frames(repo_copy / "data" / "small", 4, (48, 64))
+    write_frames(repo_copy / "data" / "large", 8, (480, 640))
+    result = run_snakemake(repo_copy, "poses", *with_options(repo_copy, "dataset: data"))
+    jobs = re.split(r"^(?=rule \w+:)", result.stdout + result.stderr, flags=re.MULTILINE)
+    flow = {name: job for job in jobs for name in ("small", "large") if job.startswith("rule flow") and name in job}
+    memory = {name: int(re.search(r"mem_mb=(\d+)", job).group(1)) for name, job in flow.items()}  # type: ignore[union-attr]
+    assert memory["large"] > memory["small"] > 0
+    assert all("threads: " in job for job in flow.values())
+    assert "simulate" not in planned(result)
+
+
+def test_scenes_all_means_the_whole_scene_library(repo_copy: Path) -> None:
+    scenes = list((repo_copy / "stages/simulate/scenes").glob("*.yaml"))
+    result = run_snakemake(repo_copy, "poses", *with_options(repo_copy, "scenes: all"))
+    count = re.search(r"^simulate +(\d+)$", result.stdout + result.stderr, re.MULTILINE)
+    assert count is not None
+    assert int(count.group(1)) == len(scenes)
