@@ -1,0 +1,195 @@
+"""Differentiable rendering of 3-D Gaussians in gsplat's vocabulary: numba on the CPU, gsplat on CUDA."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from stages.gaussians import projection_kernels, raster_adjoint, raster_kernels, sh
+from stages.shared.errors import InputError
+
+
+class Rendering(NamedTuple):
+    """What `rasterize` returns for C cameras.
+
+    Attributes:
+        colour: [C, H, W, 3], composited over the background; 0..1 if colours are.
+        depth: [C, H, W], sum of weight x z-depth in scene units (divide by alpha for the expected depth).
+        alpha: [C, H, W], 0..1.
+        centres: one [1, N, 2] per camera, projected means in px with autograd history, for densification.
+    """
+
+    colour: Tensor
+    depth: Tensor
+    alpha: Tensor
+    centres: list[Tensor]
+
+
+def rasterize(
+    means: Tensor,
+    quats: Tensor,
+    scales: Tensor,
+    opacities: Tensor,
+    colors: Tensor,
+    viewmats: Tensor,
+    Ks: Tensor,
+    width: int,
+    height: int,
+    sh_degree: int | None = None,
+    near_plane: float = 0.01,
+    backgrounds: Tensor | None = None,
+) -> Rendering:
+    """Render N Gaussians in C cameras; differentiable in everything but Ks, width, height and near_plane.
+
+    Args:
+        means: [N, 3], scene units. quats: [N, 4] wxyz, any length but zero. scales: [N, 3] standard deviations, >= 0.
+        opacities: [N] in 0..1. colors: [N, 3], or SH coefficients [N, K, 3] with `sh_degree` 0..3.
+        viewmats: cam_from_world [C, 4, 4]. Ks: [C, 3, 3] px, pixel centres at integers.
+        near_plane: Gaussians whose mean is nearer (scene units) are not drawn.
+        backgrounds: [C, 3], black if None.
+
+    The tensors' device chooses the backend. Alpha below 1/255 is dropped, alpha is at most 0.999, and a pixel is done
+    at transmittance 1e-4 (Kerbl et al. 2023).
+    """
+    if backgrounds is None:
+        backgrounds = means.new_zeros(len(viewmats), 3)
+    render = _render_cuda if means.is_cuda else _render_cpu
+    views = []
+    for viewmat, K, background in zip(viewmats, Ks, backgrounds, strict=True):
+        shown = colors if sh_degree is None else sh.sh_to_colour(colors, _directions(means, viewmat), sh_degree)
+        views.append(render(means, quats, scales, opacities, shown, viewmat, K, width, height, near_plane, background))
+    colour, depth, alpha, centres = zip(*views, strict=True)
+    return Rendering(torch.stack(colour), torch.stack(depth), torch.stack(alpha), list(centres))
+
+
+def choose_device(device: str) -> torch.device:
+    """The device of an option "auto", "cpu" or "cuda"; auto takes CUDA if it and gsplat are there.
+
+    Raises:
+        InputError: if CUDA is asked for and missing.
+    """
+    from importlib.util import find_spec
+
+    ready = torch.cuda.is_available() and find_spec("gsplat") is not None
+    if device == "cuda" and not ready:
+        found = "no CUDA device" if not torch.cuda.is_available() else "no gsplat"
+        raise InputError("device: cuda", "a CUDA device and the package gsplat", found, "set `device: cpu`")
+    return torch.device("cuda" if ready and device != "cpu" else "cpu")
+
+
+def backend_name(device: torch.device) -> str:
+    """The rasteriser that runs on `device`, for the log."""
+    return "gsplat on CUDA" if device.type == "cuda" else "numba on the CPU"
+
+
+def _directions(means: Tensor, viewmat: Tensor) -> Tensor:
+    centre = -viewmat[:3, :3].T @ viewmat[:3, 3]
+    return torch.nn.functional.normalize(means - centre, dim=-1)
+
+
+def _render_cpu(
+    means: Tensor,
+    quats: Tensor,
+    scales: Tensor,
+    opacities: Tensor,
+    colours: Tensor,
+    viewmat: Tensor,
+    K: Tensor,
+    width: int,
+    height: int,
+    near_plane: float,
+    background: Tensor,
+) -> tuple[Tensor, ...]:
+    centres, factors, depths = _Project.apply(means, quats, scales, viewmat, K, width, height, near_plane)  # type: ignore[no-untyped-call]
+    image, alpha = _Composite.apply(centres, factors, opacities, colours, depths, background, width, height)  # type: ignore[no-untyped-call]
+    return image[..., :3], image[..., 3], alpha, centres
+
+
+def _render_cuda(
+    means: Tensor,
+    quats: Tensor,
+    scales: Tensor,
+    opacities: Tensor,
+    colours: Tensor,
+    viewmat: Tensor,
+    K: Tensor,
+    width: int,
+    height: int,
+    near_plane: float,
+    background: Tensor,
+) -> tuple[Tensor, ...]:
+    from gsplat import rasterization
+
+    gsplat_K = K.clone()
+    gsplat_K[:2, 2] += 0.5  # gsplat puts pixel centres at half-integers
+    image, alpha, info = rasterization(
+        means, quats, scales, opacities, colours, viewmat[None], gsplat_K[None], width, height,
+        near_plane=near_plane, backgrounds=background[None],
+        render_mode="RGB+D", packed=False, eps2d=projection_kernels.BLUR,
+    )  # fmt: skip
+    return image[0, ..., :3], image[0, ..., 3], alpha[0, ..., 0], info["means2d"]
+
+
+def _float32(tensor: Tensor) -> np.ndarray:
+    return np.ascontiguousarray(tensor.detach().numpy(), np.float32)
+
+
+class _Project(torch.autograd.Function):
+    """Gaussians to splats: centres [1, N, 2], factors [N, 3], depths [N] (0 where not in front of the near plane)."""
+
+    @staticmethod
+    def forward(ctx: Any, means: Tensor, quats: Tensor, scales: Tensor, viewmat: Tensor, K: Tensor, width: int,
+                height: int, near_plane: float) -> tuple[Tensor, Tensor, Tensor]:  # fmt: skip
+        gaussians = (_float32(means), _float32(quats), _float32(scales))
+        camera = (viewmat.detach().double().numpy(), K.detach().double().numpy(), width, height)
+        centres, factors, depths = projection_kernels.project(*gaussians, *camera, near_plane)
+        ctx.saved = (*gaussians, *camera, factors, depths)
+        return torch.from_numpy(centres[None]), torch.from_numpy(factors), torch.from_numpy(depths)
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
+        g_centres, g_factors, g_depths = map(_float32, gradients)
+        *g_gaussians, g_viewmat = projection_kernels.project_adjoint(*ctx.saved, g_centres[0], g_factors, g_depths)
+        g_view = torch.from_numpy(g_viewmat.astype(np.float32)) if ctx.needs_input_grad[3] else None
+        return (*map(torch.from_numpy, g_gaussians), g_view, None, None, None, None)
+
+
+class _Composite(torch.autograd.Function):
+    """Splats to image [H, W, 4] (colour over the background, accumulated depth) and alpha [H, W]."""
+
+    @staticmethod
+    def forward(ctx: Any, centres: Tensor, factors: Tensor, opacities: Tensor, colours: Tensor, depths: Tensor,
+                background: Tensor, width: int, height: int) -> tuple[Tensor, Tensor]:  # fmt: skip
+        order = drawing_order(_float32(depths))
+        arrays = [_float32(tensor) for tensor in (centres[0], factors, opacities, colours, depths)]
+        splats = raster_kernels.gather(order, *arrays, height)
+        starts, ranks = raster_kernels.bin_tiles(splats, width, height)
+        image, transmittance = np.empty((height, width, 4), np.float32), np.empty((height, width), np.float32)
+        raster_kernels.composite(splats, starts, ranks, _float32(background), image, transmittance)
+        ctx.saved = (order, splats, starts, ranks, image, transmittance)
+        ctx.N = len(depths)
+        return torch.from_numpy(image), torch.from_numpy(1 - transmittance)
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
+        order, splats, starts, ranks, image, transmittance = ctx.saved
+        g_image, g_alpha = map(_float32, gradients)
+        per_tile = raster_adjoint.composite_adjoint(splats, starts, ranks, image, transmittance, g_image, g_alpha)
+        g = torch.from_numpy(raster_adjoint.scatter(order, starts, ranks, per_tile, ctx.N))
+        g_background = None
+        if ctx.needs_input_grad[5]:
+            g_background = torch.from_numpy(np.einsum("hwc,hw->c", g_image[..., :3], transmittance))
+        return g[None, :, :2], g[:, 2:5], g[:, 5], g[:, 6:9], g[:, 9], g_background, None, None
+
+
+def drawing_order(depths: np.ndarray) -> np.ndarray:
+    """Indices [V] of the Gaussians with depth [N] > 0, nearest first, equal depths by index.
+
+    The bits of positive floats order like the floats: sorting (depth, index) packed into one integer is stable and
+    several times faster than a stable argsort.
+    """
+    bits = depths.astype(np.float32).view(np.uint32).astype(np.uint64)
+    keys = np.sort((bits << np.uint64(32)) | np.arange(len(depths), dtype=np.uint64))
+    first = np.searchsorted(keys, np.uint64(1) << np.uint64(32))
+    return (keys[first:] & np.uint64(0xFFFFFFFF)).astype(np.int64)

@@ -1,0 +1,68 @@
+"""Structural similarity as a differentiable torch function: fused numba on the CPU, convolutions on CUDA.
+
+Convention (that of 3DGS): 11 x 11 Gaussian window with sigma 1.5 px, zero padding, C1 = 0.01^2, C2 = 0.03^2 for values
+in 0..1, mean over pixels and channels.
+"""
+
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from stages.gaussians import ssim_kernels
+
+WINDOW = ssim_kernels.window()
+
+
+class Target:
+    """An image [H, W, C] (0..1) with its blurred moments, to be compared with many renderings."""
+
+    def __init__(self, image: Tensor) -> None:
+        self.image = image.contiguous()
+        planes = self.image.movedim(-1, 0)
+        self.moments = _blur(torch.cat([planes, planes * planes]))
+
+
+def ssim(image: Tensor, target: Target) -> Tensor:
+    """Mean SSIM (scalar, at most 1) of image [H, W, C] and target; differentiable in `image`."""
+    if image.is_cuda:
+        return _ssim_torch(image, target)
+    value: Tensor = _Ssim.apply(image, target.image, target.moments)  # type: ignore[no-untyped-call]
+    return value
+
+
+class _Ssim(torch.autograd.Function):
+    """The gradient costs little more than the value, so the forward pass computes both."""
+
+    @staticmethod
+    def forward(ctx: Any, image: Tensor, target: Tensor, target_moments: Tensor) -> Tensor:
+        x, y = image.detach().contiguous().numpy(), target.numpy()
+        moments = ssim_kernels.blur(ssim_kernels.products(x, y), WINDOW)
+        sums, derivative = ssim_kernels.similarity(moments, target_moments.numpy())
+        if ctx.needs_input_grad[0]:
+            blurred = ssim_kernels.blur(derivative, WINDOW)
+            ctx.gradient = torch.from_numpy(ssim_kernels.assemble(x, y, blurred, 1 / x.size))
+        return torch.tensor(sums.sum() / x.size, dtype=torch.float32)
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
+        return ctx.gradient * gradients[0], None, None
+
+
+def _blur(planes: Tensor) -> Tensor:
+    if not planes.is_cuda:
+        return torch.from_numpy(ssim_kernels.blur(np.ascontiguousarray(planes.numpy()), WINDOW))
+    window = torch.from_numpy(WINDOW).to(planes)
+    rows = torch.nn.functional.conv2d(planes[:, None], window.view(1, 1, 1, -1), padding=(0, ssim_kernels.RADIUS))
+    return torch.nn.functional.conv2d(rows, window.view(1, 1, -1, 1), padding=(ssim_kernels.RADIUS, 0))[:, 0]
+
+
+def _ssim_torch(image: Tensor, target: Target) -> Tensor:
+    x, y = image.movedim(-1, 0), target.image.movedim(-1, 0)
+    mx, xx, xy = _blur(torch.cat([x, x * x, x * y])).chunk(3)
+    my, yy = target.moments.chunk(2)
+    c1, c2 = float(ssim_kernels.C1), float(ssim_kernels.C2)
+    numerator = (2 * mx * my + c1) * (2 * (xy - mx * my) + c2)
+    denominator = (mx * mx + my * my + c1) * (xx - mx * mx + yy - my * my + c2)
+    return (numerator / denominator).mean()

@@ -1,0 +1,231 @@
+"""The rasteriser and SSIM against a float64 reference, finite differences and torch convolutions."""
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from stages.gaussians import sh
+from stages.gaussians.rasterize import choose_device, drawing_order, rasterize
+from stages.gaussians.ssim import Target, ssim
+from stages.shared.errors import InputError
+from tests import reference_rasterizer as reference
+
+WIDTH, HEIGHT = 53, 37  # neither a multiple of the tile
+NAMES = ("means", "quats", "scales", "opacities", "colours", "viewmat")
+
+
+def scene(N: int = 60, seed: int = 0) -> dict[str, Tensor]:
+    """N Gaussians of mixed shapes in front of a tilted camera, float64."""
+    random = np.random.default_rng(seed)
+    means = random.uniform([-1.2, -0.9, 1.5], [1.2, 0.9, 4.0], (N, 3))
+    values = {
+        "means": means,
+        "quats": random.normal(size=(N, 4)),
+        "scales": np.exp(random.uniform(-4.0, -1.2, (N, 3))),
+        "opacities": random.uniform(0.05, 0.95, N),
+        "colours": random.uniform(0, 1, (N, 3)),
+    }
+    tensors = {name: torch.tensor(value) for name, value in values.items()}
+    viewmat = torch.eye(4, dtype=torch.float64)
+    viewmat[:3, :3] = reference.rotation(torch.tensor([[1.0, 0.04, -0.06, 0.1]], dtype=torch.float64))[0]
+    viewmat[:3, 3] = torch.tensor([0.05, -0.1, 0.2])
+    return tensors | {"viewmat": viewmat}
+
+
+def intrinsics() -> Tensor:
+    return torch.tensor([[45.0, 0, 26.3], [0, 47.0, 17.6], [0, 0, 1]], dtype=torch.float64)
+
+
+BACKGROUND = torch.tensor([0.2, 0.5, 0.9], dtype=torch.float64)
+
+
+def render_kernels(tensors: dict[str, Tensor]) -> tuple[Tensor, Tensor, Tensor]:
+    single = {name: value.float() for name, value in tensors.items()}
+    viewmat = single.pop("viewmat")
+    single["colors"] = single.pop("colours")
+    K, background = intrinsics().float()[None], BACKGROUND.float()[None]
+    out = rasterize(**single, viewmats=viewmat[None], Ks=K, width=WIDTH, height=HEIGHT, backgrounds=background)
+    return out.colour[0], out.depth[0], out.alpha[0]
+
+
+def render_reference(tensors: dict[str, Tensor]) -> reference.Reference:
+    return reference.render(
+        *(tensors[name] for name in NAMES), K=intrinsics(), width=WIDTH, height=HEIGHT, background=BACKGROUND
+    )
+
+
+def loss(colour: Tensor, depth: Tensor, alpha: Tensor, safe: Tensor) -> Tensor:
+    """A random linear functional of all outputs, blind to pixels at a threshold."""
+    random = np.random.default_rng(5)
+    weights = torch.tensor(random.normal(size=(HEIGHT, WIDTH, 5))) * safe[..., None]
+    return (weights * torch.cat([colour, depth[..., None], alpha[..., None]], dim=-1).double()).sum()
+
+
+def gradients(tensors: dict[str, Tensor], kernels: bool) -> dict[str, Tensor]:
+    leaves = {name: value.clone().requires_grad_() for name, value in tensors.items()}
+    safe = render_reference(tensors).safe
+    outputs = render_kernels(leaves) if kernels else render_reference(leaves)[:3]
+    loss(*outputs, safe).backward()
+    return {name: leaf.grad for name, leaf in leaves.items() if leaf.grad is not None}
+
+
+def test_image_depth_and_alpha_equal_the_float64_reference() -> None:
+    tensors = scene()
+    expected = render_reference(tensors)
+    assert expected.safe.double().mean() > 0.9
+    colour, depth, alpha = render_kernels(tensors)
+    assert (colour - expected.colour)[expected.safe].abs().max() < 1e-5
+    assert (depth - expected.depth)[expected.safe].abs().max() < 4e-5  # depths reach 4: 1e-5 relative
+    assert (alpha - expected.alpha)[expected.safe].abs().max() < 1e-5
+    assert (colour - expected.colour).abs().max() < 0.02  # at a threshold no more than one contribution differs
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_gradients_equal_the_float64_reference(seed: int) -> None:
+    found, expected = gradients(scene(seed=seed), kernels=True), gradients(scene(seed=seed), kernels=False)
+    for name in NAMES:
+        error = (found[name] - expected[name]).abs().max() / expected[name].abs().max()
+        assert error < 1e-4, f"{name}: {error:.1e}"
+
+
+def test_reference_gradients_equal_finite_differences() -> None:
+    tensors = scene(N=8)
+    safe = render_reference(tensors).safe
+    expected = gradients(tensors, kernels=False)
+    random = np.random.default_rng(1)
+    for name in NAMES:
+        direction = torch.tensor(random.normal(size=tuple(tensors[name].shape)))
+        step = 1e-7
+        ends = [tensors | {name: tensors[name] + sign * step * direction} for sign in (1, -1)]
+        high, low = (loss(*render_reference(end)[:3], safe) for end in ends)
+        slope = (expected[name] * direction).sum()
+        assert torch.isclose((high - low) / (2 * step), slope, rtol=1e-4, atol=1e-4), name
+
+
+def test_centres_carry_the_gradient_of_the_projected_means() -> None:
+    tensors = {name: value.float() for name, value in scene().items()}
+    viewmat, colours = tensors.pop("viewmat"), tensors.pop("colours")
+    tensors["means"].requires_grad_()
+    out = rasterize(
+        **tensors, colors=colours, viewmats=viewmat[None], Ks=intrinsics()[None], width=WIDTH, height=HEIGHT
+    )
+    out.centres[0].retain_grad()
+    out.colour.sum().backward()
+    assert out.centres[0].shape == (1, 60, 2)
+    assert out.centres[0].grad is not None
+    assert out.centres[0].grad.abs().max() > 0
+
+
+def test_several_cameras_are_rendered_one_by_one() -> None:
+    tensors = {name: value.float() for name, value in scene().items()}
+    viewmat, colours = tensors.pop("viewmat"), tensors.pop("colours")
+    other = viewmat.clone()
+    other[0, 3] += 0.3
+    K = intrinsics().float()
+    both = rasterize(**tensors, colors=colours, viewmats=torch.stack([viewmat, other]), Ks=torch.stack([K, K]),
+                     width=WIDTH, height=HEIGHT)  # fmt: skip
+    alone = rasterize(**tensors, colors=colours, viewmats=other[None], Ks=K[None], width=WIDTH, height=HEIGHT)
+    assert torch.equal(both.colour[1], alone.colour[0])
+    assert not torch.equal(both.colour[0], both.colour[1])
+
+
+def test_renders_are_equal_bit_for_bit() -> None:
+    first, second = gradients(scene(), kernels=True), gradients(scene(), kernels=True)
+    assert all(torch.equal(first[name], second[name]) for name in NAMES)
+
+
+def test_equal_depths_are_drawn_by_index() -> None:
+    depths = np.array([2.0, 0.0, 1.0, 2.0, 1.0], np.float32)
+    assert drawing_order(depths).tolist() == [2, 4, 0, 3]
+
+
+def test_spherical_harmonics_are_orthonormal() -> None:
+    """Quadrature over the sphere (exact for these degrees): the Gram matrix is the identity."""
+    cosines, weights = np.polynomial.legendre.leggauss(8)
+    azimuths = np.arange(16) * 2 * np.pi / 16
+    z, phi = np.meshgrid(cosines, azimuths, indexing="ij")
+    sine = np.sqrt(1 - z**2)
+    directions = torch.tensor(np.stack([sine * np.cos(phi), sine * np.sin(phi), z], axis=-1).reshape(-1, 3))
+    solid_angle = torch.tensor(np.repeat(weights * 2 * np.pi / 16, 16))
+    values = sh.basis(directions, 3)
+    gram = torch.einsum("n,na,nb->ab", solid_angle, values, values)
+    assert torch.allclose(gram, torch.eye(16, dtype=gram.dtype), atol=1e-12)
+
+
+def test_spherical_harmonics_colour_the_render_by_direction() -> None:
+    """Degree 1 with only the z harmonic: brighter when seen along +z than along -z (sign of splat files: + C1 z)."""
+    coefficients = torch.zeros(1, 4, 3)
+    coefficients[0, 2] = 0.4
+    along = sh.sh_to_colour(coefficients, torch.tensor([[0.0, 0.0, 1.0]]), 1)
+    against = sh.sh_to_colour(coefficients, torch.tensor([[0.0, 0.0, -1.0]]), 1)
+    assert torch.allclose(along, torch.full((1, 3), 0.5 + 0.4 * sh.C1))
+    assert torch.allclose(against, torch.full((1, 3), 0.5 - 0.4 * sh.C1))
+    with pytest.raises(ValueError, match="degree"):
+        sh.basis(torch.zeros(1, 3), 4)
+
+
+def test_colour_survives_its_coefficient() -> None:
+    colour = torch.rand(5, 3)
+    shown = sh.sh_to_colour(sh.colour_to_sh(colour)[:, None], torch.zeros(5, 3), 0)
+    assert torch.allclose(shown, colour, atol=1e-6)
+
+
+def ssim_reference(x: Tensor, y: Tensor) -> Tensor:
+    """SSIM [H, W, C] float64 by direct 2-D convolution."""
+    offsets = torch.arange(11, dtype=torch.float64) - 5
+    line = torch.exp(-(offsets**2) / 4.5)
+    window = torch.outer(line, line) / line.sum() ** 2
+
+    def blur(image: Tensor) -> Tensor:
+        return torch.nn.functional.conv2d(image.movedim(-1, 0)[:, None], window[None, None], padding=5)[:, 0].movedim(
+            0, -1
+        )
+
+    mx, my = blur(x), blur(y)
+    sxx, syy, sxy = blur(x * x) - mx * mx, blur(y * y) - my * my, blur(x * y) - mx * my
+    return (2 * mx * my + 1e-4) * (2 * sxy + 9e-4) / ((mx**2 + my**2 + 1e-4) * (sxx + syy + 9e-4))
+
+
+@pytest.mark.parametrize("size", [(37, 53), (3, 4)])
+def test_ssim_and_its_gradient_equal_direct_convolution(size: tuple[int, int]) -> None:
+    random = np.random.default_rng(0)
+    target = torch.tensor(random.uniform(size=(*size, 3)))
+    image = (target + 0.2 * torch.tensor(random.normal(size=(*size, 3)))).requires_grad_()
+    expected = ssim_reference(image, target).mean()
+    (g_expected,) = torch.autograd.grad(expected, image)
+    single = image.detach().float().requires_grad_()
+    found = ssim(single, Target(target.float()))
+    (g_found,) = torch.autograd.grad(3 * found, single)
+    assert (found.detach() - expected.detach()).abs() < 1e-6
+    assert (g_found - 3 * g_expected).abs().max() < 1e-4 * (3 * g_expected).abs().max()
+
+
+def test_ssim_of_an_image_with_itself_is_one_and_flat() -> None:
+    image = torch.rand(20, 30, 3).requires_grad_()
+    value = ssim(image, Target(image.detach()))
+    (gradient,) = torch.autograd.grad(value, image)
+    assert abs(float(value.detach()) - 1) < 1e-6
+    assert gradient.abs().max() < 1e-5
+
+
+def test_device_cuda_is_refused_where_there_is_none() -> None:
+    if torch.cuda.is_available():
+        pytest.skip("this machine has a CUDA device")
+    assert choose_device("auto").type == "cpu"
+    with pytest.raises(InputError, match="no CUDA device"):
+        choose_device("cuda")
+
+
+def test_gsplat_renders_the_same_image() -> None:
+    pytest.importorskip("gsplat", reason="gsplat is not installed")
+    if not torch.cuda.is_available():
+        pytest.skip("no CUDA device")
+    tensors = {name: value.float().cuda() for name, value in scene().items()}
+    viewmat, colours = tensors.pop("viewmat"), tensors.pop("colours")
+    out = rasterize(**tensors, colors=colours, viewmats=viewmat[None], Ks=intrinsics().float().cuda()[None],
+                    width=WIDTH, height=HEIGHT, backgrounds=BACKGROUND.float().cuda()[None])  # fmt: skip
+    colour, depth, alpha = render_kernels(scene())
+    safe = render_reference(scene()).safe
+    for found, expected in ((out.colour, colour), (out.depth, depth), (out.alpha, alpha)):
+        assert (found[0].cpu() - expected)[safe].abs().max() < 1e-4
