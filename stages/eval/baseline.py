@@ -1,0 +1,133 @@
+"""Structure from motion by COLMAP (pycolmap), each step in a process of its own that can be stopped."""
+
+import multiprocessing
+import os
+from collections.abc import Callable
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stages.eval.options import ColmapOptions
+from stages.shared import lie
+from stages.shared.cameras import intrinsics
+
+MIN_MODEL_FRAMES = 3
+MIN_TRIANGULATION_DEG = 4.0  # of the first pair; COLMAP's 16 can retry for minutes on the short baselines of video
+
+
+class StepFailed(Exception):
+    """A step ended without a result; the message is the reason for the table."""
+
+
+def run_limited(step: Callable[..., Any], arguments: tuple[Any, ...], seconds: float) -> Any:
+    """The value of `step(*arguments)`, computed in a fresh process that is killed after `seconds`.
+
+    Raises:
+        StepFailed: if it raises, crashes or runs out of time.
+    """
+    context = multiprocessing.get_context("spawn")
+    receiver, sender = context.Pipe(duplex=False)
+    process = context.Process(target=_send_result, args=(sender, step, arguments))
+    process.start()
+    sender.close()
+    try:
+        if not receiver.poll(seconds):
+            raise StepFailed(f"stopped after {seconds:.0f} s")
+        failure, value = receiver.recv()
+    except EOFError:
+        process.join()
+        raise StepFailed(f"crashed with exit code {process.exitcode}") from None
+    finally:
+        process.kill()
+        process.join()
+    if failure:
+        raise StepFailed(failure)
+    return value
+
+
+def _send_result(sender: Connection, step: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
+    try:
+        sender.send((None, step(*arguments)))
+    except Exception as error:
+        sender.send((f"{type(error).__name__}: {error}", None))
+
+
+def find_matches(images: Path, database: Path, options: ColmapOptions) -> None:
+    """SIFT features of every image of a folder and verified matches between them, written to `database`.
+
+    One pinhole camera for all frames, focal length unknown, principal point at the centre: what our own stage assumes.
+    """
+    pycolmap = _quiet_pycolmap(options.seed)
+    reader, extraction = pycolmap.ImageReaderOptions(), pycolmap.FeatureExtractionOptions()
+    reader.camera_model = "SIMPLE_PINHOLE"
+    matching, verification = pycolmap.FeatureMatchingOptions(), pycolmap.TwoViewGeometryOptions()
+    verification.ransac.random_seed = options.seed
+    extraction.use_gpu = matching.use_gpu = False
+    extraction.num_threads = int(os.environ["OMP_NUM_THREADS"])
+    matching.num_threads = 1  # two threads draw different samples in every run, whatever the seed
+    pycolmap.extract_features(
+        database,
+        images,
+        camera_mode=pycolmap.CameraMode.SINGLE,
+        reader_options=reader,
+        extraction_options=extraction,
+        device=pycolmap.Device.cpu,
+    )
+    keywords = {"matching_options": matching, "verification_options": verification, "device": pycolmap.Device.cpu}
+    if options.matching == "exhaustive":
+        pycolmap.match_exhaustive(database, **keywords)
+    else:
+        pairing = pycolmap.SequentialPairingOptions()
+        pairing.overlap, pairing.quadratic_overlap = options.window, False
+        pycolmap.match_sequential(database, pairing_options=pairing, **keywords)
+
+
+def reconstruct(images: Path, database: Path, mapper: str, seed: int) -> tuple[np.ndarray, np.ndarray, list[str]]:
+    """The largest model that COLMAP's "global" or "incremental" mapper builds from the matches.
+
+    Returns:
+        cam_from_world [k, 4, 4], Ks [k, 3, 3] with pixel centres at integers, and the k registered image names, sorted.
+
+    Raises:
+        StepFailed: if no model comes out.
+    """
+    pycolmap = _quiet_pycolmap(seed)
+    output = database.parent / f"{database.stem}_{mapper}"
+    output.mkdir()
+    if mapper == "global":
+        options = pycolmap.GlobalPipelineOptions()
+        options.mapper.random_seed, options.mapper.num_threads = seed, 1
+        models = pycolmap.global_mapping
+    else:
+        options = pycolmap.IncrementalPipelineOptions()
+        options.mapper.init_min_tri_angle = MIN_TRIANGULATION_DEG
+        options.extract_colors = False
+        models = pycolmap.incremental_mapping
+    options.min_model_size, options.random_seed, options.num_threads = MIN_MODEL_FRAMES, seed, 1  # 1: as for matching
+    found = models(database, images, output, options)
+    if not found:
+        raise StepFailed("no model")
+    return _registered(max(found.values(), key=lambda model: model.num_reg_images()))
+
+
+def _registered(model: Any) -> tuple[np.ndarray, np.ndarray, list[str]]:
+    images = sorted((model.image(k) for k in model.reg_image_ids()), key=lambda image: str(image.name))
+    poses = np.stack([image.cam_from_world().matrix() for image in images])
+    parameters = np.stack([model.camera(image.camera_id).params for image in images])
+    f, cx, cy = parameters.T
+    # COLMAP counts the centre of the first pixel as (0.5, 0.5), we count it as (0, 0).
+    return (
+        lie.from_parts(poses[:, :, :3], poses[:, :, 3]),
+        intrinsics(f, f, cx - 0.5, cy - 0.5),
+        [i.name for i in images],
+    )
+
+
+def _quiet_pycolmap(seed: int) -> Any:
+    import pycolmap
+
+    pycolmap.logging.minloglevel = pycolmap.logging.FATAL.value
+    pycolmap.set_random_seed(seed)
+    return pycolmap

@@ -1,0 +1,128 @@
+"""The baseline of the pose table: COLMAP on the same frames, failures included."""
+
+import resource
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import cv2
+import numpy as np
+
+from stages.eval.baseline import StepFailed, find_matches, reconstruct, run_limited
+from stages.eval.options import ColmapOptions
+from stages.shared import cli, lie
+from stages.shared.artifacts import write_table
+from stages.shared.cameras import scale_intrinsics
+from stages.shared.cli import In, Out
+from stages.shared.images import read_rgb, write_image
+from stages.shared.log import logger
+from stages.shared.sequences import Sequence, read_sequence
+
+COLUMNS = ("method", "frame", "qw", "qx", "qy", "qz", "tx", "ty", "tz", "fx", "fy", "cx", "cy")
+
+
+def main(
+    sequence: Annotated[Path, In("sequence.json of the input check")],
+    output: Annotated[Path, Out("table: a row per variant and registered frame; outcomes and seconds in its metadata")],
+    options: ColmapOptions,
+) -> None:
+    """Run COLMAP's mappers on the frames; a variant that fails or runs out of time is recorded with its reason."""
+    frames = read_sequence(sequence)
+    variants: list[Variant] = []
+    for factor in options.upsample:
+        with tempfile.TemporaryDirectory(dir=output.parent, prefix=".colmap-") as scratch:
+            variants += run_variants(frames, factor, options, Path(scratch))
+    rows = [row for variant in variants for row in variant.rows]
+    outcomes = [variant.outcome(len(frames.frames)) for variant in variants]
+    for outcome in outcomes:
+        logger.info("%s", outcome)
+    columns = {name: [row[k] for row in rows] for k, name in enumerate(COLUMNS)}
+    write_table(output, columns, {"variants": outcomes, "options": options.model_dump(mode="json")})
+
+
+@dataclass(frozen=True)
+class Variant:
+    """What one way of running COLMAP gave: a row (see COLUMNS) per registered frame, or why there is none."""
+
+    method: str
+    protocol: str
+    rows: list[tuple[Any, ...]]
+    failure: str | None
+    wall_s: float
+    cpu_s: float
+
+    def outcome(self, total: int) -> dict[str, Any]:
+        """Everything but the rows, for the metadata of the table."""
+        about = {name: getattr(self, name) for name in ("method", "protocol", "failure", "wall_s", "cpu_s")}
+        return about | {"registered": len(self.rows), "total": total}
+
+
+def run_variants(frames: Sequence, factor: int, options: ColmapOptions, scratch: Path) -> list[Variant]:
+    """Features and matches once, then each mapper, on frames enlarged by `factor`; seconds include the shared part."""
+    images, database = scratch / "images", scratch / "database.db"
+    for path, number in zip(frames.frames, frames.numbers, strict=True):
+        write_image(images / f"frame_{number:04d}.png", _enlarge(read_rgb(path), factor))
+    _, shared_failure, shared_wall_s, shared_cpu_s = _timed(find_matches, (images, database, options), options)
+    variants = []
+    for mapper in options.mappers:
+        rows, failure, wall_s, cpu_s = [], shared_failure, 0.0, 0.0
+        if failure is None:
+            arguments = (images, database, mapper, options.seed)
+            found, failure, wall_s, cpu_s = _timed(reconstruct, arguments, options, shared_wall_s)
+            rows = _rows(_method(mapper, factor), factor, *found) if found else []
+        names = _method(mapper, factor), _protocol(mapper, factor, options)
+        variants.append(Variant(*names, rows, failure, shared_wall_s + wall_s, shared_cpu_s + cpu_s))
+    return variants
+
+
+def _timed(
+    step: Callable[..., Any], arguments: tuple[Any, ...], options: ColmapOptions, spent_s: float = 0.0
+) -> tuple[Any, str | None, float, float]:
+    """Value or reason of failure, wall and CPU seconds of a step in its own process."""
+    start_s, start_cpu_s = time.perf_counter(), _children_cpu_s()
+    value, failure = None, None
+    try:
+        value = run_limited(step, arguments, max(options.time_limit_s - spent_s, 1.0))
+    except StepFailed as reason:
+        failure = f"{step.__name__}: {reason}"
+    return value, failure, time.perf_counter() - start_s, _children_cpu_s() - start_cpu_s
+
+
+def _children_cpu_s() -> float:
+    usage = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return usage.ru_utime + usage.ru_stime
+
+
+def _method(mapper: str, factor: int) -> str:
+    return f"COLMAP {mapper}" + (f", frames x{factor}" if factor > 1 else "")
+
+
+def _protocol(mapper: str, factor: int, options: ColmapOptions) -> str:
+    pairs = f"next {options.window} frames" if options.matching == "sequential" else "all pairs"
+    size = "frames as they are" if factor == 1 else f"frames enlarged {factor} times (cubic)"
+    return (
+        f"pycolmap, {mapper} mapping, {size}, matching {pairs}, one shared unknown focal, no masks, seed {options.seed}"
+    )
+
+
+def _enlarge(image: np.ndarray, factor: int) -> np.ndarray:
+    if factor == 1:
+        return image
+    return np.asarray(cv2.resize(image, None, fx=factor, fy=factor, interpolation=cv2.INTER_CUBIC))
+
+
+def _rows(method: str, factor: int, cam_from_world: np.ndarray, Ks: np.ndarray, names: list[str]) -> list[tuple]:
+    """One row per registered frame, in pixels of the original frames."""
+    quats = lie.quat_from_matrix(cam_from_world[:, :3, :3])
+    Ks = scale_intrinsics(Ks, 1 / factor)
+    return [
+        (method, int(name[6:-4]), *quat, *pose[:3, 3], K[0, 0], K[1, 1], *K[:2, 2])
+        for name, quat, pose, K in zip(names, quats, cam_from_world, Ks, strict=True)
+    ]
+
+
+if __name__ == "__main__":
+    cli.run(main)

@@ -1,0 +1,49 @@
+"""What can be checked without truth: do poses and depth explain the optical flow on static pixels?"""
+
+import numpy as np
+
+from stages.shared.cameras import project, unproject
+
+MIN_CONFIDENCE = 0.5
+PROTOCOL = (
+    "distance between optical flow and the motion that poses and depth predict, on static, confident, triangulated "
+    "pixels of all edges; the adjustment minimises it, so it reveals failure, not accuracy"
+)
+
+
+def solver_pixels(height: int, width: int, stride_px: int) -> np.ndarray:
+    """Full-frame pixels [h, w, 2] of a solver grid [h, w] with this stride."""
+    v, u = np.mgrid[:height, :width].astype(float)
+    return np.stack([u, v], axis=-1) * stride_px + (stride_px - 1) / 2
+
+
+def sample(field: np.ndarray, uv: np.ndarray, scale: float) -> np.ndarray:
+    """Values of a field [H', W', ...] on the flow grid at full-frame pixels uv [..., 2], nearest neighbour."""
+    grid = np.rint((uv + 0.5) * scale - 0.5).astype(int)
+    u = np.clip(grid[..., 0], 0, field.shape[1] - 1)
+    v = np.clip(grid[..., 1], 0, field.shape[0] - 1)
+    return np.asarray(field[v, u])
+
+
+def flow_residuals(
+    uv: np.ndarray,
+    inverse_depth: np.ndarray,
+    flow_px: np.ndarray,
+    source: tuple[np.ndarray, np.ndarray],
+    target: tuple[np.ndarray, np.ndarray],
+) -> np.ndarray:
+    """Residuals of one edge in full-frame pixels.
+
+    Args:
+        uv: [n, 2] pixels of the source frame.
+        inverse_depth: [n] > 0, 1 / z-depth there.
+        flow_px: [n, 2] flow to the target frame there, full-frame pixels.
+        source, target: cam_from_world [4, 4] and K [3, 3] of the two frames.
+
+    Returns:
+        [k] lengths, k <= n: points that come to lie behind the target camera are left out.
+    """
+    points = unproject(uv, 1 / inverse_depth, *source)
+    predicted, depth = project(points, *target)
+    in_front = depth > 0
+    return np.asarray(np.linalg.norm((uv + flow_px - predicted)[in_front], axis=-1))
