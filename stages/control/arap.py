@@ -49,10 +49,9 @@ def arap_loss(deformation: Deformation, times: Tensor) -> Tensor:
     points = deformation.points
     if len(points) == 1:
         return deformation.log_radii.sum() * 0
-    index, weights = arap_graph(points)
     _, translations = deformation(times)
     states = torch.cat([points[None], points + translations])
-    return arap_energy(states, index, weights) / deformation.log_radii.detach().exp().square().mean()
+    return arap_energy(states, *arap_graph(points)) / deformation.log_radii.detach().exp().square().mean()
 
 
 def arap_graph(points: Tensor) -> tuple[Tensor, Tensor]:

@@ -103,6 +103,14 @@ class TableDeformation(Deformation):
         basis = CubicSpline(knots, np.eye(len(knots)), bc_type="natural")(inside)
         return torch.einsum("bf,fpc->bpc", torch.as_tensor(basis).to(self.table), self.table)
 
+    def bending(self) -> Tensor:
+        """Mean squared second difference of the translations between knots, in squared scene units; 0 below 3 knots."""
+        if len(self.knots) < 3:
+            return self.table.sum() * 0
+        steps = torch.diff(self.knots).to(self.table) * (len(self.knots) - 1)
+        speeds = torch.diff(self.table[..., 4:], dim=0) * self.extent / steps[:, None, None]
+        return torch.diff(speeds, dim=0).square().sum(-1).mean()
+
 
 def _encode(x: Tensor, frequencies: int) -> Tensor:
     """x [..., D] with sin and cos of pi 2^l x for l < frequencies: [..., D (1 + 2 frequencies)]."""

@@ -13,6 +13,8 @@ from torch import Tensor
 
 from stages.control import lbs_kernels, quaternions
 
+INVERSE_STEPS = 4
+
 
 def neighbours(points: Tensor, means: Tensor, K: int) -> tuple[Tensor, Tensor]:
     """The K control points nearest to each mean (all of them if there are fewer), nearest first.
@@ -73,6 +75,38 @@ def blend(
         means, quats, rotations, points, points + point_translations, point_quats, weights, index
     )
     return moved
+
+
+def inverse_blend(
+    moved: Tensor, points: Tensor, point_quats: Tensor, point_translations: Tensor, log_radii: Tensor, K: int
+) -> tuple[Tensor, Tensor]:
+    """Where in the canonical frame a point lies that is seen at `moved` now; without gradient.
+
+    Fixed point of x <- x + A(x)^-1 (moved - blend(x)) with A the blended rotation, from the blend of inverse motions.
+
+    Args:
+        moved: [N, 3]. points, point_translations: [P, 3]. point_quats: [P, 4] unit. log_radii: [P].
+
+    Returns:
+        means [N, 3], and the distance [N] of `moved` to its nearest moved control point in kernel radii of that point:
+        beyond a few radii nothing known moves there.
+    """
+    with torch.no_grad():
+        now = points + point_translations
+        rotations = quaternions.rotation_matrices(point_quats)
+        index, sq_dist = neighbours(now, moved, K)
+        remoteness = sq_dist[:, 0].sqrt() * torch.exp(-log_radii)[index[:, 0]]
+        weights = lbs_weights(sq_dist, log_radii, index)
+        means = points[index] + torch.einsum("nkba,nkb->nka", rotations[index], moved[:, None] - now[index])
+        means = (weights[..., None] * means).sum(1)
+        identity = moved.new_tensor([1.0, 0.0, 0.0, 0.0]).expand(len(moved), 4)
+        for _ in range(INVERSE_STEPS):
+            index, sq_dist = neighbours(points, means, K)
+            weights = lbs_weights(sq_dist, log_radii, index)
+            missed = moved - blend_torch(means, identity, points, point_quats, point_translations, weights, index)[0]
+            turn = torch.einsum("nk,nkab->nab", weights, rotations[index])
+            means = means + torch.linalg.lstsq(turn, missed[..., None]).solution[..., 0]
+        return means, remoteness
 
 
 def blend_torch(

@@ -1,0 +1,157 @@
+"""Stage 1: fit the motion of the control points alone to the tracks, in the image plane.
+
+In world space the fit would spend its capacity on depth noise: the loss is Huber in pixels, plus a weak term on
+relative depth that fades where the depth is a guess.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn.functional import smooth_l1_loss
+
+from stages.control import arap, lbs
+from stages.control.deformation import Deformation, TableDeformation
+from stages.shared.log import progress
+
+NEIGHBOURS = 4
+DEPTH_WEIGHT = 0.3
+DEPTH_STD = 0.03
+BENDING_WEIGHT = 0.01
+FRAMES_PER_STEP = 6
+OBSERVATIONS_PER_STEP = 6000
+STUCK_PX = 0.5
+STUCK_SHARE = 0.2
+
+
+@dataclass(frozen=True)
+class Observations:
+    """What the tracks saw: M sightings of n tracked points in F training frames.
+
+    Attributes:
+        canonical: [n, 3] float32, the tracked points in the canonical frame.
+        track, frame: [M] int64, which point in which training frame.
+        uv: [M, 2] float32 in pixels of the full frame. depth: [M] float32. depth_std: [M] float32, relative.
+        times: [F] float32 in 0..1. cam_from_world: [F, 4, 4] float32. Ks: [F, 3, 3] float32.
+    """
+
+    canonical: Tensor
+    track: Tensor
+    frame: Tensor
+    uv: Tensor
+    depth: Tensor
+    depth_std: Tensor
+    times: Tensor
+    cam_from_world: Tensor
+    Ks: Tensor
+
+
+def fit(
+    deformation: Deformation, seen: Observations, steps: int, learning_rate: float, arap_weight: float, seed: int
+) -> None:
+    """Train `deformation` in place with Adam, the learning rate decaying to a twentieth."""
+    generator = torch.Generator().manual_seed(seed)
+    index, sq_dist = lbs.neighbours(deformation.points, seen.canonical, NEIGHBOURS)
+    motion = [parameter for name, parameter in deformation.named_parameters() if name != "log_radii"]
+    groups = [{"params": motion, "lr": learning_rate}, {"params": [deformation.log_radii], "lr": 1e-3}]
+    optimiser = torch.optim.Adam(groups, fused=True)
+    schedule = torch.optim.lr_scheduler.ExponentialLR(optimiser, 0.05 ** (1 / max(steps, 1)))
+    rows_of_frame = [torch.nonzero(seen.frame == f)[:, 0] for f in range(len(seen.times))]
+    for _ in progress(range(steps), "stage 1"):
+        frames = torch.randperm(len(seen.times), generator=generator)[:FRAMES_PER_STEP]
+        rows = torch.cat([rows_of_frame[f] for f in frames])
+        rows = rows[torch.randint(len(rows), (OBSERVATIONS_PER_STEP,), generator=generator)]
+        loss = _loss(deformation, seen, frames, rows, index, sq_dist, arap_weight)
+        optimiser.zero_grad()
+        loss.backward()  # type: ignore[no-untyped-call]
+        optimiser.step()
+        schedule.step()
+
+
+def _loss(
+    deformation: Deformation,
+    seen: Observations,
+    frames: Tensor,
+    rows: Tensor,
+    index: Tensor,
+    sq_dist: Tensor,
+    arap_weight: float,
+) -> Tensor:
+    motion = deformation(seen.times[frames])
+    pixels, depths = _residuals(deformation, motion, seen, frames, rows, index, sq_dist)
+    loss = smooth_l1_loss(pixels, torch.zeros_like(pixels))
+    loss = loss + DEPTH_WEIGHT * smooth_l1_loss(depths, torch.zeros_like(depths))
+    spacing_sq = deformation.log_radii.detach().exp().square().mean()
+    if arap_weight > 0:
+        loss = loss + arap_weight * arap.arap_loss(deformation, seen.times[frames[:2]])
+    if isinstance(deformation, TableDeformation):
+        loss = loss + BENDING_WEIGHT * deformation.bending() / spacing_sq
+    return loss
+
+
+def _residuals(
+    deformation: Deformation,
+    motion: tuple[Tensor, Tensor],
+    seen: Observations,
+    frames: Tensor,
+    rows: Tensor,
+    index: Tensor,
+    sq_dist: Tensor,
+) -> tuple[Tensor, Tensor]:
+    """Reprojection error [m, 2] in pixels and depth error [m] in standard deviations of the observations `rows`.
+
+    `motion` is that of the B training frames `frames`. All frames go through one blend: frame b owns the control
+    points b P to (b + 1) P.
+    """
+    B, P = len(frames), len(deformation.points)
+    slot = torch.empty(len(seen.times), dtype=torch.int64)
+    slot[frames] = torch.arange(B)
+    track, frame = seen.track[rows], seen.frame[rows]
+    weights = lbs.lbs_weights(sq_dist[track], deformation.log_radii, index[track])
+    shifted = index[track] + P * slot[frame][:, None]
+    quats, translations = motion
+    identity = quats.new_tensor([1.0, 0.0, 0.0, 0.0]).expand(len(rows), 4)
+    points = deformation.points.repeat(B, 1)
+    means, _ = lbs.blend(
+        seen.canonical[track], identity, points, quats.flatten(0, 1), translations.flatten(0, 1), weights, shifted
+    )
+    xyz = _to_camera(means, seen.cam_from_world[frame])
+    observed = seen.depth[rows]
+    # A point on its way through the camera plane keeps a finite projection; the depth term brings it back.
+    z = torch.maximum(xyz[:, 2], 0.1 * observed)
+    K = seen.Ks[frame]
+    uv = xyz[:, :2] / z[:, None] * torch.stack([K[:, 0, 0], K[:, 1, 1]], dim=-1) + K[:, :2, 2]
+    relative_std = seen.depth_std[rows].clamp_min(DEPTH_STD)
+    return uv - seen.uv[rows], (xyz[:, 2] / observed - 1) / relative_std
+
+
+def _to_camera(points: Tensor, cam_from_world: Tensor) -> Tensor:
+    """Points [m, 3] in their cameras [m, 4, 4]."""
+    return torch.einsum("mab,mb->ma", cam_from_world[:, :3, :3], points) + cam_from_world[:, :3, 3]
+
+
+def residual_report(deformation: Deformation, seen: Observations) -> dict[str, float | bool]:
+    """How well the fitted motion explains the tracks, against points at rest, and whether it got stuck.
+
+    Returns:
+        median_px, p90_px: reprojection error in full-frame pixels; at_rest_px: the median error of unmoved points;
+        stuck: whether the median is above STUCK_PX and more than STUCK_SHARE of the motion is left unexplained.
+    """
+    with torch.no_grad():
+        index, sq_dist = lbs.neighbours(deformation.points, seen.canonical, NEIGHBOURS)
+        frames = torch.arange(len(seen.times))
+        rows = torch.arange(len(seen.track))
+        quats, translations = deformation(seen.times)
+        rest = (quats.new_tensor([1.0, 0.0, 0.0, 0.0]).expand_as(quats), torch.zeros_like(translations))
+        errors = [
+            _residuals(deformation, motion, seen, frames, rows, index, sq_dist)[0].norm(dim=-1).numpy()
+            for motion in ((quats, translations), rest)
+        ]
+    median, at_rest = (float(np.median(error)) for error in errors)
+    return {
+        "median_px": median,
+        "p90_px": float(np.quantile(errors[0], 0.9)),
+        "at_rest_px": at_rest,
+        "stuck": bool(median > STUCK_PX and median > STUCK_SHARE * at_rest),
+    }

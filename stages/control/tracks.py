@@ -1,0 +1,229 @@
+"""Tracks of dynamic pixels through the training frames, from flow, and their depth, from the pose stage.
+
+Held-out frames never enter: a chain steps over them with the longer flow edge between the training frames beside them.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from scipy.linalg import solveh_banded
+
+from stages.shared.cameras import Cameras, unproject
+
+MIN_CONFIDENCE = 0.3
+MIN_DEPTH_STD = 0.01
+MIN_FRAMES = 3
+"""A track seen in fewer training frames tells no motion from noise."""
+DEPTH_ACCELERATION = 0.02
+"""Expected second difference of log depth per frame^2 along a track: how fast true depth may bend."""
+DEPTH_SPEED = 1.0
+"""Expected first difference of log depth per frame: so weak that it only decides tracks seen once or twice."""
+
+
+@dataclass(frozen=True)
+class Links:
+    """Flow between neighbouring training frames; F frames, flow grid [h, w].
+
+    Attributes:
+        frames: [F] 0-based indices of the training frames.
+        flow: [2, F - 1, h, w, 2] float32 in grid pixels: [0, k] from frame k to k + 1, [1, k] back from k + 1 to k.
+        confidence: [2, F - 1, h, w] 0..1; zero where the edge list lacks the edge.
+        missing: steps for which there was no edge, as (source, target) frame indices.
+    """
+
+    frames: np.ndarray
+    flow: np.ndarray
+    confidence: np.ndarray
+    missing: list[tuple[int, int]]
+
+
+@dataclass(frozen=True)
+class Tracks:
+    """n tracks over the F training frames.
+
+    Attributes:
+        uv: [n, F, 2] float32 in pixels of the flow grid; undefined where not visible.
+        visible: [n, F].
+    """
+
+    uv: np.ndarray
+    visible: np.ndarray
+
+
+@dataclass(frozen=True)
+class Sightings:
+    """Tracks in full-frame pixels with their depth; n tracks, F training frames.
+
+    Attributes:
+        frames: [F] 0-based frame indices. times: [F] in 0..1.
+        uv: [n, F, 2]. visible: [n, F]. depth: [n, F] smoothed z-depth. depth_std: [n, F], relative.
+        moved: [n, F, 3] positions in the world.
+    """
+
+    frames: np.ndarray
+    times: np.ndarray
+    uv: np.ndarray
+    visible: np.ndarray
+    depth: np.ndarray
+    depth_std: np.ndarray
+    moved: np.ndarray
+
+
+def training_links(
+    source: np.ndarray, target: np.ndarray, flow: np.ndarray, confidence: np.ndarray, is_training: np.ndarray
+) -> Links:
+    """Pick the edges between neighbouring training frames out of the edge list [E] with flow [E, h, w, 2].
+
+    Args:
+        is_training: [T], false for held-out frames; no edge that touches one is read.
+    """
+    frames = np.flatnonzero(is_training)
+    rows = {(int(i), int(j)): row for row, (i, j) in enumerate(zip(source, target, strict=True))}
+    steps = list(zip(frames[:-1].tolist(), frames[1:].tolist(), strict=True))
+    h, w = flow.shape[1:3]
+    picked = np.zeros((2, len(steps), h, w, 2), np.float32)
+    trust = np.zeros((2, len(steps), h, w), np.float32)
+    missing = []
+    for k, (i, j) in enumerate(steps):
+        for way, edge in enumerate(((i, j), (j, i))):
+            if edge in rows:
+                picked[way, k], trust[way, k] = flow[rows[edge]], confidence[rows[edge]]
+            else:
+                missing.append(edge)
+    return Links(frames, picked, trust, missing)
+
+
+def track_dynamic_pixels(links: Links, masks: np.ndarray, stride_px: int) -> Tracks:
+    """Follow dynamic pixels both ways through time until they leave the mask, the image or the flow's confidence.
+
+    Seeds lie on a grid in every training frame, from the middle outwards, where no earlier track passes: parts that
+    show up late get tracks as well.
+
+    Args:
+        masks: [F, h, w] dynamic masks of the training frames on the flow grid.
+        stride_px: grid step of the seeds in pixels of the flow grid.
+    """
+    F = len(masks)
+    kernel = np.ones((3, 3), np.uint8)  # pixels on the outline mix two motions
+    inner = np.stack([cv2.erode(mask.astype(np.uint8), kernel) > 0 for mask in masks])
+    uv, visible = [np.zeros((0, F, 2), np.float32)], [np.zeros((0, F), bool)]
+    for k in sorted(range(F), key=lambda k: abs(k - F // 2)):
+        covered = _covered(uv, visible, k, inner.shape[1:], stride_px)
+        v, u = np.nonzero(inner[k] & ~covered)
+        on_grid = (u % stride_px == 0) & (v % stride_px == 0)
+        if on_grid.any():
+            seeds = np.stack([u, v], axis=-1)[on_grid].astype(np.float32)
+            new_uv, new_visible = _follow(links, inner, seeds, k)
+            uv.append(new_uv)
+            visible.append(new_visible)
+    tracks = Tracks(np.concatenate(uv), np.concatenate(visible))
+    long_enough = tracks.visible.sum(axis=1) >= min(MIN_FRAMES, F)
+    return Tracks(tracks.uv[long_enough], tracks.visible[long_enough])
+
+
+def _covered(
+    uv: list[np.ndarray], visible: list[np.ndarray], k: int, shape: tuple[int, ...], stride_px: int
+) -> np.ndarray:
+    """Pixels [h, w] of training frame k within one grid step of a track."""
+    image = np.zeros(shape, np.uint8)
+    for some_uv, some_visible in zip(uv, visible, strict=True):
+        u, v = np.rint(some_uv[some_visible[:, k], k]).astype(int).T
+        image[v, u] = 1
+    size = 2 * stride_px + 1
+    return cv2.dilate(image, np.ones((size, size), np.uint8)) > 0
+
+
+def _follow(links: Links, inner: np.ndarray, seeds: np.ndarray, start: int) -> tuple[np.ndarray, np.ndarray]:
+    """Tracks through all training frames of seeds [n, 2] in frame `start`: uv [n, F, 2], visible [n, F]."""
+    F, h, w = inner.shape
+    uv, visible = np.zeros((len(seeds), F, 2), np.float32), np.zeros((len(seeds), F), bool)
+    uv[:, start], visible[:, start] = seeds, True
+    for way, targets in enumerate((range(start + 1, F), range(start - 1, -1, -1))):
+        for k in targets:
+            before, step = (k - 1, k - 1) if way == 0 else (k + 1, k)
+            here = uv[:, before]
+            there = here + bilinear(links.flow[way, step], here)
+            trusted = bilinear(links.confidence[way, step], here) >= MIN_CONFIDENCE
+            inside = (there >= 0).all(axis=1) & (there[:, 0] <= w - 1) & (there[:, 1] <= h - 1)
+            alive = visible[:, before] & trusted & inside
+            u, v = np.rint(np.where(alive[:, None], there, 0)).astype(int).T
+            visible[:, k] = alive & inner[k, v, u]
+            uv[:, k] = np.where(visible[:, k, None], there, 0)
+    return uv, visible
+
+
+def bilinear(image: np.ndarray, uv: np.ndarray) -> np.ndarray:
+    """Values [n] or [n, C] of image [h, w] or [h, w, C] at pixels uv [n, 2]; the edge continues outside."""
+    if len(uv) == 0:
+        return np.zeros((0, *image.shape[2:]), np.float32)
+    u, v = np.ascontiguousarray(uv.T.astype(np.float32))[:, :, None]
+    sampled = cv2.remap(np.asarray(image, np.float32), u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(sampled[:, 0])
+
+
+def smooth_log_depth(log_depth: np.ndarray, std: np.ndarray, visible: np.ndarray) -> np.ndarray:
+    """Log depth [n, F] along each track with the least bending that the measurements allow, defined in every frame.
+
+    Minimises sum_f visible ((z_f - y_f) / std_f)^2 + sum_f (second difference / DEPTH_ACCELERATION)^2 (Whittaker).
+    Depth of dynamic pixels is a guess from the border of the mask, with a large std: it is averaged over time here.
+
+    Args:
+        log_depth: [n, F] measurements. std: [n, F] > 0, of log depth. visible: [n, F], each row at least once true.
+    """
+    n, F = log_depth.shape
+    precision = np.where(visible, 1 / std**2, 0.0)
+    if F < 3:
+        mean = (precision * log_depth).sum(axis=1, keepdims=True) / precision.sum(axis=1, keepdims=True)
+        return np.broadcast_to(mean, (n, F)).copy()
+    D = np.diff(np.eye(F), n=2, axis=0) / DEPTH_ACCELERATION
+    D1 = np.diff(np.eye(F), axis=0) / DEPTH_SPEED
+    penalty = D.T @ D + D1.T @ D1
+    bands = np.stack([np.r_[np.zeros(2 - k), np.diag(penalty, 2 - k)] for k in range(3)])
+    smoothed = np.empty((n, F))
+    for j in range(n):
+        banded = bands.copy()
+        banded[2] += precision[j]
+        smoothed[j] = solveh_banded(banded, precision[j] * np.where(visible[j], log_depth[j], 0.0))
+    return smoothed
+
+
+def sample_depth(
+    uv: np.ndarray, inverse_depth: np.ndarray, variance: np.ndarray, stride_px: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Log z-depth [n, F] and its standard deviation at full-frame pixels uv [n, F, 2], from the solver's grid.
+
+    Args:
+        inverse_depth: [F, h, w] > 0, at full-frame pixels stride_px k + (stride_px - 1) / 2. variance: [F, h, w] of it.
+    """
+    grid_uv = (uv - (stride_px - 1) / 2) / stride_px
+    F = uv.shape[1]
+    log_depth = np.stack([-bilinear(np.log(inverse_depth[k]), grid_uv[:, k]) for k in range(F)], axis=1)
+    relative_std = np.sqrt(variance) / inverse_depth
+    std = np.stack([bilinear(relative_std[k], grid_uv[:, k]) for k in range(F)], axis=1)
+    return log_depth.astype(float), np.maximum(std, MIN_DEPTH_STD).astype(float)
+
+
+def lift(
+    tracks: Tracks,
+    frames: np.ndarray,
+    T: int,
+    scale: float,
+    inverse_depth: np.ndarray,
+    variance: np.ndarray,
+    stride_px: int,
+    cameras: Cameras,
+) -> Sightings:
+    """Put tracks into the world with depth smoothed along each of them.
+
+    Args:
+        frames: [F] training frames of T. scale: flow grid width / frame width.
+        inverse_depth, variance: [F, h, w] of the training frames, as in `sample_depth`.
+    """
+    uv = (tracks.uv.astype(float) + 0.5) / scale - 0.5
+    log_depth, std = sample_depth(uv, inverse_depth, variance, stride_px)
+    depth = np.exp(smooth_log_depth(log_depth, std, tracks.visible))
+    moved = np.zeros((*depth.shape, 3))
+    for k, frame in enumerate(frames):
+        moved[:, k] = unproject(uv[:, k], depth[:, k], cameras.cam_from_world[frame], cameras.Ks[frame])
+    return Sightings(frames, frames / (T - 1), uv, tracks.visible, depth, std, moved)
