@@ -13,5 +13,10 @@ class BAOptions(Options):
     intrinsics: Literal["estimate", "truth"] = Field(
         "estimate", description="estimate one shared focal length, or take the cameras' true K"
     )
-    stride_px: int = Field(8, ge=2, le=32, description="one inverse depth per this many pixels, each way")
+    stride_px: int = Field(
+        8, ge=2, le=32, description="one inverse depth per this many pixels of the flow, each way, while solving poses"
+    )
+    depth_stride_px: int = Field(
+        4, ge=1, le=32, description="one inverse depth per this many pixels of the flow, each way, in the depth written"
+    )
     seed: int = Field(0, ge=0, description="seed of the robust two-view fits")

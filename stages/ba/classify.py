@@ -1,0 +1,133 @@
+"""Named statistics that tell, without truth, what kind of camera motion this is and whether a solution is doubtful."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from stages.ba import twoview
+from stages.ba.graph import MIN_MATCHES, FlowGraph
+from stages.ba.initialise import Candidate
+from stages.shared import lie
+
+ROTATION_PX = 0.5
+"""Below this median residual over a long baseline, a rotation explains the flow (measured: 0.2 against 2.5-13 px)."""
+ROTATION_RATIO = 8.0
+"""... and the epipolar geometry explains it hardly better (measured: 3-4 against 13-59)."""
+STILL_PX = 1.0
+"""A camera whose rotation-like flow is below this per frame stands nearly still."""
+PLANAR_PX = 0.5
+ROUGH_PATH = 0.2
+RESIDUAL_RATIO = 3.0
+SAME_COST, SAME_PATH = 0.05, 0.05
+PAIRS = 8
+
+
+@dataclass(frozen=True)
+class Statistics:
+    """Medians over pairs of frames, in px of the flow grid, of confident static matches.
+
+    Attributes:
+        offset: frame distance of the long baseline.
+        flow_px: length of the flow between neighbours.
+        rotation_1_px, rotation_px: what a rotation leaves unexplained, between neighbours and over the long baseline.
+        sampson_px, homography_px: the same for epipolar geometry and for a homography, over the long baseline.
+    """
+
+    offset: int
+    flow_px: float
+    rotation_1_px: float
+    rotation_px: float
+    sampson_px: float
+    homography_px: float
+
+    @property
+    def camera(self) -> str:
+        """Class of the camera motion: "moving", "rotating" or "near-still"."""
+        explained = self.rotation_px < ROTATION_PX and self.rotation_px < ROTATION_RATIO * max(self.sampson_px, 1e-3)
+        if not explained:
+            return "moving"
+        return "rotating" if self.flow_px > STILL_PX else "near-still"
+
+    @property
+    def planar(self) -> bool:
+        """Whether one plane explains what a moving camera sees."""
+        limit = max(PLANAR_PX, RESIDUAL_RATIO * self.sampson_px)
+        return self.camera == "moving" and self.homography_px < limit
+
+
+def measure(graph: FlowGraph, focals_px: Sequence[float], seed: int) -> Statistics:
+    """Statistics of the matches; residuals of a rotation at the focal length that explains them best."""
+    offset = max(int(step) for step in np.unique(graph.target - graph.source) if step <= 5)
+    near, far = _pairs(graph, 1), _pairs(graph, offset)
+    flow = [np.median(np.linalg.norm(x - y, axis=1)) for x, y, _ in (_rays(graph, pair, 1.0) for pair in near)]
+    rotation = {f: _median([_rotation(graph, pair, f) for pair in far]) for f in focals_px}
+    best = min(rotation, key=lambda f: rotation[f])
+    return Statistics(
+        offset,
+        _median(flow),
+        _median([_rotation(graph, pair, best) for pair in near]),
+        rotation[best],
+        _median([_sampson(graph, pair, best, seed) for pair in far]),
+        _median([_homography(graph, pair) for pair in far]),
+    )
+
+
+def doubts(chosen: Candidate, others: Sequence[Candidate], statistics: Statistics, residual_px: float) -> list[str]:
+    """Reasons, in words, to distrust a solution; empty when none of its statistics speaks against it."""
+    found = []
+    if statistics.camera == "moving" and chosen.roughness > ROUGH_PATH:
+        found.append(f"rough camera path: mean |a| / mean |v| = {chosen.roughness:.2f} > {ROUGH_PATH}")
+    if residual_px > RESIDUAL_RATIO * max(statistics.sampson_px, 0.1):
+        found.append(f"median residual {residual_px:.2f} px against {statistics.sampson_px:.2f} px of two-view fits")
+    for other in others:
+        difference = path_difference(chosen.state.cam_from_world, other.state.cam_from_world)
+        if other.cost <= chosen.cost * (1 + SAME_COST) and difference > SAME_PATH:
+            found.append(f"{other.name} costs the same and differs by {100 * difference:.0f} % of the path")
+    return found
+
+
+def path_difference(cam_from_world: np.ndarray, other: np.ndarray) -> float:
+    """RMS distance of the camera centres after similarity alignment, as a share of the path length."""
+    a, b = (lie.inverse(poses)[:, :3, 3] for poses in (cam_from_world, other))
+    a, b = a - a.mean(axis=0), b - b.mean(axis=0)
+    U, singular, Vt = np.linalg.svd(a.T @ b)
+    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))])
+    scale = (singular * signs).sum() / max((b**2).sum(), 1e-300)
+    aligned = scale * b @ (U * signs @ Vt).T
+    length = np.linalg.norm(np.diff(a, axis=0), axis=1).sum()
+    return float(np.sqrt(((a - aligned) ** 2).sum(axis=1).mean()) / max(length, 1e-300))
+
+
+def _pairs(graph: FlowGraph, offset: int) -> list[tuple[int, int]]:
+    """At most PAIRS pairs of frames at this distance that have enough matches, spread over the sequence."""
+    pairs = [(i, i + offset) for i in range(graph.T - offset)]
+    usable = [pair for pair in pairs if len(_rays(graph, pair, 1.0)[0]) >= MIN_MATCHES]
+    return [usable[k] for k in np.unique(np.linspace(0, len(usable) - 1, PAIRS).astype(int))] if usable else []
+
+
+def _rays(graph: FlowGraph, pair: tuple[int, int], focal_px: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    return twoview.pair_rays(graph, *pair, focal_px)
+
+
+def _rotation(graph: FlowGraph, pair: tuple[int, int], focal_px: float) -> float:
+    return float(np.median(twoview.fit_rotation(*_rays(graph, pair, focal_px), focal_px)[1]))
+
+
+def _sampson(graph: FlowGraph, pair: tuple[int, int], focal_px: float, seed: int) -> float:
+    fit = twoview.estimate_motion(*_rays(graph, pair, focal_px), focal_px, ROTATION_PX, seed)
+    return fit.sampson_px if fit else float("inf")
+
+
+def _homography(graph: FlowGraph, pair: tuple[int, int]) -> float:
+    x, y, _ = _rays(graph, pair, 1.0)
+    H, _ = cv2.findHomography(x, y, cv2.RANSAC, 1.0)
+    if H is None:
+        return float("inf")
+    moved = cv2.perspectiveTransform(x[None], H)[0]
+    return float(np.median(np.linalg.norm(moved - y, axis=1)))
+
+
+def _median(values: Sequence[float]) -> float:
+    return float(np.median(values)) if len(values) else float("inf")

@@ -1,0 +1,211 @@
+"""Dense bundle adjustment: Levenberg-Marquardt with accept and reject on a graduated Geman-McClure cost."""
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from stages.ba import kernel, reduced
+from stages.ba.graph import FlowGraph
+from stages.shared import lie
+
+DEPTH_PRIOR = 1e-2
+"""Weight, px^2, that draws an inverse depth to the median 1: far below what one useful match says."""
+FLOW_VARIANCE = 1.5
+"""Variance of a match, px^2, against which the prior of the focal length is weighed."""
+INVERSE_DEPTHS = (1e-4, 20.0)
+"""Range of inverse depths, relative to their median."""
+MAX_LOG_FOCAL_STEP = 0.35
+MAX_DAMPING = 1e4
+CONVERGED = 1e-5
+
+
+@dataclass(frozen=True)
+class State:
+    """What bundle adjustment estimates. The gauge: first pose identity, median inverse depth 1.
+
+    Attributes:
+        cam_from_world: [T, 4, 4].
+        inverse_depth: [T, P], of the pixels of the graph.
+        focal_px: shared focal length on the flow grid.
+    """
+
+    cam_from_world: np.ndarray
+    inverse_depth: np.ndarray
+    focal_px: float
+
+
+@dataclass(frozen=True)
+class Unknowns:
+    """Which unknowns are free. Without translation the depths are unobservable and stay as they are."""
+
+    focal: bool = False
+    translation: bool = True
+
+    def indices(self, T: int) -> np.ndarray:
+        """Indices of the free unknowns among (twists of T poses, log focal); the first pose is fixed."""
+        twists = np.arange(6, 6 * T).reshape(-1, 6)[:, 0 if self.translation else 3 :]
+        return np.append(twists.ravel(), [6 * T] if self.focal else []).astype(int)
+
+
+@dataclass(frozen=True)
+class FocalPrior:
+    """Log-normal prior of the focal length: its centre in px and the standard deviation of its logarithm."""
+
+    focal_px: float
+    log_sigma: float = 0.35
+
+    @property
+    def weight(self) -> float:
+        """Curvature in units of px^2 of flow error."""
+        return FLOW_VARIANCE / self.log_sigma**2
+
+
+class Level(NamedTuple):
+    """One stage of the graduated robust kernel: its scale in px and its largest number of iterations."""
+
+    sigma_px: float
+    iterations: int
+
+
+@dataclass(frozen=True)
+class Step:
+    """One iteration, as `ba/convergence.parquet` shows it."""
+
+    phase: str
+    sigma_px: float
+    cost: float
+    step: float
+    damping: float
+    focal_px: float
+    accepted: bool
+    seconds: float
+
+
+def normalise(state: State) -> State:
+    """The same solution in the gauge: first pose identity, median inverse depth 1 (no change if nothing is finite)."""
+    scale = float(np.median(state.inverse_depth))
+    cam_from_world = state.cam_from_world @ lie.inverse(state.cam_from_world[0])
+    cam_from_world[:, :3, 3] *= scale
+    return State(cam_from_world, state.inverse_depth / scale, state.focal_px)
+
+
+def errors_px(graph: FlowGraph, state: State) -> np.ndarray:
+    """Reprojection errors of the matches [E, P] float32 in px (1e6 behind the camera)."""
+    relative = reduced.relative_motions(graph, state.cam_from_world)
+    R, t = np.ascontiguousarray(relative[:, :3, :3]), np.ascontiguousarray(relative[:, :3, 3])
+    lens = (float(state.focal_px), *graph.centre.tolist())
+    return np.asarray(kernel.errors_px(graph.source, R, t, graph.pixels, graph.matches, state.inverse_depth, lens))
+
+
+def robust_cost(graph: FlowGraph, errors: np.ndarray, sigma_px: float) -> float:
+    """Mean Geman-McClure cost in px^2 of errors [E, P], weighted; 0 without any weight."""
+    ratio = (errors / np.float32(sigma_px)) ** 2
+    total = float((graph.weights * (ratio / (1 + ratio))).sum(dtype=float))
+    return sigma_px**2 * total / max(float(graph.weights.sum(dtype=float)), 1e-12)
+
+
+def linear_system(
+    graph: FlowGraph, state: State, sigma_px: float, eliminate: bool = True
+) -> tuple[np.ndarray, np.ndarray]:
+    """Undamped reduced system S [6T + 1, 6T + 1] and right-hand side; depths eliminated, or taken as known."""
+    relative = reduced.relative_motions(graph, state.cam_from_world)
+    arrays = _arrays(graph, relative, state, sigma_px)
+    hessians, schur, _, _ = kernel.normal_equations(*arrays, 0.0, DEPTH_PRIOR)
+    return reduced.assemble(graph, relative, hessians, schur if eliminate else np.zeros_like(schur))
+
+
+def sweep(
+    graph: FlowGraph, state: State, candidates: np.ndarray, sigma_px: float, refinements: int = 2
+) -> tuple[np.ndarray, np.ndarray]:
+    """Best inverse depth [T, P] and its curvature [T, P] (px^2) with the poses fixed, from `candidates` [K, T, P]."""
+    relative = reduced.relative_motions(graph, state.cam_from_world)
+    arrays = _arrays(graph, relative, state, sigma_px)
+    best, curvature = kernel.sweep_depth(
+        *arrays[:6], candidates, arrays[7], float(sigma_px), refinements, INVERSE_DEPTHS
+    )
+    return best, curvature
+
+
+def solve(
+    graph: FlowGraph,
+    state: State,
+    schedule: Sequence[Level],
+    unknowns: Unknowns,
+    prior: FocalPrior,
+    phase: str,
+) -> tuple[State, list[Step]]:
+    """Minimise the robust reprojection cost, level after level, starting from `state`.
+
+    Returns:
+        the best state, in the gauge of `State`, and one `Step` per iteration.
+    """
+    steps: list[Step] = []
+    damping = 1e-3
+    state = normalise(state) if unknowns.translation else state
+    for level in schedule:
+        cost = _objective(graph, state, level.sigma_px, unknowns, prior)
+        for _ in range(level.iterations):
+            start_s = time.perf_counter()
+            proposal, size = _propose(graph, state, level.sigma_px, damping, unknowns, prior)
+            proposed = _objective(graph, proposal, level.sigma_px, unknowns, prior) if proposal else np.inf
+            accepted = proposal is not None and proposed <= cost
+            gain = (cost - proposed) / max(cost, 1e-300)
+            if accepted and proposal:
+                state, cost, damping = proposal, proposed, max(damping / 5, 1e-7)
+            else:
+                damping *= 8
+            seconds = time.perf_counter() - start_s
+            steps.append(Step(phase, level.sigma_px, cost, size, damping, state.focal_px, accepted, seconds))
+            if (accepted and gain < CONVERGED) or damping > MAX_DAMPING:
+                break
+    return normalise(state) if unknowns.translation else state, steps
+
+
+def _propose(
+    graph: FlowGraph, state: State, sigma_px: float, damping: float, unknowns: Unknowns, prior: FocalPrior
+) -> tuple[State | None, float]:
+    """The state after one damped Gauss-Newton step and the length of the step; None if the system is singular."""
+    relative = reduced.relative_motions(graph, state.cam_from_world)
+    arrays = _arrays(graph, relative, state, sigma_px)
+    hessians, schur, curvatures, gradients = kernel.normal_equations(*arrays, damping, DEPTH_PRIOR)
+    if not unknowns.translation:
+        schur[:] = 0.0
+    S, rhs = reduced.assemble(graph, relative, hessians, schur)
+    S += reduced.scale_gauge(S, state.cam_from_world)
+    S[-1, -1] += prior.weight
+    rhs[-1] += prior.weight * np.log(prior.focal_px / state.focal_px)
+    try:
+        step = reduced.solve_damped(S, rhs, unknowns.indices(graph.T), damping)
+    except np.linalg.LinAlgError:
+        return None, 0.0
+    step[-1] = np.clip(step[-1], -MAX_LOG_FOCAL_STEP, MAX_LOG_FOCAL_STEP)
+    inverse_depth = state.inverse_depth
+    if unknowns.translation:
+        local_steps = reduced.edge_steps(graph, relative, step)
+        inverse_depth = inverse_depth + kernel.depth_steps(*arrays, curvatures, gradients, local_steps)
+        inverse_depth = np.clip(inverse_depth, *INVERSE_DEPTHS)
+    twists = step[:-1].reshape(-1, 6)
+    moved = State(lie.exp_se3(twists) @ state.cam_from_world, inverse_depth, float(state.focal_px * np.exp(step[-1])))
+    return moved, float(np.linalg.norm(step))
+
+
+def _objective(graph: FlowGraph, state: State, sigma_px: float, unknowns: Unknowns, prior: FocalPrior) -> float:
+    """What Levenberg-Marquardt compares: data, depth prior and focal prior, per unit of weight, px^2."""
+    total_weight = max(float(graph.weights.sum(dtype=float)), 1e-12)
+    cost = robust_cost(graph, errors_px(graph, state), sigma_px)
+    if unknowns.translation:
+        cost += DEPTH_PRIOR * float(((state.inverse_depth - 1) ** 2).sum()) / total_weight
+    if unknowns.focal:
+        cost += prior.weight * float(np.log(prior.focal_px / state.focal_px)) ** 2 / total_weight
+    return cost
+
+
+def _arrays(graph: FlowGraph, relative: np.ndarray, state: State, sigma_px: float) -> tuple:
+    """The arguments that the kernels share."""
+    R, t = np.ascontiguousarray(relative[:, :3, :3]), np.ascontiguousarray(relative[:, :3, 3])
+    lens = (float(state.focal_px), *graph.centre.tolist())
+    data = (graph.pointer, R, t, graph.pixels, graph.matches, graph.weights)
+    return (*data, state.inverse_depth, lens, float(sigma_px))

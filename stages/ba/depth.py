@@ -1,0 +1,90 @@
+"""The depth that bundle adjustment hands on: denser than the solver's, with its variance, without holes."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from scipy import ndimage
+
+from stages.ba import dba
+from stages.ba.dba import State
+from stages.ba.graph import FlowGraph
+from stages.ba.initialise import SWEEP
+
+MAX_VARIANCE = 1.0
+"""In units of the squared median inverse depth: what is known no better counts as not triangulated, and gets this."""
+SIGMA_PX = 0.5
+SPAN = np.array([0.5, 0.7, 1.0, 1.4, 2.0])
+"""Factors on the coarse inverse depth that the search for a pixel's own starts from."""
+
+
+@dataclass(frozen=True)
+class DepthMaps:
+    """Inverse depths [T, h, w] in the gauge of the poses, their variance, and where they are filled in."""
+
+    inverse_depth: np.ndarray
+    variance: np.ndarray
+    filled: np.ndarray
+
+
+def depth_maps(graph: FlowGraph, coarse: FlowGraph, state: State, static: np.ndarray, observable: bool) -> DepthMaps:
+    """Inverse depth of every pixel of `graph` with the poses fixed; holes filled.
+
+    Args:
+        graph: masked observations on the grid that is wanted; `coarse`: those that `state` was solved on.
+        static: [T, height, width], 1 where static, on the flow grid.
+        observable: false for a camera that does not translate: every depth is then filled with 1.
+    """
+    shape = (graph.T, graph.rows, graph.columns)
+    dynamic = np.stack([cv2.resize(frame, shape[:0:-1], interpolation=cv2.INTER_AREA) < 0.5 for frame in static])
+    if not observable:
+        return DepthMaps(np.ones(shape), np.full(shape, MAX_VARIANCE), np.ones(shape, bool))
+    inverse_depth, curvature = _search(graph, coarse, state)
+    variance = dba.FLOW_VARIANCE / np.maximum(curvature, dba.FLOW_VARIANCE / MAX_VARIANCE).reshape(shape)
+    filled = dynamic | (variance >= MAX_VARIANCE)
+    maps = inverse_depth.reshape(shape)
+    complete = np.stack([fill(*frame) for frame in zip(maps, filled, dynamic, strict=True)])
+    return DepthMaps(complete, np.where(filled, MAX_VARIANCE, variance), filled)
+
+
+def fill(inverse_depth: np.ndarray, missing: np.ndarray, dynamic: np.ndarray) -> np.ndarray:
+    """Inverse depth [h, w] with its missing pixels filled.
+
+    A dynamic region stands where it touches the static ground: it gets one inverse depth, that of its contact. Other
+    holes take the nearest measured pixel's.
+    """
+    if missing.all():
+        return np.ones_like(inverse_depth)
+    nearest = ndimage.distance_transform_edt(missing, return_distances=False, return_indices=True)
+    filled = inverse_depth[tuple(nearest)]
+    regions, count = ndimage.label(dynamic)
+    for label in range(1, count + 1):
+        region = regions == label
+        filled[region] = contact_inverse_depth(region, inverse_depth, ~missing)
+    return np.asarray(filled)
+
+
+def contact_inverse_depth(region: np.ndarray, inverse_depth: np.ndarray, measured: np.ndarray) -> float:
+    """Inverse depth at which a region [h, w] touches the static scene.
+
+    The median over the measured pixels just below its lowest quarter; if there are none (the region is cut off by the
+    image), the near end (80th percentile) of what is measured around it, since it hides what it borders on.
+    """
+    rows = np.flatnonzero(region.any(axis=1))
+    below = np.zeros_like(region)
+    below[1:] = region[:-1] & ~region[1:]
+    below[: rows[-1] + 2 - max(1, (rows[-1] - rows[0] + 1) // 4)] = False
+    contact = inverse_depth[below & measured]
+    if contact.size:
+        return float(np.median(contact))
+    around = inverse_depth[ndimage.binary_dilation(region, iterations=2) & measured]
+    return float(np.percentile(around if around.size else inverse_depth[measured], 80))
+
+
+def _search(graph: FlowGraph, coarse: FlowGraph, state: State) -> tuple[np.ndarray, np.ndarray]:
+    """Inverse depth and curvature [T, P] of the fine pixels, searched near the coarse ones and over all depths."""
+    start = graph.resample(state.inverse_depth.reshape(graph.T, coarse.rows, coarse.columns))
+    around = start * SPAN[:, None, None]
+    everywhere = np.broadcast_to(SWEEP[::2, None, None], (len(SWEEP[::2]), *start.shape))
+    fine = State(state.cam_from_world, start, state.focal_px)
+    return dba.sweep(graph, fine, np.concatenate([around, everywhere]), SIGMA_PX)

@@ -1,0 +1,183 @@
+"""From observations to a solution: choose the camera model, start, adjust, decide about the focal length, doubt."""
+
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from stages.ba import classify, dba, initialise, reduced, rotation
+from stages.ba.classify import Statistics
+from stages.ba.dba import FocalPrior, Level, State, Step, Unknowns
+from stages.ba.graph import MIN_MATCHES, MIN_WEIGHT, FlowGraph
+from stages.ba.initialise import Candidate, Hypothesis
+from stages.ba.options import BAOptions
+
+START_FOCALS = (0.8, 1.05, 1.4)
+"""Focal lengths to start from, in image widths: from 0.65 to 1.6 all reach the same solution where it is observable."""
+PRIOR_FOCAL = 1.1
+"""Centre of the prior of the focal length, in image widths (a horizontal view of 49 degrees)."""
+OVERCONFIDENCE = 5.0
+"""Measured error over predicted standard deviation: errors of neighbouring matches are not independent."""
+WEAK_FOCAL, BLIND_FOCAL = 0.1, 0.2
+"""Predicted relative error of the focal length above which it is called weak, and not estimated at all."""
+CONSISTENT_SHARE = 0.85
+"""Share of confident matches within 1 px of the static model from which on a scene needs no masks to free the focal."""
+FINE = (Level(1.0, 12), Level(0.5, 20))
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What is to be solved: masked observations and what is known beforehand.
+
+    Attributes:
+        graph: observations, masked.
+        masked: whether masks took part, or earlier poses that masks were made from.
+        known_focal_px: the true focal length on the flow grid, if it is to be used.
+        previous: the solution of the round before.
+    """
+
+    graph: FlowGraph
+    masked: bool
+    known_focal_px: float | None = None
+    previous: State | None = None
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A solution with what is needed to judge it.
+
+    Attributes:
+        camera: "moving", "near-still", "rotating" or "failed".
+        covariance: [T, 6, 6] of the left twists, in the gauge of the state.
+        residual_px: median reprojection error of the confident static matches.
+        focal: the decision about the focal length and its numbers.
+        flags: reasons to doubt the solution, in words.
+    """
+
+    state: State
+    camera: str
+    covariance: np.ndarray
+    residual_px: float
+    focal: dict[str, Any]
+    statistics: dict[str, Any]
+    flags: list[str] = field(default_factory=list)
+    steps: list[Step] = field(default_factory=list)
+
+
+def estimate(problem: Problem, options: BAOptions) -> Estimate:
+    """Solve for poses, inverse depths and focal length; failure is a result too, its reason among `flags`."""
+    graph = problem.graph
+    prior = FocalPrior(PRIOR_FOCAL * graph.width)
+    focals = [problem.known_focal_px] if problem.known_focal_px else [f * graph.width for f in START_FOCALS]
+    if not _observed(graph):
+        return _failure(graph, problem.known_focal_px or prior.focal_px)
+    statistics = classify.measure(graph, focals, options.seed)
+    if statistics.camera == "rotating":
+        state, steps = rotation.solve_rotations(graph, prior, problem.known_focal_px)
+        return _finish(problem, statistics, state, Unknowns(problem.known_focal_px is None, False), [], steps)
+    candidates = _candidates(problem, statistics, prior, focals, options)
+    start = initialise.choose(candidates)
+    refined, unknowns = _refine(problem, statistics, start, prior)
+    others = [candidate for candidate in candidates if candidate is not start]
+    residual_px = median_residual(graph, refined.state)
+    doubts = classify.doubts(replace(start, state=refined.state), others, statistics, residual_px)
+    steps = [step for candidate in candidates for step in candidate.steps] + refined.steps
+    return _finish(problem, statistics, refined.state, unknowns, doubts, steps)
+
+
+def median_residual(graph: FlowGraph, state: State) -> float:
+    """Median reprojection error in px of the matches with weight above 0.5 (infinite without any)."""
+    errors = dba.errors_px(graph, state)[graph.weights > 0.5]
+    return float(np.median(errors)) if errors.size else float("inf")
+
+
+def _observed(graph: FlowGraph) -> bool:
+    """Whether most neighbouring frames share enough confident matches to be related at all."""
+    near = np.abs(graph.target - graph.source) == 1
+    return bool(near.any() and np.median((graph.weights[near] > MIN_WEIGHT).sum(axis=1)) >= MIN_MATCHES)
+
+
+def _failure(graph: FlowGraph, focal_px: float) -> Estimate:
+    T = graph.T
+    state = State(np.tile(np.eye(4), (T, 1, 1)), np.ones((T, len(graph.pixels))), focal_px)
+    reason = "failed: neighbouring frames share too few confident static matches; the poses are the identity"
+    focal = {"decision": "held at prior", "focal_px": focal_px, "relative_sigma": None}
+    return Estimate(state, "failed", np.zeros((T, 6, 6)), float("inf"), focal, {}, [reason])
+
+
+def _candidates(
+    problem: Problem, statistics: Statistics, prior: FocalPrior, focals: list[float], options: BAOptions
+) -> list[Candidate]:
+    """Adjusted starts: chains over focal lengths and thresholds, or the previous solution and one new chain."""
+    graph = problem.graph
+    threshold_px = float(np.clip(0.15 * statistics.flow_px, 0.3, 1.0))
+    schedule = (Level(2 * threshold_px, 6), Level(threshold_px, 8))
+    starts = {}
+    if problem.previous:
+        focals = [problem.known_focal_px or problem.previous.focal_px]
+        before = replace(problem.previous, focal_px=focals[0])
+        starts["previous round"] = initialise.search_depth(graph, dba.normalise(before), threshold_px)
+    elif statistics.camera == "near-still" and not problem.known_focal_px:
+        focals = [prior.focal_px]
+    for focal_px in focals:
+        for hypothesis in (Hypothesis(focal_px, threshold_px / 2, 0), Hypothesis(focal_px, threshold_px, 2)):
+            poses, _ = initialise.chain(graph, hypothesis, options.seed)
+            name = f"chain at {focal_px / graph.width:.2f} W, pooled over {2 * hypothesis.pooled + 1}"
+            starts[name] = initialise.initial_state(graph, poses, focal_px)
+    return [initialise.adjust(graph, state, schedule, Unknowns(), prior, name) for name, state in starts.items()]
+
+
+def _refine(
+    problem: Problem, statistics: Statistics, start: Candidate, prior: FocalPrior
+) -> tuple[Candidate, Unknowns]:
+    """The start adjusted to the end, with the focal length free where masks or evidence allow it."""
+    graph = problem.graph
+    errors = dba.errors_px(graph, start.state)
+    consistent = float(graph.weights[errors < 1.0].sum() / graph.weights.sum())
+    free = problem.known_focal_px is None and statistics.camera == "moving"
+    unknowns = Unknowns(focal=free and (problem.masked or consistent >= CONSISTENT_SHARE))
+    refined = initialise.adjust(graph, start.state, FINE, unknowns, prior, "refinement")
+    state = initialise.search_depth(graph, refined.state, FINE[-1].sigma_px)
+    again = initialise.adjust(graph, state, FINE[-1:], unknowns, prior, "refinement, depths searched")
+    if unknowns.focal and focal_sigma(graph, again.state) > BLIND_FOCAL:
+        unknowns = Unknowns()
+        held = replace(again.state, focal_px=prior.focal_px)
+        again = initialise.adjust(graph, held, FINE, unknowns, prior, "refinement, focal held")
+    return replace(again, steps=refined.steps + again.steps), unknowns
+
+
+def focal_sigma(graph: FlowGraph, state: State, unknowns: Unknowns | None = None) -> float:
+    """Predicted relative standard deviation of the focal length with poses and depths marginalised."""
+    unknowns = unknowns or Unknowns(focal=True)
+    return float(np.sqrt(_covariance(graph, state, replace(unknowns, focal=True))[-1, -1]))
+
+
+def _covariance(graph: FlowGraph, state: State, unknowns: Unknowns) -> np.ndarray:
+    """Covariance [6T + 1, 6T + 1] of a solution, made honest by the measured overconfidence."""
+    S, _ = dba.linear_system(graph, state, FINE[-1].sigma_px, eliminate=unknowns.translation)
+    full = reduced.covariance(S, state.cam_from_world, unknowns.indices(graph.T))
+    return full * dba.FLOW_VARIANCE * OVERCONFIDENCE**2
+
+
+def _finish(
+    problem: Problem,
+    statistics: Statistics,
+    state: State,
+    unknowns: Unknowns,
+    doubts: list[str],
+    steps: list[Step],
+) -> Estimate:
+    graph = problem.graph
+    sigma = focal_sigma(graph, state, unknowns)
+    decision = "known"
+    if problem.known_focal_px is None:
+        decision = ("weakly observed" if sigma > WEAK_FOCAL else "estimated") if unknowns.focal else "held at prior"
+    focal = {"decision": decision, "focal_px": state.focal_px, "relative_sigma": sigma}
+    blocks = _covariance(graph, state, unknowns)[:-1, :-1].reshape(graph.T, 6, graph.T, 6)
+    covariance = np.einsum("iaib->iab", blocks)
+    flags = list(doubts)
+    if decision == "weakly observed":
+        flags.append(f"focal length weakly observed: predicted error {100 * sigma:.0f} %")
+    numbers = asdict(statistics) | {"camera": statistics.camera, "planar": statistics.planar}
+    residual_px = median_residual(graph, state)
+    return Estimate(state, statistics.camera, covariance, residual_px, focal, numbers, flags, steps)

@@ -1,0 +1,132 @@
+"""Edges and observations of bundle adjustment, sampled from dense flow on a coarse grid of pixels."""
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+MIN_STATIC_SHARE = 0.15
+"""A frame with less static area than this cannot be trusted to be masked."""
+
+MIN_WEIGHT = 0.3
+MIN_MATCHES = 50
+"""Fewer confident matches than this do not relate two frames."""
+
+
+@dataclass(frozen=True)
+class FlowGraph:
+    """Directed edges between frames, each with a match for every sampled pixel. Pixels are those of the flow grid.
+
+    Attributes:
+        source, target: [E] frame indices, sorted by source, then target.
+        pointer: [T + 1], edges pointer[i]..pointer[i + 1] leave frame i.
+        pixels: [P, 2] float64, row by row of the sampled grid of `rows` x `columns` cells of `stride` px.
+        matches: [E, P, 2] float32, where the flow takes each pixel.
+        weights: [E, P] float32 in 0..1.
+        centre: principal point [2].
+        width, height: of the flow grid.
+    """
+
+    source: np.ndarray
+    target: np.ndarray
+    pointer: np.ndarray
+    pixels: np.ndarray
+    matches: np.ndarray
+    weights: np.ndarray
+    centre: np.ndarray
+    width: int
+    height: int
+    stride: int
+
+    @property
+    def T(self) -> int:
+        """Number of frames."""
+        return len(self.pointer) - 1
+
+    @property
+    def rows(self) -> int:
+        """Sampled rows."""
+        return self.height // self.stride
+
+    @property
+    def columns(self) -> int:
+        """Sampled columns."""
+        return self.width // self.stride
+
+    def edge(self, i: int, j: int) -> int | None:
+        """Index of the edge from frame i to frame j."""
+        at = int(self.pointer[i] + np.searchsorted(self.target[self.pointer[i] : self.pointer[i + 1]], j))
+        return at if at < self.pointer[i + 1] and self.target[at] == j else None
+
+    def observed_frames(self) -> np.ndarray:
+        """Which frames [T] have at least MIN_MATCHES confident matches."""
+        confident = (self.weights > MIN_WEIGHT).sum(axis=1)
+        return np.bincount(self.source, confident, self.T) + np.bincount(self.target, confident, self.T) >= MIN_MATCHES
+
+    def resample(self, maps: np.ndarray) -> np.ndarray:
+        """Maps [T, h, w] of another stride at the pixels of this graph, [T, P] float64."""
+        size = (self.columns, self.rows)
+        return np.stack([cv2.resize(frame, size, interpolation=cv2.INTER_LINEAR).ravel() for frame in maps]).astype(
+            float
+        )
+
+
+def build_graph(
+    source: np.ndarray,
+    target: np.ndarray,
+    flow: np.ndarray,
+    confidence: np.ndarray,
+    T: int,
+    stride: int,
+    principal_point: np.ndarray | None = None,
+) -> FlowGraph:
+    """Sample flow [E, h, w, 2] px and confidence [E, h, w] at the centres of cells of `stride` px.
+
+    The centre of an even cell lies between four pixels: their mean is taken. The principal point [2] is the centre of
+    the image unless given.
+    """
+    h, w = flow.shape[1:3]
+    rows, columns = h // stride, w // stride
+    centre = (stride - 1) / 2
+    v, u = np.meshgrid(np.arange(rows) * stride + centre, np.arange(columns) * stride + centre, indexing="ij")
+    pixels = np.stack([u.ravel(), v.ravel()], axis=1)
+    matches = np.stack([_sample_cells(edge, stride).reshape(-1, 2) for edge in flow])
+    weights = np.stack([_sample_cells(edge[..., None], stride).ravel() for edge in confidence])
+    matches += pixels.astype(np.float32)
+    pointer = np.searchsorted(source, np.arange(T + 1))
+    middle = np.array([(w - 1) / 2, (h - 1) / 2]) if principal_point is None else principal_point
+    return FlowGraph(source, target, pointer, pixels, matches, weights, middle, w, h, stride)
+
+
+def mask_graph(graph: FlowGraph, static: np.ndarray) -> FlowGraph:
+    """Multiply the weights by how static [T, h, w] (0..1) the pixel is at both ends of its match."""
+    static = static.astype(np.float32)
+    here = np.stack([_sample_cells(frame[..., None], graph.stride).ravel() for frame in static])
+    weights = graph.weights.copy()
+    for e, (i, j) in enumerate(zip(graph.source, graph.target, strict=True)):
+        u, v = np.ascontiguousarray(graph.matches[e, :, 0]), np.ascontiguousarray(graph.matches[e, :, 1])
+        there = cv2.remap(static[j], u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        weights[e] *= here[i] * there.ravel()
+    return replace(graph, weights=weights)
+
+
+def static_areas(masks: np.ndarray, width: int, height: int, margin_px: int = 2) -> np.ndarray:
+    """Static area [T, height, width] (1 static, 0 dynamic) on the flow grid of masks [T, H, W], grown by a margin."""
+    kernel = np.ones((2 * margin_px + 1, 2 * margin_px + 1), np.uint8)
+    small = [cv2.resize(mask.astype(np.float32), (width, height), interpolation=cv2.INTER_AREA) for mask in masks]
+    return np.stack([1 - cv2.dilate((frame > 0.25).astype(np.uint8), kernel) for frame in small]).astype(np.float32)
+
+
+def trusted_static_areas(static: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Static areas with the masks of almost wholly dynamic frames dropped, and which frames [T] lost theirs."""
+    dropped = static.mean(axis=(1, 2)) < MIN_STATIC_SHARE
+    return np.where(dropped[:, None, None], 1.0, static), dropped
+
+
+def _sample_cells(image: np.ndarray, stride: int) -> np.ndarray:
+    """Mean of the pixel or the pixels nearest to the centre of each cell: [h, w, c] to [rows, columns, c] float32."""
+    h, w, c = image.shape
+    rows, columns = h // stride, w // stride
+    cells = image[: rows * stride, : columns * stride].reshape(rows, stride, columns, stride, c)
+    low, high = (stride - 1) // 2, stride // 2 + 1
+    return np.asarray(cells[:, low:high, :, low:high].astype(np.float32).mean(axis=(1, 3)))

@@ -1,0 +1,269 @@
+"""Inner loops of dense bundle adjustment (numba, float64): residuals, normal equations, depth elimination.
+
+The residual of pixel p of source frame i in edge e = (i, j) is r = p* - Pi(R x + d t), where (R, t) = C_j C_i^-1,
+x is the ray of p with z = 1, d its inverse depth and p* = p + flow. The scaled point R x + d t needs no division by
+d, so points at infinity (d = 0) are ordinary. Local unknowns of an edge are the left twist of the target camera
+[rho, omega] and log focal; `stages.ba.reduced` maps them to the poses. Robust weights are Geman-McClure.
+"""
+
+import numpy as np
+from numba import njit, prange
+
+BLOCK = 256
+"""Pixels per block: the Jacobian of a block stays in the L2 cache."""
+MIN_DEPTH_RATIO = 0.1
+"""A point nearer to the target camera than this share of its source depth counts as behind it."""
+Lens = tuple[float, float, float]
+"""Focal length and principal point, px."""
+FAST = {"cache": True, "fastmath": True, "error_model": "numpy"}
+
+
+@njit(**FAST)
+def _linearise(
+    R: np.ndarray,
+    t: np.ndarray,
+    pixels: np.ndarray,
+    matches: np.ndarray,
+    weights: np.ndarray,
+    inverse_depth: np.ndarray,
+    lens: Lens,
+    sigma: float,
+    first: int,
+    J: np.ndarray,
+    D: np.ndarray,
+) -> None:
+    """Fill J [8, 2 BLOCK] (twist, log focal, residual) and D [2 BLOCK] (inverse depth), scaled by sqrt(weight)."""
+    focal, cx, cy = lens
+    for q in range(min(BLOCK, pixels.shape[0] - first)):
+        p, q2 = first + q, BLOCK + q
+        x, y, d = (pixels[p, 0] - cx) / focal, (pixels[p, 1] - cy) / focal, inverse_depth[p]
+        turned_x, turned_y, turned_z = R[0, 0] * x + R[0, 1] * y, R[1, 0] * x + R[1, 1] * y, R[2, 0] * x + R[2, 1] * y
+        Z = turned_z + R[2, 2] + d * t[2]
+        ahead = Z > MIN_DEPTH_RATIO
+        f_z = focal / Z if ahead else 0.0
+        u, v = (turned_x + R[0, 2] + d * t[0]) * f_z / focal, (turned_y + R[1, 2] + d * t[1]) * f_z / focal
+        a, b = matches[p, 0] - (focal * u + cx), matches[p, 1] - (focal * v + cy)
+        s = np.sqrt(weights[p]) / (1.0 + (a * a + b * b) / (sigma * sigma)) if ahead else 0.0
+        s_f, s_fz = s * focal, s * f_z
+        J[0, q], J[0, q2] = s_fz * d, 0.0
+        J[1, q], J[1, q2] = 0.0, s_fz * d
+        J[2, q], J[2, q2] = -u * s_fz * d, -v * s_fz * d
+        J[3, q], J[3, q2] = -s_f * u * v, -s_f * (1.0 + v * v)
+        J[4, q], J[4, q2] = s_f * (1.0 + u * u), s_f * u * v
+        J[5, q], J[5, q2] = -s_f * v, s_f * u
+        J[6, q], J[6, q2] = s_f * u - s_fz * (turned_x - u * turned_z), s_f * v - s_fz * (turned_y - v * turned_z)
+        J[7, q], J[7, q2] = s * a, s * b
+        D[q], D[q2] = s_fz * (t[0] - u * t[2]), s_fz * (t[1] - v * t[2])
+
+
+@njit(**FAST)
+def _add_gram(J: np.ndarray, H: np.ndarray) -> None:
+    """Add J J^T to the upper triangle of H [8, 8]."""
+    for a in range(8):
+        for b in range(a, 8):
+            total = 0.0
+            for q in range(2 * BLOCK):
+                total += J[a, q] * J[b, q]
+            H[a, b] += total
+
+
+@njit(**FAST)
+def _add_coupling(J: np.ndarray, D: np.ndarray, edge: int, coupling: np.ndarray, curvature: np.ndarray) -> None:
+    """Rows of pose (6 per edge), log focal and gradient against the inverse depths, and their curvature."""
+    last = coupling.shape[0] - 2
+    for q in range(BLOCK):
+        q2 = BLOCK + q
+        for a in range(6):
+            coupling[6 * edge + a, q] = J[a, q] * D[q] + J[a, q2] * D[q2]
+        coupling[last, q] += J[6, q] * D[q] + J[6, q2] * D[q2]
+        coupling[last + 1, q] += J[7, q] * D[q] + J[7, q2] * D[q2]
+        curvature[q] += D[q] * D[q] + D[q2] * D[q2]
+
+
+@njit(parallel=True, **FAST)
+def normal_equations(
+    pointer: np.ndarray,
+    R: np.ndarray,
+    t: np.ndarray,
+    pixels: np.ndarray,
+    matches: np.ndarray,
+    weights: np.ndarray,
+    inverse_depth: np.ndarray,
+    lens: Lens,
+    sigma: float,
+    damping: float,
+    depth_prior: float,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Local normal equations of every edge, and what eliminating the inverse depths subtracts from them.
+
+    Args:
+        pointer: [T + 1], edges pointer[i]..pointer[i + 1] leave frame i.
+        R, t: [E, 3, 3], [E, 3], target_from_source.
+        pixels, matches, weights: [P, 2], [E, P, 2] px, [E, P] in 0..1.
+        inverse_depth: [T, P]; a prior of weight `depth_prior` (px^2) draws it to 1.
+        lens: (focal, cx, cy) px; sigma: scale of the robust kernel, px; damping: relative, of Levenberg-Marquardt.
+
+    Returns:
+        hessians [E, 8, 8] over (twist 6, log focal, residual), symmetric; schur [T, n, n] with n = 6 k + 2 rows
+        (twists of the frame's k edges, log focal, gradient); curvature (damped) and gradient [T, P] of the depths.
+    """
+    T, P = inverse_depth.shape
+    size = 6 * np.diff(pointer).max() + 2
+    hessians, schur = np.zeros((R.shape[0], 8, 8)), np.zeros((T, size, size))
+    curvatures, gradients = np.ones((T, P)), np.zeros((T, P))
+    for i in prange(T):
+        k = pointer[i + 1] - pointer[i]
+        J, D, n = np.zeros((8, 2 * BLOCK)), np.zeros(2 * BLOCK), 6 * k + 2
+        coupling = np.zeros((n, BLOCK))
+        for first in range(0, P, BLOCK):
+            count = min(BLOCK, P - first)
+            J[:], D[:], coupling[n - 2 :] = 0.0, 0.0, 0.0
+            curvature = np.full(BLOCK, depth_prior)
+            for edge in range(k):
+                e = pointer[i] + edge
+                _linearise(R[e], t[e], pixels, matches[e], weights[e], inverse_depth[i], lens, sigma, first, J, D)
+                _add_gram(J, hessians[e])
+                _add_coupling(J, D, edge, coupling, curvature)
+            curvature *= 1.0 + damping
+            coupling[n - 1, :count] += depth_prior * (1.0 - inverse_depth[i, first : first + count])
+            schur[i, :n, :n] += np.dot(coupling / curvature, coupling.T)
+            curvatures[i, first : first + count] = curvature[:count]
+            gradients[i, first : first + count] = coupling[n - 1, :count]
+        for e in range(pointer[i], pointer[i + 1]):
+            for a in range(8):
+                hessians[e, a, :a] = hessians[e, :a, a]
+    return hessians, schur, curvatures, gradients
+
+
+@njit(parallel=True, **FAST)
+def depth_steps(
+    pointer: np.ndarray,
+    R: np.ndarray,
+    t: np.ndarray,
+    pixels: np.ndarray,
+    matches: np.ndarray,
+    weights: np.ndarray,
+    inverse_depth: np.ndarray,
+    lens: Lens,
+    sigma: float,
+    curvatures: np.ndarray,
+    gradients: np.ndarray,
+    local_steps: np.ndarray,
+) -> np.ndarray:
+    """Steps [T, P] of the inverse depths once the local steps [E, 7] (twist, log focal) of the edges are known."""
+    T, P = inverse_depth.shape
+    steps = np.zeros((T, P))
+    for i in prange(T):
+        J, D = np.zeros((8, 2 * BLOCK)), np.zeros(2 * BLOCK)
+        explained = np.zeros(P)
+        for e in range(pointer[i], pointer[i + 1]):
+            for first in range(0, P, BLOCK):
+                _linearise(R[e], t[e], pixels, matches[e], weights[e], inverse_depth[i], lens, sigma, first, J, D)
+                for a in range(7):
+                    for q in range(min(BLOCK, P - first)):
+                        q2 = BLOCK + q
+                        explained[first + q] += local_steps[e, a] * (J[a, q] * D[q] + J[a, q2] * D[q2])
+        steps[i] = (gradients[i] - explained) / curvatures[i]
+    return steps
+
+
+@njit(parallel=True, **FAST)
+def errors_px(
+    source: np.ndarray,
+    R: np.ndarray,
+    t: np.ndarray,
+    pixels: np.ndarray,
+    matches: np.ndarray,
+    inverse_depth: np.ndarray,
+    lens: Lens,
+) -> np.ndarray:
+    """Lengths of the residuals [E, P] float32 in px; 1e6 where the point is not ahead of the target camera."""
+    E, P = len(source), len(pixels)
+    focal, cx, cy = lens
+    errors = np.empty((E, P), np.float32)
+    for e in prange(E):
+        for p in range(P):
+            x, y, d = (pixels[p, 0] - cx) / focal, (pixels[p, 1] - cy) / focal, inverse_depth[source[e], p]
+            X = R[e, 0, 0] * x + R[e, 0, 1] * y + R[e, 0, 2] + d * t[e, 0]
+            Y = R[e, 1, 0] * x + R[e, 1, 1] * y + R[e, 1, 2] + d * t[e, 1]
+            Z = R[e, 2, 0] * x + R[e, 2, 1] * y + R[e, 2, 2] + d * t[e, 2]
+            ahead = Z > MIN_DEPTH_RATIO
+            a = matches[e, p, 0] - (focal * X / Z + cx) if ahead else 1e6
+            b = matches[e, p, 1] - (focal * Y / Z + cy) if ahead else 0.0
+            errors[e, p] = np.sqrt(a * a + b * b)
+    return errors
+
+
+@njit(**FAST)
+def _depth_probe(
+    first: int,
+    last: int,
+    R: np.ndarray,
+    t: np.ndarray,
+    x: float,
+    y: float,
+    p: int,
+    d: float,
+    matches: np.ndarray,
+    weights: np.ndarray,
+    lens: Lens,
+    sigma: float,
+) -> tuple[float, float, float]:
+    """Robust cost of one pixel at inverse depth d over its edges, and the Gauss-Newton terms for the next d."""
+    focal, cx, cy = lens
+    cost, curvature, gradient = 0.0, 0.0, 0.0
+    for e in range(first, last):
+        Z = R[e, 2, 0] * x + R[e, 2, 1] * y + R[e, 2, 2] + d * t[e, 2]
+        if Z <= MIN_DEPTH_RATIO:
+            cost += weights[e, p]
+            continue
+        u = (R[e, 0, 0] * x + R[e, 0, 1] * y + R[e, 0, 2] + d * t[e, 0]) / Z
+        v = (R[e, 1, 0] * x + R[e, 1, 1] * y + R[e, 1, 2] + d * t[e, 1]) / Z
+        a, b = matches[e, p, 0] - (focal * u + cx), matches[e, p, 1] - (focal * v + cy)
+        error = (a * a + b * b) / (sigma * sigma)
+        w = weights[e, p] / ((1.0 + error) * (1.0 + error))
+        Du, Dv = focal / Z * (t[e, 0] - u * t[e, 2]), focal / Z * (t[e, 1] - v * t[e, 2])
+        cost += weights[e, p] * error / (1.0 + error)
+        curvature += w * (Du * Du + Dv * Dv)
+        gradient += w * (Du * a + Dv * b)
+    return cost, curvature, gradient
+
+
+@njit(parallel=True, **FAST)
+def sweep_depth(
+    pointer: np.ndarray,
+    R: np.ndarray,
+    t: np.ndarray,
+    pixels: np.ndarray,
+    matches: np.ndarray,
+    weights: np.ndarray,
+    candidates: np.ndarray,
+    lens: Lens,
+    sigma: float,
+    refinements: int,
+    bounds: tuple[float, float],
+) -> tuple[np.ndarray, np.ndarray]:
+    """Best inverse depth per pixel with the poses fixed: candidates, each refined by Gauss-Newton steps.
+
+    Args:
+        candidates: [K, T, P] inverse depths to start from; bounds: (lowest, highest) inverse depth.
+
+    Returns:
+        inverse depth [T, P] and its curvature [T, P] in px^2 per unit of inverse depth squared (0: unobserved).
+    """
+    K, T, P = candidates.shape
+    focal, cx, cy = lens
+    best_depth, best_curvature = candidates[0].copy(), np.zeros((T, P))
+    for i in prange(T):
+        for p in range(P):
+            x, y, best = (pixels[p, 0] - cx) / focal, (pixels[p, 1] - cy) / focal, np.inf
+            for k in range(K):
+                d = candidates[k, i, p]
+                for _ in range(refinements + 1):
+                    cost, curvature, gradient = _depth_probe(
+                        pointer[i], pointer[i + 1], R, t, x, y, p, d, matches, weights, lens, sigma
+                    )
+                    if cost < best:
+                        best, best_depth[i, p], best_curvature[i, p] = cost, d, curvature
+                    d = min(max(d + gradient / (curvature + 1e-9), bounds[0]), bounds[1])
+    return best_depth, best_curvature

@@ -1,0 +1,176 @@
+"""Estimate camera poses, one shared focal length and depth from flow and masks by dense bundle adjustment."""
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+
+from stages.ba import dba, figures
+from stages.ba.depth import DepthMaps, depth_maps
+from stages.ba.estimate import Estimate, Problem, estimate
+from stages.ba.graph import FlowGraph, build_graph, mask_graph, static_areas, trusted_static_areas
+from stages.ba.options import BAOptions
+from stages.shared import cli, sintel
+from stages.shared.artifacts import read_dense, read_metadata, write_dense, write_table
+from stages.shared.cameras import (
+    Cameras,
+    centred_intrinsics,
+    make_cameras,
+    read_cameras,
+    scale_intrinsics,
+    write_cameras,
+    write_tum,
+)
+from stages.shared.cli import In, Out
+from stages.shared.errors import InputError
+from stages.shared.images import read_mask
+from stages.shared.log import logger
+from stages.shared.sequences import Sequence, read_sequence
+
+STATUS = {"moving": "estimated", "near-still": "near-still", "rotating": "rotation-only", "failed": "failed"}
+SHRINKING = 0.7
+"""A static area that falls below this share of the round before is a sign of masks that run away."""
+GAUGE = "the first camera is the world; the median inverse depth of the solver's pixels is 1"
+
+
+def main(
+    sequence: Annotated[Path, In("sequence.json of the input check")],
+    flow: Annotated[Path, In("flow/pairs.arrow")],
+    masks: Annotated[Path, In("folder of dynamic masks, 255 = dynamic")],
+    poses: Annotated[Path, Out("poses.parquet: pose, intrinsics, covariance and status per frame")],
+    trajectory: Annotated[Path, Out("trajectory.tum: world-from-camera, for evo and others")],
+    depth: Annotated[Path, Out("depth.arrow: inverse depth and its variance per frame")],
+    convergence: Annotated[Path, Out("convergence.parquet: cost, step, damping and seconds per iteration")],
+    figure: Annotated[Path, Out("picture for the report")],
+    options: BAOptions,
+    previous_poses: Annotated[Path | None, In("poses.parquet of the round before")] = None,
+    previous_depth: Annotated[Path | None, In("depth.arrow of the round before")] = None,
+) -> None:
+    """Estimate camera poses, one shared focal length and depth from flow and masks.
+
+    A camera that only rotates, or hardly moves, is recognised and solved in the model that fits. Doubts about the
+    solution stand as `flags` in the metadata of poses.parquet; a sequence that cannot be solved gets the status
+    "failed" and identity poses.
+    """
+    frames = read_sequence(sequence)
+    metadata, pairs = read_metadata(flow), read_dense(flow)
+    grid = (int(metadata["width"]), int(metadata["height"]))
+    centre, known_focal_px = _known_intrinsics(frames, float(metadata["scale"]), grid, options)
+    columns = (pairs["source"], pairs["target"], pairs["flow"], pairs["confidence"], len(frames.numbers))
+    static, unmasked = trusted_static_areas(static_areas(_read_masks(masks, frames), *grid))
+    graph = mask_graph(build_graph(*columns, options.stride_px, centre), static)
+    previous = _previous(previous_poses, previous_depth, float(metadata["scale"]), graph)
+    masked = bool((static < 1).any()) or previous is not None
+    solution = estimate(Problem(graph, masked, known_focal_px, previous), options)
+    flags = solution.flags + _mask_doubts(static, unmasked, previous_poses)
+    for flag in flags:
+        logger.warning("ba: %s: doubtful: %s", frames.name, flag)
+    fine = mask_graph(build_graph(*columns, options.depth_stride_px, centre), static)
+    maps = depth_maps(fine, graph, solution.state, static, solution.camera in ("moving", "near-still"))
+    cameras = _cameras(solution, graph, frames, float(metadata["scale"]))
+    write_cameras(poses, cameras, _pose_metadata(solution, flags, static, options))
+    write_tum(trajectory, cameras)
+    _write_depth(depth, maps, frames, options.depth_stride_px / float(metadata["scale"]))
+    _write_convergence(convergence, solution)
+    errors = dba.errors_px(graph, solution.state)[graph.weights > 0.5]
+    title = f"{frames.name}: camera {solution.camera}, focal length {solution.focal['decision']}"
+    figures.draw(figure, cameras.centres, solution.steps, maps.inverse_depth, errors, title)
+
+
+def _read_masks(folder: Path, frames: Sequence) -> np.ndarray:
+    """Masks [T, H, W] bool, true where dynamic."""
+    masks = []
+    for number in frames.numbers:
+        path = folder / f"frame_{number:04d}.png"
+        if not path.is_file():
+            raise InputError(path, "a mask", "nothing there", "run the segment stage again")
+        masks.append(read_mask(path))
+        if masks[-1].shape != (frames.height, frames.width):
+            found = f"{masks[-1].shape[1]} x {masks[-1].shape[0]}"
+            raise InputError(path, f"{frames.width} x {frames.height}", found, "run the segment stage again")
+    return np.stack(masks)
+
+
+def _known_intrinsics(
+    frames: Sequence, scale: float, grid: tuple[int, int], options: BAOptions
+) -> tuple[np.ndarray, float | None]:
+    """Principal point [2] on the flow grid, and the focal length there if the truth is asked for."""
+    if options.intrinsics == "estimate":
+        return (np.array(grid) - 1) / 2, None
+    if not frames.has_truth("camdata_left"):
+        advice = "set `intrinsics: estimate`"
+        raise InputError(
+            frames.frames[0].parent, "camdata_left beside the frames for `intrinsics: truth`", "none", advice
+        )
+    K, _ = sintel.read_cam(frames.truth["camdata_left"][frames.numbers[0]])
+    scaled = scale_intrinsics(K, scale)
+    return scaled[:2, 2], float(scaled[0, 0])
+
+
+def _previous(poses: Path | None, depth: Path | None, scale: float, graph: FlowGraph) -> dba.State | None:
+    """The solution of the round before on this graph; none if it failed or saw no translation."""
+    if poses is None or depth is None:
+        return None
+    cameras = read_cameras(poses)
+    if set(cameras.status) & {STATUS["failed"], STATUS["rotating"]}:
+        return None
+    inverse_depth = graph.resample(read_dense(depth)["inverse_depth"])
+    return dba.State(cameras.cam_from_world, inverse_depth, float(cameras.Ks[0, 0, 0] * scale))
+
+
+def _mask_doubts(static: np.ndarray, unmasked: np.ndarray, previous_poses: Path | None) -> list[str]:
+    """What speaks against the masks."""
+    doubts = []
+    if unmasked.any():
+        doubts.append(f"masks of {unmasked.sum()} of {len(unmasked)} frames ignored: they leave too little static area")
+    before = read_metadata(previous_poses).get("static_share") if previous_poses else None
+    if before and static.mean() < SHRINKING * before:
+        doubts.append(f"static area shrank from {before:.2f} to {static.mean():.2f} since the round before")
+    return doubts
+
+
+def _cameras(solution: Estimate, graph: FlowGraph, frames: Sequence, scale: float) -> Cameras:
+    """Cameras for full-size frames; a frame without matches of its own is called "unobserved"."""
+    K = centred_intrinsics(solution.state.focal_px, graph.width, graph.height)
+    K[:2, 2] = graph.centre
+    status = np.full(graph.T, STATUS[solution.camera], object)
+    if solution.camera != "failed":
+        status[~graph.observed_frames()] = "unobserved"
+    Ks = scale_intrinsics(K, 1 / scale)
+    return make_cameras(solution.state.cam_from_world, Ks, np.array(frames.numbers), solution.covariance, status)
+
+
+def _pose_metadata(solution: Estimate, flags: list[str], static: np.ndarray, options: BAOptions) -> dict[str, Any]:
+    return {
+        "camera": solution.camera,
+        "focal": solution.focal,
+        "statistics": solution.statistics,
+        "residual_px": solution.residual_px,
+        "flags": flags,
+        "static_share": float(static.mean()),
+        "gauge": GAUGE,
+        "options": options.model_dump(),
+    }
+
+
+def _write_depth(path: Path, maps: DepthMaps, frames: Sequence, stride_px: float) -> None:
+    columns = {
+        "frame": np.array(frames.numbers),
+        "inverse_depth": maps.inverse_depth.astype(np.float32),
+        "variance": maps.variance.astype(np.float32),
+        "filled": maps.filled.astype(np.uint8),
+    }
+    units = "inverse depth in 1 / scene units; pixel k lies at full-frame pixel stride_px k + (stride_px - 1) / 2"
+    write_dense(path, columns, {"stride_px": stride_px, "units": units})
+
+
+def _write_convergence(path: Path, solution: Estimate) -> None:
+    rows = [asdict(step) for step in solution.steps]
+    names = ("phase", "sigma_px", "cost", "step", "damping", "focal_px", "accepted", "seconds")
+    columns: dict[str, Any] = {name: [row[name] for row in rows] for name in names}
+    write_table(path, {"iteration": np.arange(len(rows)), **columns}, {"units": "px, px^2, s"})
+
+
+if __name__ == "__main__":
+    cli.run(main)

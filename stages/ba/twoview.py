@@ -1,0 +1,174 @@
+"""Relative motion of two frames from flow matches: essential matrix, its refinement, triangulation, pure rotation.
+
+Matches are rays with z = 1: x [n, 2] in the first camera, y [n, 2] in the second. The model is y ~ R x + d t with
+inverse depth d of the first camera.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from stages.ba.graph import MIN_MATCHES, MIN_WEIGHT, FlowGraph
+from stages.shared import lie
+
+RANSAC_MATCHES = 1500
+"""MAGSAC++ gains nothing from more; all matches take part in the refinement."""
+
+
+@dataclass(frozen=True)
+class TwoView:
+    """Motion of a pair of frames: y ~ R x + d t with |t| = 1, and the median Sampson error in px."""
+
+    R: np.ndarray
+    t: np.ndarray
+    sampson_px: float
+
+
+def pair_rays(graph: FlowGraph, i: int, j: int, focal_px: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rays x [n, 2] in frame i, y [n, 2] in frame j and weights [n] of the confident matches of both edges."""
+    x, y, w = [np.zeros((0, 2))], [np.zeros((0, 2))], [np.zeros(0)]
+    for edge, forward in ((graph.edge(i, j), True), (graph.edge(j, i), False)):
+        if edge is not None:
+            confident = graph.weights[edge] > MIN_WEIGHT
+            here, there = graph.pixels[confident], graph.matches[edge][confident].astype(float)
+            x.append(here if forward else there)
+            y.append(there if forward else here)
+            w.append(graph.weights[edge][confident].astype(float))
+    centre = graph.centre
+    return (np.concatenate(x) - centre) / focal_px, (np.concatenate(y) - centre) / focal_px, np.concatenate(w)
+
+
+def estimate_motion(
+    x: np.ndarray, y: np.ndarray, w: np.ndarray, focal_px: float, threshold_px: float, seed: int
+) -> TwoView | None:
+    """Robust relative motion: MAGSAC++ on a subset, then Geman-McClure refinement of the Sampson error on all matches.
+
+    Returns:
+        None when there are too few matches or no model.
+    """
+    if len(x) < MIN_MATCHES:
+        return None
+    step = max(1, len(x) // RANSAC_MATCHES)
+    params = cv2.UsacParams()
+    params.sampler, params.score = cv2.SAMPLING_UNIFORM, cv2.SCORE_METHOD_MAGSAC
+    params.confidence, params.threshold, params.maxIterations = 0.9999, threshold_px / focal_px, 2000
+    params.randomGeneratorState = seed
+    identity, none = np.eye(3), np.zeros(0)
+    E, inliers = cv2.findEssentialMat(x[::step], y[::step], identity, identity, none, none, params)
+    if E is None or E.shape != (3, 3) or not inliers.any():
+        return None
+    chosen = inliers.ravel() > 0
+    R, t = _decompose(E, x[::step][chosen], y[::step][chosen])
+    return refine_motion(R, t, x, y, w, focal_px, (3 * threshold_px, threshold_px))
+
+
+def refine_motion(
+    R: np.ndarray,
+    t: np.ndarray,
+    x: np.ndarray,
+    y: np.ndarray,
+    w: np.ndarray,
+    focal_px: float,
+    sigmas_px: tuple[float, float],
+    iterations: int = 12,
+) -> TwoView:
+    """Minimise the weighted Sampson error over (R, direction of t), the robust scale falling from first to last."""
+    for sigma_px in np.geomspace(*sigmas_px, iterations):
+        residual, J = _sampson_jacobian(R, t, x, y)
+        robust = w / (1 + (residual * focal_px / sigma_px) ** 2) ** 2
+        normal = J.T @ (J * robust[:, None])
+        step = np.linalg.solve(normal + 1e-9 * np.trace(normal) * np.eye(5), -J.T @ (robust * residual))
+        R, t = lie.exp_so3(step[:3]) @ R, t + step[3:] @ _tangent_basis(t)
+        t = t / np.linalg.norm(t)
+    residual = np.abs(sampson_errors(R, t, x, y)) * focal_px
+    d, parallax = triangulate(R, t, x, y)
+    fits = residual < 2 * sigmas_px[1]
+    if (d[fits] * parallax[fits]).sum() < 0:
+        t = -t
+    return TwoView(R, t, float(np.median(residual)))
+
+
+def sampson_errors(R: np.ndarray, t: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Signed Sampson distances [n] of the matches from the epipolar geometry of (R, t), in units of the rays."""
+    numerator, gradient = _epipolar(R, t, x, y)[:2]
+    return np.asarray(numerator / gradient)
+
+
+def triangulate(R: np.ndarray, t: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Least-squares inverse depths [n] in the first camera, and parallax [n]: shift of y per unit of inverse depth."""
+    turned = _homogeneous(x) @ R.T
+    slope = t[:2] - y * t[2]
+    offset = y * turned[:, 2:] - turned[:, :2]
+    squared = (slope**2).sum(axis=1)
+    return (slope * offset).sum(axis=1) / np.maximum(squared, 1e-12), np.sqrt(squared)
+
+
+def fit_rotation(
+    x: np.ndarray, y: np.ndarray, w: np.ndarray, focal_px: float, sigma_px: float = 0.5
+) -> tuple[np.ndarray, np.ndarray]:
+    """Robust rotation R [3, 3] with y ~ R x, and the residuals [n] in px."""
+    R = np.eye(3)
+    for level_px in np.maximum(20 * 0.5 ** np.arange(10), sigma_px):
+        r, u = _rotation_residual(R, x, y, focal_px)
+        robust = w / (1 + (r**2).sum(axis=1) / level_px**2) ** 2
+        a, b = u[:, 0], u[:, 1]
+        J_u = focal_px * np.stack([-a * b, 1 + a * a, -b], axis=1)
+        J_v = focal_px * np.stack([-1 - b * b, a * b, a], axis=1)
+        normal = J_u.T @ (J_u * robust[:, None]) + J_v.T @ (J_v * robust[:, None])
+        rhs = J_u.T @ (robust * r[:, 0]) + J_v.T @ (robust * r[:, 1])
+        R = lie.exp_so3(np.linalg.solve(normal + 1e-9 * (np.trace(normal) + 1) * np.eye(3), rhs)) @ R
+    return R, np.linalg.norm(_rotation_residual(R, x, y, focal_px)[0], axis=1)
+
+
+def _rotation_residual(R: np.ndarray, x: np.ndarray, y: np.ndarray, focal_px: float) -> tuple[np.ndarray, np.ndarray]:
+    turned = _homogeneous(x) @ R.T
+    u = turned[:, :2] / turned[:, 2:]
+    return (y - u) * focal_px, u
+
+
+def _decompose(E: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The (R, t) of E that puts most points before BOTH cameras (one camera alone admits the twisted pair)."""
+    R_1, R_2, t = cv2.decomposeEssentialMat(E)
+    t = t.ravel()
+    candidates = [(R, sign * t) for R in (R_1, R_2) for sign in (1, -1)]
+
+    def share_ahead(motion: tuple[np.ndarray, np.ndarray]) -> float:
+        R, t = motion
+        d, _ = triangulate(R, t, x, y)
+        z_second = (_homogeneous(x) @ R.T)[:, 2] + d * t[2]
+        return float(((d > 0) & (z_second > 0)).mean())
+
+    return max(candidates, key=share_ahead)
+
+
+def _epipolar(R: np.ndarray, t: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, ...]:
+    """y^T E x, the length of its gradient, and the lines E x and E^T y."""
+    E = lie.skew(t) @ R
+    line_y, line_x = _homogeneous(x) @ E.T, _homogeneous(y) @ E
+    numerator = (_homogeneous(y) * line_y).sum(axis=1)
+    squared = (line_y[:, :2] ** 2).sum(axis=1) + (line_x[:, :2] ** 2).sum(axis=1)
+    return numerator, np.sqrt(np.maximum(squared, 1e-24)), line_y, line_x
+
+
+def _sampson_jacobian(R: np.ndarray, t: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Sampson errors [n] and their derivative [n, 5] by the left rotation vector and two tangents of t."""
+    n, g, line_y, line_x = _epipolar(R, t, x, y)
+    X, Y = _homogeneous(x), _homogeneous(y)
+    top = np.array([1.0, 1.0, 0.0])
+    # d(n / g) / dE = (y x^T) / g - n / g^3 ((E x)_top x^T + y (E^T y)_top^T)
+    by_E = (Y / g[:, None])[:, :, None] * X[:, None, :]
+    ratio = (n / g**3)[:, None]
+    by_E -= (ratio * line_y * top)[:, :, None] * X[:, None, :] + (ratio * Y)[:, :, None] * (line_x * top)[:, None, :]
+    E_by_parameter = [lie.skew(t) @ lie.skew(axis) @ R for axis in np.eye(3)]
+    E_by_parameter += [lie.skew(axis) @ R for axis in _tangent_basis(t)]
+    return n / g, by_E.reshape(-1, 9) @ np.stack(E_by_parameter).reshape(5, 9).T
+
+
+def _tangent_basis(t: np.ndarray) -> np.ndarray:
+    """Two unit vectors [2, 3] across t."""
+    return np.asarray(np.linalg.svd(t[None])[2][1:])
+
+
+def _homogeneous(x: np.ndarray) -> np.ndarray:
+    return np.concatenate([x, np.ones((len(x), 1))], axis=1)
