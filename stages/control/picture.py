@@ -53,7 +53,7 @@ def _draw_trails(panel: np.ndarray, width: int, frame: int, cameras: Cameras, de
     now = frame - int(near[0])
     colours = _colours(deformation.points.numpy()[shown])
     for n in np.flatnonzero((z > 0).all(axis=0)):
-        cv2.polylines(panel, [lines[:, n]], False, colours[n].tolist(), 1, cv2.LINE_AA)
+        cv2.polylines(panel, [np.ascontiguousarray(lines[:, n])], False, colours[n].tolist(), 1, cv2.LINE_AA)
         cv2.circle(panel, lines[now, n].tolist(), 3, colours[n].tolist(), -1, cv2.LINE_AA)
 
 
