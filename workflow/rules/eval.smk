@@ -1,3 +1,6 @@
+ROUNDS = [*(f"round{number}/" for number in range(1, CONFIG.rounds)), ""]
+
+
 rule colmap:
     input:
         sequence=rules.inspect.output.sequence,
@@ -23,8 +26,9 @@ rule evaluate:
     input:
         sequence=rules.inspect.output.sequence,
         flow=rules.flow.output.flow,
-        masks="<results>/{dataset}/{seq}/masks",
-        poses="<results>/{dataset}/{seq}/ba/poses.parquet",
+        priors=expand("<results>/{{dataset}}/{{seq}}/{round}motion/prior.arrow", round=ROUNDS),
+        masks=expand("<results>/{{dataset}}/{{seq}}/{round}masks", round=ROUNDS),
+        poses=expand("<results>/{{dataset}}/{{seq}}/{round}ba/poses.parquet", round=ROUNDS),
         depth="<results>/{dataset}/{seq}/ba/depth.arrow",
         colmap=rules.colmap.output.poses,
         renders=rules.render.output.renders,
@@ -33,7 +37,10 @@ rule evaluate:
         poses="<results>/{dataset}/{seq}/eval/poses.parquet",
         images="<results>/{dataset}/{seq}/eval/images.parquet",
         masks="<results>/{dataset}/{seq}/eval/masks.parquet",
+        checks="<results>/{dataset}/{seq}/eval/checks.parquet",
         time="<results>/{dataset}/{seq}/eval/time.parquet",
+        trajectory="<results>/{dataset}/{seq}/eval/trajectory.parquet",
+        frames="<results>/{dataset}/{seq}/eval/frames.parquet",
         figure=report(
             "<results>/{dataset}/{seq}/figures/trajectory.png",
             caption="../report/trajectory.rst",
@@ -43,19 +50,18 @@ rule evaluate:
         stats="<results>/{dataset}/{seq}/stats/evaluate.json",
     log:
         "<logs>/{dataset}/{seq}/evaluate.log",
-    conda:
-        "../envs/motionsplat.yaml"
-    resources:
-        mem_mb=megabytes(600, 60),
     params:
         code=code_digest("stages.eval.evaluate"),
         flags=flags("evaluate"),
+    resources:
+        mem_mb=megabytes(600, 60),
     shell:
-        "python -m stages.eval.evaluate --sequence {input.sequence} --flow {input.flow} --masks {input.masks}"
-        " --poses {input.poses} --depth {input.depth} --colmap {input.colmap} --renders {input.renders}"
-        " --stage-stats {input.stage_stats} --poses-table {output.poses} --images-table {output.images}"
-        " --masks-table {output.masks} --time-table {output.time} --figure {output.figure}"
-        " {params.flags} --log {log} --stats {output.stats}"
+        "python -m stages.eval.evaluate --sequence {input.sequence} --flow {input.flow} --priors {input.priors}"
+        " --masks {input.masks} --poses {input.poses} --depth {input.depth} --colmap {input.colmap}"
+        " --renders {input.renders} --stage-stats {input.stage_stats} --poses-table {output.poses}"
+        " --images-table {output.images} --masks-table {output.masks} --checks-table {output.checks}"
+        " --time-table {output.time} --trajectory-table {output.trajectory} --frames-table {output.frames}"
+        " --figure {output.figure} {params.flags} --log {log} --stats {output.stats}"
 
 
 rule report:

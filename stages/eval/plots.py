@@ -1,0 +1,108 @@
+"""Charts of the report, drawn by matplotlib as SVG or PNG bytes."""
+
+import io
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+
+from stages.eval.tables import Row
+
+COLOURS = {"truth": "#1a1a1a", "ours": "#c2410c"}
+OTHERS = ("#2563eb", "#0f766e", "#7c3aed", "#a16207", "#be185d", "#475569")
+STYLE: Any = {
+    "font.family": "sans-serif",
+    "font.size": 10,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.edgecolor": "#888888",
+    "axes.grid": True,
+    "grid.color": "#e5e5e5",
+    "legend.frameon": False,
+    "svg.fonttype": "none",
+    "svg.hashsalt": "motionsplat",
+    "figure.facecolor": "white",
+}
+
+
+def colour_of(method: str, methods: Sequence[str]) -> str:
+    """A fixed colour for truth and ours, one of six for the others by their order."""
+    others = [name for name in methods if name not in COLOURS]
+    return COLOURS.get(method) or OTHERS[others.index(method) % len(OTHERS)]
+
+
+def draw_trajectories(rows: Sequence[Row], kind: str) -> bytes:
+    """Camera centres from above and in 3D; `rows` as in eval/trajectory.parquet."""
+    paths = paths_of(rows)
+    with figure((10, 4.2), kind) as (fig, done):
+        top, space = fig.add_subplot(1, 2, 1), fig.add_subplot(1, 2, 2, projection="3d")
+        for method, path in paths.items():
+            style = _line_style(method, list(paths))
+            top.plot(path[:, 0], path[:, 2], label=method, **style)
+            top.plot(*path[0, [0, 2]], "o", color=style["color"], ms=4)
+            space.plot(path[:, 0], path[:, 2], -path[:, 1], **style)
+        top.set(xlabel="x (scene units)", ylabel="z (scene units)", title="from above; dot: first frame")
+        top.axis("equal")
+        top.legend(fontsize=9)
+        _equal_box(space, np.concatenate(list(paths.values())) if paths else np.zeros((1, 3)))
+    return done.getvalue()
+
+
+def paths_of(rows: Sequence[Row]) -> dict[str, np.ndarray]:
+    """Centres [k, 3] by method, in the order of the rows."""
+    found: dict[str, list[list[float]]] = {}
+    for row in rows:
+        found.setdefault(row["method"], []).append([row["x"], row["y"], row["z"]])
+    return {method: np.array(path) for method, path in found.items()}
+
+
+def draw_lines(
+    series: Mapping[str, tuple[Sequence[float], Sequence[float]]],
+    labels: tuple[str, str],
+    methods: Sequence[str],
+    log: bool = False,
+) -> bytes:
+    """Lines (x, y) by name over a common axis, as SVG."""
+    with figure((5.2, 3.1), "svg") as (fig, done):
+        axes = fig.add_subplot()
+        for name, (x, y) in series.items():
+            axes.plot(x, y, label=name, marker="o", ms=2.5, lw=1.4, color=colour_of(name, methods))
+        axes.set(xlabel=labels[0], ylabel=labels[1])
+        if log:
+            axes.set_yscale("log")
+        else:
+            axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
+        if len(series) > 1:
+            axes.legend(fontsize=9)
+    return done.getvalue()
+
+
+@contextmanager
+def figure(size: tuple[float, float], kind: str) -> Iterator[tuple[Any, io.BytesIO]]:
+    """An empty matplotlib figure (inches) and the buffer that holds it as `kind` when the block ends."""
+    import matplotlib as mpl
+    from matplotlib.figure import Figure
+
+    done = io.BytesIO()
+    with mpl.rc_context(STYLE):
+        drawn = Figure(figsize=size, layout="constrained")
+        yield drawn, done
+        metadata = {"Date": None} if kind == "svg" else {}
+        drawn.savefig(done, format=kind, dpi=120, metadata=metadata)
+
+
+def _line_style(method: str, methods: Sequence[str]) -> dict[str, Any]:
+    if method == "truth":
+        return {"color": COLOURS["truth"], "lw": 3, "alpha": 0.35}
+    return {"color": colour_of(method, methods), "lw": 1.6, "ls": "-" if method == "ours" else "--"}
+
+
+def _equal_box(axes: Any, points: np.ndarray) -> None:
+    """The same scale on all three axes (x, z, -y: up is up)."""
+    turned = points[:, [0, 2, 1]] * [1, 1, -1]
+    middle, half = (turned.min(axis=0) + turned.max(axis=0)) / 2, max(np.ptp(turned, axis=0).max() / 2, 1e-9)
+    limits = np.stack([middle - half, middle + half], axis=1)
+    axes.set(xlim=limits[0], ylim=limits[1], zlim=limits[2], xlabel="x", ylabel="z", zlabel="up (-y)")
+    axes.set_box_aspect((1, 1, 1))
+    axes.tick_params(labelsize=7)

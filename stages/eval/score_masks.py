@@ -1,0 +1,60 @@
+"""Rows of the mask table: the motion prior and the refined masks of every round against true motion masks."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from stages.eval import mask_metrics
+from stages.shared.artifacts import read_dense
+from stages.shared.images import read_mask
+
+PRIOR_THRESHOLD = 0.5
+
+
+def read_masks(folder: Path) -> dict[int, np.ndarray]:
+    """Masks [H, W] bool of a folder, by frame number."""
+    return {int(path.stem.removeprefix("frame_")): read_mask(path) for path in sorted(folder.glob("frame_*.png"))}
+
+
+def read_prior_masks(path: Path, width: int, height: int) -> dict[int, np.ndarray]:
+    """The motion prior above one half, at full size [H, W], by frame number."""
+    prior = read_dense(path)
+    size = (width, height)
+    enlarged = (cv2.resize(p.astype(np.float32), size, interpolation=cv2.INTER_LINEAR) for p in prior["probability"])
+    return {int(n): p > PRIOR_THRESHOLD for n, p in zip(prior["frame"], enlarged, strict=True)}
+
+
+def score_masks(
+    name: str, rounds: Sequence[Mapping[str, Mapping[int, np.ndarray]]], truth: Mapping[int, np.ndarray], source: str
+) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Rows per round and method, and rows per frame of the last round.
+
+    Args:
+        rounds: for each round, masks by method ("motion prior", "refined masks") and frame number.
+        truth: true masks by frame number; without any, only the share of dynamic pixels is given.
+        source: where the truth comes from.
+    """
+    table, frames = [], []
+    for k, methods in enumerate(rounds, start=1):
+        for method, masks in methods.items():
+            scored = {n: _score(mask, truth[n]) for n, mask in masks.items() if n in truth}
+            iou, boundary_f = np.mean(list(scored.values()), axis=0).tolist() if scored else (None, None)
+            row = {"sequence": name, "method": method, "round": k, "iou": iou, "boundary_f": boundary_f}
+            shares = {
+                "dynamic_percent": 100 * float(np.mean([mask.mean() for mask in masks.values()])),
+                "true_percent": 100 * float(np.mean([truth[n].mean() for n in scored])) if scored else None,
+            }
+            about = f"after round {k} of {len(rounds)}; truth: {source}"
+            table.append(row | shares | {"frames": len(scored), "protocol": about})
+            if k == len(rounds):
+                frames += [
+                    {"method": method, "frame": n, "iou": i, "boundary_f": f} for n, (i, f) in sorted(scored.items())
+                ]
+    return table, frames
+
+
+def _score(mask: np.ndarray, truth: np.ndarray) -> tuple[float, float]:
+    return mask_metrics.iou(mask, truth), mask_metrics.boundary_f(mask, truth)

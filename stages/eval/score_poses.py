@@ -1,0 +1,156 @@
+"""Rows of the pose table and of the trajectories: ours in every round, COLMAP in every variant."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stages.eval import trajectory
+from stages.shared import lie
+from stages.shared.alignment import DegenerateError, umeyama
+from stages.shared.artifacts import read_metadata, read_table
+from stages.shared.cameras import Cameras, intrinsics, make_cameras, read_cameras
+
+CAMERA_NAMES = {"point": "static", "line": "straight"}
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One method's poses of a sequence.
+
+    Attributes:
+        cameras: the k <= total registered frames, ascending; None if there is none.
+        failure: why there is none.
+        wall_s: seconds of the whole method; None where other rows of the report hold them.
+    """
+
+    method: str
+    protocol: str
+    total: int
+    cameras: Cameras | None
+    failure: str | None = None
+    wall_s: float | None = None
+
+
+def own_candidates(tables: Sequence[Path]) -> list[Candidate]:
+    """Our poses after each round, in order; the last round is called "ours"."""
+    candidates = []
+    for k, path in enumerate(tables, start=1):
+        cameras = read_cameras(path)
+        good = np.array([not str(status).startswith("failed") for status in cameras.status], bool)
+        method = "ours" if k == len(tables) else f"ours, round {k}"
+        protocol = f"no intrinsics given, after round {k} of {len(tables)}"
+        if read_metadata(path).get("options", {}).get("intrinsics") == "truth":
+            protocol = protocol.replace("no intrinsics given", "true intrinsics given")
+        registered = _select(cameras, good) if good.any() else None
+        failure = None if good.any() else str(cameras.status[0])
+        candidates.append(Candidate(method, protocol, len(good), registered, failure))
+    return candidates
+
+
+def colmap_candidates(table: Path) -> list[Candidate]:
+    """Every variant of the baseline, failed ones too."""
+    rows = read_table(table)
+    candidates = []
+    for variant in read_metadata(table)["variants"]:
+        chosen = {name: column[rows["method"] == variant["method"]] for name, column in rows.items()}
+        cameras = None
+        if variant["registered"]:
+            R = lie.matrix_from_quat(np.stack([chosen[name] for name in ("qw", "qx", "qy", "qz")], axis=-1))
+            t = np.stack([chosen[name] for name in ("tx", "ty", "tz")], axis=-1)
+            Ks = intrinsics(chosen["fx"], chosen["fy"], chosen["cx"], chosen["cy"])
+            cameras = make_cameras(lie.from_parts(R, t), Ks, chosen["frame"])
+        names = variant["method"], variant["protocol"], variant["total"]
+        candidates.append(Candidate(*names, cameras, variant["failure"], variant["wall_s"]))
+    return candidates
+
+
+def score(name: str, candidate: Candidate, truth: Cameras | None) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    """A row of the pose table, and a row per frame with the aligned centre and its error.
+
+    Without truth, or with truth that fixes no alignment, the errors that it cannot give are None and `status` says so.
+    """
+    row = _empty_row(name, candidate)
+    cameras = candidate.cameras
+    if cameras is None:
+        return row | {"status": "failed", "note": candidate.failure}, []
+    partial = f"only {len(cameras.numbers)} of {candidate.total} frames" if row["registered"] < row["total"] else ""
+    if truth is None:
+        return row | {"status": "no truth", "note": partial}, []
+    true = _select(truth, np.isin(truth.numbers, cameras.numbers))
+    row["focal_error_percent"] = trajectory.focal_error_percent(cameras.Ks, true.Ks)
+    try:
+        errors = trajectory.pose_errors(cameras.cam_from_world, true.cam_from_world, cameras.numbers)
+    except DegenerateError as error:
+        return row | _degenerate(error, cameras, true), []
+    row |= {name: getattr(errors, name) for name in ("ate", "ate_percent", "path")}
+    if len(errors.pairs):
+        row |= {name: getattr(errors, name) for name in ("rpe_trans", "rpe_rot_deg")}
+    note = f"{partial}: errors over these" if partial else ""
+    frames = _trajectory_rows(candidate.method, cameras.numbers, errors.centres, errors.centre_errors)
+    return row | {"status": "partial" if partial else "ok", "note": note}, frames
+
+
+def truth_rows(truth: Cameras) -> list[dict[str, Any]]:
+    """The true centres, as rows of the trajectory table."""
+    return _trajectory_rows("truth", truth.numbers, truth.centres, None)
+
+
+def rows_without_truth(candidates: Sequence[Candidate]) -> list[dict[str, Any]]:
+    """Centres of every method, aligned to the last of ours; methods that cannot be aligned are left out."""
+    ours = next((c.cameras for c in candidates if c.method == "ours" and c.cameras is not None), None)
+    if ours is None:
+        return []
+    rows = _trajectory_rows("ours", ours.numbers, ours.centres, None)
+    for candidate in candidates:
+        if candidate.cameras is None or candidate.method == "ours":
+            continue
+        common = np.isin(ours.numbers, candidate.cameras.numbers)
+        try:
+            scale, R, t = umeyama(candidate.cameras.centres, ours.centres[common])
+        except DegenerateError:
+            continue
+        centres = scale * candidate.cameras.centres @ R.T + t
+        rows += _trajectory_rows(candidate.method, candidate.cameras.numbers, centres, None)
+    return rows
+
+
+def _empty_row(name: str, candidate: Candidate) -> dict[str, Any]:
+    errors = ("ate", "ate_percent", "rpe_trans", "rpe_rot_deg", "focal_error_percent", "path")
+    return {
+        "sequence": name,
+        "method": candidate.method,
+        "protocol": candidate.protocol,
+        "registered": 0 if candidate.cameras is None else len(candidate.cameras.numbers),
+        "total": candidate.total,
+        **dict.fromkeys(errors),
+        "wall_s": candidate.wall_s,
+    }
+
+
+def _degenerate(error: DegenerateError, cameras: Cameras, true: Cameras) -> dict[str, Any]:
+    """Rotation errors need no alignment; the rest stays empty, with the reason."""
+    kind = CAMERA_NAMES[error.shape]
+    if error.which == "source":
+        return {"status": "failed", "note": f"the estimated camera is {kind}: no alignment with the truth"}
+    poses = lie.inverse(cameras.cam_from_world), lie.inverse(true.cam_from_world)
+    _, turns_deg, pairs = trajectory.relative_errors(*poses, cameras.numbers)
+    rotation = {"rpe_rot_deg": trajectory.rmse(turns_deg)} if len(pairs) else {}
+    return {"status": f"degenerate truth: {kind} camera", "note": "ATE and RPE translation are not defined"} | rotation
+
+
+def _select(cameras: Cameras, chosen: np.ndarray) -> Cameras:
+    fields = ("cam_from_world", "Ks", "numbers", "covariance", "status")
+    return replace(cameras, **{name: getattr(cameras, name)[chosen] for name in fields})
+
+
+def _trajectory_rows(
+    method: str, numbers: np.ndarray, centres: np.ndarray, errors: np.ndarray | None
+) -> list[dict[str, Any]]:
+    listed = [None] * len(numbers) if errors is None else errors.tolist()
+    return [
+        {"method": method, "frame": int(number), "x": x, "y": y, "z": z, "error": error}
+        for number, (x, y, z), error in zip(numbers, centres.tolist(), listed, strict=True)
+    ]

@@ -1,0 +1,59 @@
+"""The truth of a sequence as arrays; what is not there is None."""
+
+import numpy as np
+
+from stages.shared import lie, sintel
+from stages.shared.cameras import Cameras, make_cameras, pixel_grid, project, unproject
+from stages.shared.images import read_mask
+from stages.shared.sequences import Sequence
+
+MOVING_PX = 0.1  # Sintel's own flow and cameras agree to better than this on still pixels
+
+
+def true_cameras(sequence: Sequence, kind: str = "camdata_left") -> Cameras | None:
+    """Cameras of all T frames, scene units and pixels, or None if any is missing."""
+    if not sequence.has_truth(kind):
+        return None
+    Ks, extrinsics = zip(*(sintel.read_cam(sequence.truth[kind][n]) for n in sequence.numbers), strict=True)
+    cam_from_world = np.stack(extrinsics)
+    return make_cameras(
+        lie.from_parts(cam_from_world[:, :, :3], cam_from_world[:, :, 3]), np.stack(Ks), np.array(sequence.numbers)
+    )
+
+
+def has_derived_masks(sequence: Sequence) -> bool:
+    """Whether motion masks can be computed from true flow, depth and cameras."""
+    return all(sequence.has_truth(kind) for kind in ("flow", "depth", "camdata_left"))
+
+
+def true_masks(sequence: Sequence) -> tuple[dict[int, np.ndarray], str]:
+    """True motion masks [H, W] bool by frame number, and where they come from; empty without truth."""
+    if sequence.has_truth("motion_mask"):
+        files = sequence.truth["motion_mask"]
+        return {number: read_mask(files[number]) for number in sequence.numbers}, "motion_mask files"
+    cameras = true_cameras(sequence)
+    if cameras is None or not has_derived_masks(sequence):
+        return {}, "none"
+    masks = {}
+    for k, number in enumerate(sequence.numbers[:-1]):
+        flow = sintel.read_flo(sequence.truth["flow"][number])
+        depth = sintel.read_dpt(sequence.truth["depth"][number])
+        source, target = ((cameras.cam_from_world[i], cameras.Ks[i]) for i in (k, k + 1))
+        masks[number] = moving_pixels(flow, depth, source, target)
+    return masks, f"true flow more than {MOVING_PX} px from the motion of true depth and cameras (no last frame)"
+
+
+def moving_pixels(
+    flow_px: np.ndarray,
+    depth: np.ndarray,
+    source: tuple[np.ndarray, np.ndarray],
+    target: tuple[np.ndarray, np.ndarray],
+) -> np.ndarray:
+    """Pixels [H, W] bool whose flow [H, W, 2] differs from what z-depth [H, W] and the cameras alone cause.
+
+    Args:
+        source, target: cam_from_world [4, 4] and K [3, 3] of the two frames.
+    """
+    uv = pixel_grid(*depth.shape)
+    predicted, _ = project(unproject(uv, depth.astype(float), *source), *target)
+    return np.asarray(np.linalg.norm(uv + flow_px - predicted, axis=-1) > MOVING_PX)
