@@ -1,0 +1,100 @@
+"""The effects of the final pass, one function each; `final` runs those that a scene lists, in this order.
+
+Light: shadows, specular, fog act where rays meet surfaces; motion_blur averages whole pictures; the others act on
+one picture [H, W, 3] in linear RGB.
+"""
+
+import numpy as np
+from numba import njit, prange
+
+from stages.simulate.effect_models import Defocus, Exposure, Flicker, Fog, Noise, Shadows, Specular, Vignette
+from stages.simulate.raycast import Hits, blocked
+from stages.simulate.scene import FRAMES_PER_SECOND, Lights
+from stages.simulate.shading import Surface, sun_direction
+from stages.simulate.world import Snapshot
+
+SHADOW_SLACK_M = 2e-3
+
+
+def shadows(effect: Shadows, snapshot: Snapshot, lights: Lights, hits: Hits, surface: Surface) -> np.ndarray:
+    """Share of the sun [n] that arrives at what rays meet."""
+    hidden = np.zeros(len(hits.face), bool)
+    sun = sun_direction(lights)
+    towards = np.flatnonzero((hits.face >= 0) & (surface.normal @ sun > 0))
+    origins = hits.point[towards] + SHADOW_SLACK_M * surface.normal[towards]
+    hidden[towards] = blocked(snapshot.still, snapshot.moving, origins, sun, True, SHADOW_SLACK_M)
+    return 1.0 - effect.darkness * hidden
+
+
+def specular(effect: Specular, lights: Lights, hits: Hits, surface: Surface, centre: np.ndarray) -> np.ndarray:
+    """Highlight [n, 3] of the sun at full strength (Blinn 1977)."""
+    view = centre - hits.point
+    view /= np.linalg.norm(view, axis=1, keepdims=True)
+    half = view + sun_direction(lights)
+    half /= np.linalg.norm(half, axis=1, keepdims=True)
+    shine = np.maximum(np.einsum("nc,nc->n", surface.normal, half), 0.0) ** effect.exponent
+    return np.asarray((effect.strength * surface.gloss * shine)[:, None] * np.array(lights.sun))
+
+
+def fog(effect: Fog, radiance: np.ndarray, hits: Hits, centre: np.ndarray) -> np.ndarray:
+    """Radiance [n, 3] through fog over the distance to the surface (Beer and Lambert)."""
+    clear = np.exp(-effect.density * np.linalg.norm(hits.point - centre, axis=1))[:, None]
+    return np.asarray(clear * radiance + (1 - clear) * np.array(effect.colour))
+
+
+def defocus(effect: Defocus, picture: np.ndarray, depth: np.ndarray) -> np.ndarray:
+    """Blur by the circle of confusion of each depth [H, W], radius aperture * |1 - focus / depth| pixels."""
+    radius = effect.aperture_px * np.abs(1 - effect.focus / depth)
+    return np.asarray(_gather(picture, depth, np.minimum(radius, 2 * effect.aperture_px)))
+
+
+def vignette(effect: Vignette, picture: np.ndarray) -> np.ndarray:
+    """Light falls with the square of the distance from the centre."""
+    height, width = picture.shape[:2]
+    v, u = np.mgrid[-1 : 1 : height * 1j, -1 : 1 : width * 1j]
+    return np.asarray(picture * (1 - effect.strength * (u**2 + v**2) / 2)[..., None])
+
+
+def flicker(effect: Flicker, picture: np.ndarray, frame: float) -> np.ndarray:
+    """Rows brighten and darken with their time of readout."""
+    rows = np.arange(picture.shape[0]) / effect.rows
+    phase = 2 * np.pi * (rows + effect.hz * frame / FRAMES_PER_SECOND)
+    return np.asarray(picture * (1 + effect.amplitude * np.sin(phase))[:, None, None])
+
+
+def exposure(effect: Exposure, picture: np.ndarray, time: float, seed: int) -> np.ndarray:
+    """Gains at `time` 0..1: slow sines with random phases, equal to 1 on average over phases."""
+    phases = np.random.default_rng([seed, 4]).uniform(0, 2 * np.pi, 4)
+    slow = np.sin(2 * np.pi * np.array([0.8, 0.5, 1.3, 0.9]) * time + phases)
+    stops = effect.stops * (0.7 * slow[0] + 0.3 * slow[2])
+    tint = effect.white_balance * (0.7 * slow[1] + 0.3 * slow[3])
+    return np.asarray(picture * 2**stops * np.array([1 + tint, 1.0, 1 - tint]))
+
+
+def noise(effect: Noise, picture: np.ndarray, frame: int, seed: int) -> np.ndarray:
+    """Shot noise (variance picture / photons, normal approximation) and read noise."""
+    rng = np.random.default_rng([seed, 5, frame])
+    deviation = np.sqrt(np.maximum(picture, 0) / effect.photons + effect.read**2)
+    return np.asarray(picture + deviation * rng.standard_normal(picture.shape))
+
+
+@njit(cache=True, parallel=True)
+def _gather(picture, depth, radius):  # type: ignore[no-untyped-def]
+    """Each pixel averages those whose blur circle reaches it; one behind it counts only within its own circle."""
+    height, width = depth.shape
+    reach = int(np.ceil(radius.max()))
+    blurred = np.empty_like(picture)
+    for y in prange(height):
+        for x in range(width):
+            total, weights = np.zeros(3), 0.0
+            for j in range(max(y - reach, 0), min(y + reach + 1, height)):
+                for i in range(max(x - reach, 0), min(x + reach + 1, width)):
+                    r = radius[j, i] if depth[j, i] <= depth[y, x] else min(radius[j, i], radius[y, x])
+                    inside = r + 0.5 - np.sqrt(float((j - y) ** 2 + (i - x) ** 2))
+                    if inside > 0:
+                        w = min(inside, 1.0) / (r + 0.5) ** 2
+                        weights += w
+                        for c in range(3):
+                            total[c] += w * picture[j, i, c]
+            blurred[y, x] = total / weights
+    return blurred

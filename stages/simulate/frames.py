@@ -1,0 +1,128 @@
+"""Pictures of a scene: rays through pixel centres, more of them where surfaces meet, and the final pass."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from stages.shared.cameras import pixel_grid
+from stages.simulate import effects
+from stages.simulate.motion import View
+from stages.simulate.raycast import Hits, cast
+from stages.simulate.scene import Scene
+from stages.simulate.shading import lit, surfaces
+from stages.simulate.stopwatch import Stopwatch
+from stages.simulate.world import Snapshot, World
+
+SUBPIXELS = np.array([[-0.125, -0.375], [0.375, -0.125], [-0.375, 0.125], [0.125, 0.375]])
+"""Rotated-grid samples of a pixel, relative to its centre."""
+OF_LIGHT = ("shadows", "specular", "fog")
+
+
+class Stage(NamedTuple):
+    """What every picture of a scene needs: the scene, its triangles, its left camera, its seed, and a clock."""
+
+    scene: Scene
+    world: World
+    view: Callable[[float], View]
+    seed: int
+    watch: Stopwatch
+
+
+class Moment(NamedTuple):
+    """The scene and a camera at one frame index."""
+
+    snapshot: Snapshot
+    view: View
+
+
+def picture(stage: Stage, moment: Moment, with_effects: bool) -> tuple[np.ndarray, Hits]:
+    """Radiance [H, W, 3] and what the pixel centres see [H W]."""
+    height, width = stage.scene.height, stage.scene.width
+    uv = pixel_grid(height, width).reshape(-1, 2)
+    hits = cast(moment.snapshot, moment.view, uv)
+    radiance = _radiance(stage, moment, hits, with_effects)
+    edges = np.flatnonzero(edge_pixels(hits, stage.world, height, width))
+    finer = (uv[edges, None] + SUBPIXELS).reshape(-1, 2)
+    sampled = _radiance(stage, moment, cast(moment.snapshot, moment.view, finer), with_effects)
+    radiance[edges] = sampled.reshape(-1, len(SUBPIXELS), 3).mean(axis=1)
+    return radiance.reshape(height, width, 3), hits
+
+
+def final(stage: Stage, frame: int, moment: Moment, clean: np.ndarray, hits: Hits) -> np.ndarray:
+    """The final pass [H, W, 3]: `clean` with the effects that the scene lists, and no others."""
+    listed, measure = stage.scene.effects, stage.watch.measure
+    radiance = clean
+    if listed.motion_blur:
+        with measure("motion_blur"):
+            radiance = _motion_blur(stage, frame)
+    elif any(getattr(listed, name) for name in OF_LIGHT):
+        with measure("light effects"):
+            radiance = picture(stage, moment, with_effects=True)[0]
+    if listed.defocus:
+        with measure("defocus"):
+            radiance = effects.defocus(listed.defocus, radiance, hits.depth.reshape(radiance.shape[:2]))
+    if listed.vignette:
+        with measure("vignette"):
+            radiance = effects.vignette(listed.vignette, radiance)
+    if listed.flicker:
+        with measure("flicker"):
+            radiance = effects.flicker(listed.flicker, radiance, frame)
+    if listed.exposure:
+        with measure("exposure"):
+            time = frame / (stage.scene.frames - 1)
+            radiance = effects.exposure(listed.exposure, radiance, time, stage.seed)
+    if listed.noise:
+        with measure("noise"):
+            radiance = effects.noise(listed.noise, radiance, frame, stage.seed)
+    return radiance
+
+
+def edge_pixels(hits: Hits, world: World, height: int, width: int) -> np.ndarray:
+    """Pixels [H, W] bool with a neighbour that sees another body or lies 5 % nearer or farther."""
+    body = np.where(hits.face >= 0, world.body[hits.face], -1).reshape(height, width)
+    depth = np.log(hits.depth).reshape(height, width)
+    edges = np.zeros((height, width), bool)
+    across = (body[:, 1:] != body[:, :-1]) | (np.abs(np.diff(depth, axis=1)) > 0.05)
+    down = (body[1:] != body[:-1]) | (np.abs(np.diff(depth, axis=0)) > 0.05)
+    edges[:, 1:] |= across
+    edges[:, :-1] |= across
+    edges[1:] |= down
+    edges[:-1] |= down
+    return edges
+
+
+def to_srgb(radiance: np.ndarray) -> np.ndarray:
+    """8-bit sRGB of linear radiance, clipped to 0..1 (IEC 61966-2-1)."""
+    linear = np.clip(radiance, 0.0, 1.0)
+    encoded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+    return np.asarray((encoded * 255 + 0.5).astype(np.uint8))
+
+
+def _motion_blur(stage: Stage, frame: int) -> np.ndarray:
+    """Mean of pictures over the time the shutter is open."""
+    blur = stage.scene.effects.motion_blur
+    assert blur is not None
+    moments = frame + blur.shutter * ((np.arange(blur.samples) + 0.5) / blur.samples - 0.5)
+    total = np.zeros((stage.scene.height, stage.scene.width, 3))
+    for time in moments:
+        total += picture(stage, Moment(stage.world.at(time), stage.view(time)), with_effects=True)[0]
+    return total / blur.samples
+
+
+def _radiance(stage: Stage, moment: Moment, hits: Hits, with_effects: bool) -> np.ndarray:
+    """Radiance [n, 3] of what rays meet, with the effects of light if asked for."""
+    listed, lights, centre = stage.scene.effects, stage.scene.lights, moment.view.centre
+    surface = surfaces(stage.world, moment.snapshot, lights, hits, centre, moment.view.K[0, 0])
+    sunlight = np.ones(len(hits.face))
+    if with_effects and listed.shadows:
+        with stage.watch.measure("shadows"):
+            sunlight = effects.shadows(listed.shadows, moment.snapshot, lights, hits, surface)
+    radiance = lit(surface, lights, sunlight)
+    if with_effects and listed.specular:
+        with stage.watch.measure("specular"):
+            radiance += sunlight[:, None] * effects.specular(listed.specular, lights, hits, surface, centre)
+    if with_effects and listed.fog:
+        with stage.watch.measure("fog"):
+            radiance = effects.fog(listed.fog, radiance, hits, centre)
+    return radiance

@@ -1,0 +1,100 @@
+"""Rays into a snapshot: what a camera sees at given pixels, and what lies between two points."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit, prange
+
+from stages.simulate.bvh import walk
+from stages.simulate.motion import View
+from stages.simulate.world import Snapshot, World
+
+DOME_M = 2000.0
+"""Radius of the sky, a sphere about the world's origin at rest: so every pixel has a depth and a flow."""
+SKY = -1
+FAR = 1e30
+
+
+class Hits(NamedTuple):
+    """What n rays meet.
+
+    Attributes:
+        depth: [n] z-depth in metres.
+        face: [n] triangle, or SKY.
+        bary: [n, 2] weights of the triangle's second and third corner.
+        point: [n, 3] in the world.
+    """
+
+    depth: np.ndarray
+    face: np.ndarray
+    bary: np.ndarray
+    point: np.ndarray
+
+
+def cast(snapshot: Snapshot, view: View, uv: np.ndarray) -> Hits:
+    """The nearest surface along the rays through pixels [n, 2]."""
+    focal, cx, cy = view.K[0, 0], view.K[0, 2], view.K[1, 2]
+    rays = np.column_stack([(uv[:, 0] - cx) / focal, (uv[:, 1] - cy) / focal, np.ones(len(uv))])
+    directions = rays @ view.cam_from_world[:3, :3]
+    depth, face, bary = _nearest(snapshot.still, snapshot.moving, view.centre, directions)
+    return Hits(depth, face, bary, view.centre + depth[:, None] * directions)
+
+
+def follow(hits: Hits, world: World, snapshot: Snapshot) -> np.ndarray:
+    """Where the surface points of `hits` are in another snapshot, [n, 3]; the sky is at rest."""
+    return _follow(world.faces, snapshot.vertices, hits.face, hits.bary, hits.point)
+
+
+@njit(cache=True, parallel=True, error_model="numpy")
+def _nearest(still, moving, centre, directions):  # type: ignore[no-untyped-def]
+    n = len(directions)
+    depth, face, bary = np.empty(n), np.empty(n, np.int64), np.zeros((n, 2))
+    ox, oy, oz = centre
+    for k in prange(n):
+        dx, dy, dz = directions[k]
+        t, hit, u, v = walk(still, ox, oy, oz, dx, dy, dz, FAR, False)
+        face[k] = still.faces[hit] if hit >= 0 else SKY
+        t, hit, mu, mv = walk(moving, ox, oy, oz, dx, dy, dz, t, False)
+        if hit >= 0:
+            face[k], u, v = moving.faces[hit], mu, mv
+        if face[k] == SKY:
+            half, square = ox * dx + oy * dy + oz * dz, dx * dx + dy * dy + dz * dz
+            inside = DOME_M * DOME_M - ox * ox - oy * oy - oz * oz
+            t = (np.sqrt(half * half + square * inside) - half) / square
+        depth[k], bary[k, 0], bary[k, 1] = t, u, v
+    return depth, face, bary
+
+
+@njit(cache=True, parallel=True, error_model="numpy")
+def blocked(still, moving, points, source, directional, slack):  # type: ignore[no-untyped-def]
+    """Whether something lies between points [n, 3] and `source` [3], a point, or a direction if `directional`.
+
+    `slack` is how much of the way next to the point does not count, relative for a point source, metres otherwise.
+    """
+    n = len(points)
+    between = np.empty(n, np.bool_)
+    for k in prange(n):
+        px, py, pz = points[k]
+        if directional:
+            dx, dy, dz = source
+            ox, oy, oz, reach = px + slack * dx, py + slack * dy, pz + slack * dz, FAR
+        else:
+            ox, oy, oz = source
+            dx, dy, dz, reach = px - ox, py - oy, pz - oz, 1.0 - slack
+        hit = walk(still, ox, oy, oz, dx, dy, dz, reach, True)[1]
+        if hit < 0:
+            hit = walk(moving, ox, oy, oz, dx, dy, dz, reach, True)[1]
+        between[k] = hit >= 0
+    return between
+
+
+@njit(cache=True, parallel=True)
+def _follow(faces, vertices, face, bary, point):  # type: ignore[no-untyped-def]
+    moved = point.copy()
+    for k in prange(len(face)):
+        if face[k] >= 0:
+            a, b, c = faces[face[k]]
+            v, w = bary[k]
+            for axis in range(3):
+                moved[k, axis] = (1 - v - w) * vertices[a, axis] + v * vertices[b, axis] + w * vertices[c, axis]
+    return moved

@@ -1,0 +1,104 @@
+"""The scene file: what is in a scene, how it moves, what the camera does, and which effects are drawn.
+
+World axes: x right, y forward, z up, in metres. `time` of keyframes runs 0..1 over the clip; frequencies are in
+hertz at 24 frames per second.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import yaml
+from pydantic import Field, model_validator
+
+from stages.shared.errors import InputError
+from stages.shared.options import Options, validate
+from stages.simulate.effect_models import Effects
+from stages.simulate.shape_models import Colour, Shape, Vec3
+
+FRAMES_PER_SECOND = 24
+
+
+class CameraKey(Options):
+    """Where the camera stands and looks at one time."""
+
+    time: float = Field(ge=0, le=1, description="0 at the first frame, 1 at the last")
+    eye: Vec3 = Field(description="camera centre, metres")
+    target: Vec3 = Field(description="the point it looks at, metres")
+    zoom: float = Field(1.0, gt=0.05, le=20, description="factor on the focal length")
+
+    @model_validator(mode="after")
+    def _looks_somewhere(self) -> "CameraKey":
+        if all(abs(a - b) < 1e-6 for a, b in zip(self.eye, self.target, strict=True)):
+            raise ValueError("a target different from the eye")
+        return self
+
+
+class Handheld(Options):
+    """Smooth random camera shake: amplitudes of a sum of sines between 0.2 and 3 Hz."""
+
+    position: float = Field(0.0, ge=0, le=1, description="metres, standard deviation per axis")
+    rotation_deg: float = Field(0.0, ge=0, le=20, description="degrees, standard deviation per axis")
+
+
+class Camera(Options):
+    """A pinhole camera on a smooth path through its keyframes."""
+
+    focal: float = Field(1.1, gt=0.1, le=10, description="focal length in image widths")
+    keys: list[CameraKey] = Field(min_length=1, description="keyframes in order of time")
+    handheld: Handheld = Handheld()
+    baseline: float = Field(0.1, gt=0, le=10, description="distance of the right camera, metres")
+
+    @model_validator(mode="after")
+    def _in_order(self) -> "Camera":
+        times = [key.time for key in self.keys]
+        if any(b <= a for a, b in zip(times, times[1:], strict=False)):
+            raise ValueError("keyframes with increasing times")
+        return self
+
+
+class Lights(Options):
+    """One sun and a sky that lights from above; both are radiances in units of display white."""
+
+    sun_from: Vec3 = Field((-0.4, -0.5, 0.8), description="direction towards the sun")
+    sun: Colour = Field((1.15, 1.08, 0.95), description="linear RGB")
+    sky: Colour = Field((0.42, 0.48, 0.58), description="linear RGB light from above")
+    bounce: Colour = Field((0.22, 0.19, 0.16), description="linear RGB light from below")
+    horizon: Colour = Field((0.75, 0.78, 0.8), description="linear RGB of the sky at the horizon")
+    zenith: Colour = Field((0.22, 0.4, 0.72), description="linear RGB of the sky overhead")
+    clouds: float = Field(0.6, ge=0, le=1, description="how much of the sky is cloud")
+
+    @model_validator(mode="after")
+    def _has_direction(self) -> "Lights":
+        if sum(x * x for x in self.sun_from) < 1e-12:
+            raise ValueError("a sun direction other than zero")
+        return self
+
+
+class Scene(Options):
+    """One scene file."""
+
+    description: str = Field(description="one line: what is difficult about the scene")
+    frames: int = Field(14, ge=2, le=1000, description="number of frames")
+    width: int = Field(512, ge=16, le=1024, description="pixels")
+    height: int = Field(218, ge=16, le=436, description="pixels")
+    camera: Camera
+    lights: Lights = Lights()
+    objects: list[Shape] = Field(min_length=1)
+    effects: Effects = Effects()
+
+
+def load_scene(path: Path) -> Scene:
+    """Read and check a scene file.
+
+    Raises:
+        InputError: one line that names the wrong key and what it may be.
+    """
+    try:
+        raw: Any = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise InputError(path, "a YAML scene file", " ".join(str(error).split()), "correct the file") from error
+    if not isinstance(raw, dict):
+        raise InputError(
+            path, "keys such as `frames:` and `objects:`", f"a {type(raw).__name__}", "see scenes/demo.yaml"
+        )
+    return validate(Scene, raw, path.name)

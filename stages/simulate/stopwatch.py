@@ -1,0 +1,35 @@
+"""Seconds by purpose; time inside a nested purpose counts for that one alone."""
+
+import contextlib
+import time
+from collections.abc import Iterator
+
+
+class Stopwatch:
+    """`spent` holds wall-clock seconds by name, `calls` how often each was measured."""
+
+    def __init__(self) -> None:
+        self.spent: dict[str, float] = {}
+        self.calls: dict[str, int] = {}
+        self._open: list[str] = []
+        self._since = time.perf_counter()
+
+    @contextlib.contextmanager
+    def measure(self, name: str) -> Iterator[None]:
+        """Count the time of the block for `name`."""
+        self._settle()
+        self._open.append(name)
+        self.calls[name] = self.calls.get(name, 0) + 1
+        self.spent.setdefault(name, 0.0)
+        try:
+            yield
+        finally:
+            self._settle()
+            self._open.pop()
+
+    def _settle(self) -> None:
+        """Count the time since the last change for the innermost open name."""
+        now = time.perf_counter()
+        if self._open:
+            self.spent[self._open[-1]] += now - self._since
+        self._since = now

@@ -1,0 +1,95 @@
+"""All bodies of a scene as one list of triangles, and that list at one moment, ready for rays."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from stages.simulate import bvh, textures
+from stages.simulate.bodies import build_bodies
+from stages.simulate.bvh import Tree
+from stages.simulate.scene import Scene
+
+
+class Materials(NamedTuple):
+    """One row per body: pattern [M], colours [M, 2, 3], scale [M] metres, contrast [M], gloss [M], offset [M, 3]."""
+
+    pattern: np.ndarray
+    colours: np.ndarray
+    scale: np.ndarray
+    contrast: np.ndarray
+    gloss: np.ndarray
+    offset: np.ndarray
+
+
+class Snapshot(NamedTuple):
+    """The scene at one moment.
+
+    Attributes:
+        vertices: [V, 3] world positions; `normals` [V, 3] unit vectors.
+        still, moving: trees over the triangles at rest and over those that move.
+    """
+
+    vertices: np.ndarray
+    normals: np.ndarray
+    still: Tree
+    moving: Tree
+
+
+class World:
+    """Every triangle of a scene; bodies at rest come first.
+
+    Attributes:
+        faces: [F, 3] vertex indices; `body` [F] the body of each face.
+        rest: [V, 3] vertices that textures stick to.
+    """
+
+    def __init__(self, scene: Scene, seed: int) -> None:
+        self.bodies = sorted(build_bodies(scene, seed), key=lambda body: body.moves)
+        counts = [len(body.rest.vertices) for body in self.bodies]
+        starts = np.cumsum([0, *counts[:-1]])
+        self.faces = np.concatenate([body.rest.faces + start for body, start in zip(self.bodies, starts, strict=True)])
+        self.body = np.repeat(np.arange(len(self.bodies)), [len(body.rest.faces) for body in self.bodies])
+        self.rest = np.concatenate([body.rest.vertices for body in self.bodies])
+        self.materials = _materials(self)
+        still = [body for body in self.bodies if not body.moves]
+        self._still_faces = sum(len(body.rest.faces) for body in still)
+        self._still_vertices = _stack([body.vertices(0.0) for body in still])
+        faces = self.faces[: self._still_faces]
+        self._still_normals = vertex_normals(self._still_vertices, faces)
+        self._still_tree = bvh.build(self._still_vertices[faces], np.arange(len(faces)))
+
+    def at(self, frame: float) -> Snapshot:
+        """The scene at a frame index, which may be fractional."""
+        start = len(self._still_vertices)
+        moved = _stack([body.vertices(frame) for body in self.bodies if body.moves])
+        faces = self.faces[self._still_faces :]
+        normals = vertex_normals(moved, faces - start)
+        tree = bvh.build(moved[faces - start], np.arange(self._still_faces, len(self.faces)))
+        vertices = np.concatenate([self._still_vertices, moved])
+        return Snapshot(vertices, np.concatenate([self._still_normals, normals]), self._still_tree, tree)
+
+
+def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Unit normals [V, 3]: the mean of a vertex's faces weighted by area."""
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    areas = np.cross(b - a, c - a)
+    index = faces.T.ravel()
+    sums = [np.bincount(index, np.tile(areas[:, k], 3), len(vertices)) for k in range(3)]
+    normals = np.stack(sums, axis=1)
+    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+
+
+def _stack(vertices: list[np.ndarray]) -> np.ndarray:
+    return np.concatenate(vertices) if vertices else np.zeros((0, 3))
+
+
+def _materials(world: World) -> Materials:
+    looks = [body.texture for body in world.bodies]
+    return Materials(
+        np.array([textures.PATTERNS[look.pattern] for look in looks]),
+        np.array([look.colours for look in looks], float),
+        np.array([look.scale for look in looks], float),
+        np.array([look.contrast for look in looks], float),
+        np.array([look.gloss for look in looks], float),
+        np.stack([body.offset for body in world.bodies]),
+    )
