@@ -1,5 +1,7 @@
 """Options of optical flow and of the motion prior."""
 
+from typing import Annotated
+
 from pydantic import Field
 
 from stages.shared.options import Options
@@ -8,8 +10,17 @@ from stages.shared.options import Options
 class FlowOptions(Options):
     """Dense flow over an edge list, with forward-backward confidence."""
 
-    offsets: tuple[int, ...] = Field((1, 2, 3, 5), min_length=1, description="frame distances of the edges, both ways")
+    offsets: tuple[Annotated[int, Field(ge=1)], ...] = Field(
+        (1, 2, 3, 5), min_length=1, description="frame distances of the edges, both ways"
+    )
     max_width_px: int = Field(512, ge=64, description="wider frames are reduced to this width before matching")
+    finest_scale: int = Field(
+        0,
+        ge=0,
+        le=3,
+        description="finest pyramid level that is searched: 0 is full size; 1 takes a third of the time"
+        " and doubles the error of long edges",
+    )
 
 
 class MotionOptions(Options):
