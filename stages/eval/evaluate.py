@@ -6,8 +6,9 @@ from typing import Annotated, Any
 
 from stages.eval import image_metrics, mask_metrics, score_geometry, score_images, score_masks, score_poses, trajectory
 from stages.eval.options import EvaluateOptions
+from stages.eval.paths import path_rows
 from stages.eval.plots import draw_trajectories
-from stages.eval.tables import Row, read_rows, write_rows
+from stages.eval.tables import Row, write_rows
 from stages.eval.truth import true_cameras, true_masks
 from stages.shared import cli
 from stages.shared.artifacts import atomic, read_dense, read_json, read_metadata
@@ -54,11 +55,10 @@ def main(
     frames = read_sequence(sequence)
     truth = true_cameras(frames)
     candidates = [*score_poses.own_candidates(poses), *score_poses.colmap_candidates(colmap)]
-    scored = [score_poses.score(frames.name, candidate, truth) for candidate in candidates]
-    paths = [row for _, rows in scored for row in rows]
-    paths = [*score_poses.truth_rows(truth), *paths] if truth else score_poses.rows_without_truth(candidates)
-    _log_rows("poses", [row for row, _ in scored])
-    write_rows(poses_table, [row for row, _ in scored], POSES, {"protocol": trajectory.PROTOCOL})
+    pose_rows = [score_poses.score(frames.name, candidate, truth) for candidate in candidates]
+    _log_rows("poses", pose_rows)
+    write_rows(poses_table, pose_rows, POSES, {"protocol": trajectory.PROTOCOL})
+    paths = path_rows(candidates, truth)
     write_rows(trajectory_table, paths, TRAJECTORY, {"unit": "scene units of the truth, or of ours without truth"})
 
     moving, source = true_masks(frames)
@@ -85,7 +85,7 @@ def main(
     write_rows(checks_table, checks, CHECKS, {})
     write_rows(time_table, [_time_row(frames.name, path) for path in stage_stats], TIME, {"unit": "seconds and MB"})
     with atomic(figure) as partial:
-        partial.write_bytes(draw_trajectories(read_rows(trajectory_table), "png"))
+        partial.write_bytes(draw_trajectories(paths, "png"))
 
 
 def _log_rows(name: str, rows: Rows[Row]) -> None:

@@ -50,10 +50,11 @@ def draw_trajectories(rows: Sequence[Row], kind: str) -> bytes:
 
 
 def paths_of(rows: Sequence[Row]) -> dict[str, np.ndarray]:
-    """Centres [k, 3] by method, in the order of the rows."""
+    """Centres [k, 3] by method, in the order of the rows; our earlier rounds are left out."""
     found: dict[str, list[list[float]]] = {}
     for row in rows:
-        found.setdefault(row["method"], []).append([row["x"], row["y"], row["z"]])
+        if not row["method"].startswith("ours, "):
+            found.setdefault(row["method"], []).append([row["x"], row["y"], row["z"]])
     return {method: np.array(path) for method, path in found.items()}
 
 

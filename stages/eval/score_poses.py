@@ -1,4 +1,4 @@
-"""Rows of the pose table and of the trajectories: ours in every round, COLMAP in every variant."""
+"""Rows of the pose table: ours in every round, COLMAP in every variant."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -9,11 +9,13 @@ import numpy as np
 
 from stages.eval import trajectory
 from stages.shared import lie
-from stages.shared.alignment import DegenerateError, umeyama
+from stages.shared.alignment import DegenerateError, extent, umeyama
 from stages.shared.artifacts import read_metadata, read_table
 from stages.shared.cameras import Cameras, intrinsics, make_cameras, read_cameras
 
 CAMERA_NAMES = {"point": "static", "line": "straight"}
+WITHOUT_POSE = ("failed", "unobserved")
+"""Status of frames whose pose is no estimate."""
 
 
 @dataclass(frozen=True)
@@ -39,12 +41,12 @@ def own_candidates(tables: Sequence[Path]) -> list[Candidate]:
     candidates = []
     for k, path in enumerate(tables, start=1):
         cameras = read_cameras(path)
-        good = np.array([not str(status).startswith("failed") for status in cameras.status], bool)
+        good = ~np.isin(cameras.status.astype(str), WITHOUT_POSE)
         method = "ours" if k == len(tables) else f"ours, round {k}"
         protocol = f"no intrinsics given, after round {k} of {len(tables)}"
         if read_metadata(path).get("options", {}).get("intrinsics") == "truth":
             protocol = protocol.replace("no intrinsics given", "true intrinsics given")
-        registered = _select(cameras, good) if good.any() else None
+        registered = select(cameras, good) if good.any() else None
         failure = None if good.any() else str(cameras.status[0])
         candidates.append(Candidate(method, protocol, len(good), registered, failure))
     return candidates
@@ -67,54 +69,29 @@ def colmap_candidates(table: Path) -> list[Candidate]:
     return candidates
 
 
-def score(name: str, candidate: Candidate, truth: Cameras | None) -> tuple[dict[str, Any], list[dict[str, Any]]]:
-    """A row of the pose table, and a row per frame with the aligned centre and its error.
+def score(name: str, candidate: Candidate, truth: Cameras | None) -> dict[str, Any]:
+    """A row of the pose table.
 
     Without truth, or with truth that fixes no alignment, the errors that it cannot give are None and `status` says so.
     """
     row = _empty_row(name, candidate)
     cameras = candidate.cameras
     if cameras is None:
-        return row | {"status": "failed", "note": candidate.failure}, []
+        return row | {"status": "failed", "note": candidate.failure}
     partial = f"only {len(cameras.numbers)} of {candidate.total} frames" if row["registered"] < row["total"] else ""
     if truth is None:
-        return row | {"status": "no truth", "note": partial}, []
-    true = _select(truth, np.isin(truth.numbers, cameras.numbers))
+        return row | {"status": "no truth", "note": partial}
+    true = select(truth, np.isin(truth.numbers, cameras.numbers))
     row["focal_error_percent"] = trajectory.focal_error_percent(cameras.Ks, true.Ks)
     try:
         errors = trajectory.pose_errors(cameras.cam_from_world, true.cam_from_world, cameras.numbers)
     except DegenerateError as error:
-        return row | _degenerate(error, cameras, true), []
+        return row | _degenerate(error, cameras, true)
     row |= {name: getattr(errors, name) for name in ("ate", "ate_percent", "path")}
     if len(errors.pairs):
         row |= {name: getattr(errors, name) for name in ("rpe_trans", "rpe_rot_deg")}
     note = f"{partial}: errors over these" if partial else ""
-    frames = _trajectory_rows(candidate.method, cameras.numbers, errors.centres, errors.centre_errors)
-    return row | {"status": "partial" if partial else "ok", "note": note}, frames
-
-
-def truth_rows(truth: Cameras) -> list[dict[str, Any]]:
-    """The true centres, as rows of the trajectory table."""
-    return _trajectory_rows("truth", truth.numbers, truth.centres, None)
-
-
-def rows_without_truth(candidates: Sequence[Candidate]) -> list[dict[str, Any]]:
-    """Centres of every method, aligned to the last of ours; methods that cannot be aligned are left out."""
-    ours = next((c.cameras for c in candidates if c.method == "ours" and c.cameras is not None), None)
-    if ours is None:
-        return []
-    rows = _trajectory_rows("ours", ours.numbers, ours.centres, None)
-    for candidate in candidates:
-        if candidate.cameras is None or candidate.method == "ours":
-            continue
-        common = np.isin(ours.numbers, candidate.cameras.numbers)
-        try:
-            scale, R, t = umeyama(candidate.cameras.centres, ours.centres[common])
-        except DegenerateError:
-            continue
-        centres = scale * candidate.cameras.centres @ R.T + t
-        rows += _trajectory_rows(candidate.method, candidate.cameras.numbers, centres, None)
-    return rows
+    return row | {"status": "partial" if partial else "ok", "note": note}
 
 
 def _empty_row(name: str, candidate: Candidate) -> dict[str, Any]:
@@ -132,25 +109,18 @@ def _empty_row(name: str, candidate: Candidate) -> dict[str, Any]:
 
 def _degenerate(error: DegenerateError, cameras: Cameras, true: Cameras) -> dict[str, Any]:
     """Rotation errors need no alignment; the rest stays empty, with the reason."""
-    kind = CAMERA_NAMES[error.shape]
-    if error.which == "source":
-        return {"status": "failed", "note": f"the estimated camera is {kind}: no alignment with the truth"}
+    shape = extent(true.centres)
+    if shape == "volume":
+        which = {"source": "the estimated centres lie", "both": "estimate and truth agree"}[error.which]
+        return {"status": "failed", "note": f"{which} on no more than a {error.shape}: no alignment with the truth"}
     poses = lie.inverse(cameras.cam_from_world), lie.inverse(true.cam_from_world)
     _, turns_deg, pairs = trajectory.relative_errors(*poses, cameras.numbers)
     rotation = {"rpe_rot_deg": trajectory.rmse(turns_deg)} if len(pairs) else {}
-    return {"status": f"degenerate truth: {kind} camera", "note": "ATE and RPE translation are not defined"} | rotation
+    status = f"degenerate truth: {CAMERA_NAMES[shape]} camera"
+    return {"status": status, "note": "ATE and RPE translation are not defined"} | rotation
 
 
-def _select(cameras: Cameras, chosen: np.ndarray) -> Cameras:
+def select(cameras: Cameras, chosen: np.ndarray) -> Cameras:
+    """The cameras of the frames in `chosen` [T] bool."""
     fields = ("cam_from_world", "Ks", "numbers", "covariance", "status")
     return replace(cameras, **{name: getattr(cameras, name)[chosen] for name in fields})
-
-
-def _trajectory_rows(
-    method: str, numbers: np.ndarray, centres: np.ndarray, errors: np.ndarray | None
-) -> list[dict[str, Any]]:
-    listed = [None] * len(numbers) if errors is None else errors.tolist()
-    return [
-        {"method": method, "frame": int(number), "x": x, "y": y, "z": z, "error": error}
-        for number, (x, y, z), error in zip(numbers, centres.tolist(), listed, strict=True)
-    ]

@@ -67,7 +67,7 @@ def run(main: Callable[..., None], argv: Sequence[str] | None = None) -> NoRetur
         main(**call)
         if stats_file is not None:
             outputs = [paths[flag.name] for flag in flags if isinstance(flag.mark, Out)]
-            _write_stats(stats_file, stage, outputs)
+            _write_stats(stats_file, stage, outputs, call.get("options"))
     except BaseException as error:  # the one place where every failure becomes an exit code
         sys.exit(_report_failure(stage, error, log_file))
     sys.exit(0)
@@ -161,7 +161,7 @@ def ensure_writable_parent(path: Path) -> None:
         raise InputError(path.parent, "a folder that can be written", "no write permission", advice)
 
 
-def _write_stats(stats_file: Path, stage: str, outputs: list[Any]) -> None:
+def _write_stats(stats_file: Path, stage: str, outputs: list[Any], options: Options | None) -> None:
     from stages.shared.artifacts import write_json
 
     own, children = resource.getrusage(resource.RUSAGE_SELF), resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -176,6 +176,7 @@ def _write_stats(stats_file: Path, stage: str, outputs: list[Any]) -> None:
             "peak_mb": max(own.ru_maxrss, children.ru_maxrss) / 1024,
             "gpu_peak_mb": torch.cuda.max_memory_allocated() / 2**20 if torch is not None and on_gpu else None,
             "output_mb": sum(_size_bytes(path) for path in outputs if path) / 1e6,
+            "options": options.model_dump(mode="json") if options else {},
         },
     )
 

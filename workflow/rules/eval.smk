@@ -26,9 +26,13 @@ rule evaluate:
     input:
         sequence=rules.inspect.output.sequence,
         flow=rules.flow.output.flow,
-        priors=expand("<results>/{{dataset}}/{{seq}}/{round}motion/prior.arrow", round=ROUNDS),
+        priors=expand(
+            "<results>/{{dataset}}/{{seq}}/{round}motion/prior.arrow", round=ROUNDS
+        ),
         masks=expand("<results>/{{dataset}}/{{seq}}/{round}masks", round=ROUNDS),
-        poses=expand("<results>/{{dataset}}/{{seq}}/{round}ba/poses.parquet", round=ROUNDS),
+        poses=expand(
+            "<results>/{{dataset}}/{{seq}}/{round}ba/poses.parquet", round=ROUNDS
+        ),
         depth="<results>/{dataset}/{seq}/ba/depth.arrow",
         colmap=rules.colmap.output.poses,
         renders=rules.render.output.renders,
@@ -50,11 +54,11 @@ rule evaluate:
         stats="<results>/{dataset}/{seq}/stats/evaluate.json",
     log:
         "<logs>/{dataset}/{seq}/evaluate.log",
+    resources:
+        mem_mb=megabytes(600, 60),
     params:
         code=code_digest("stages.eval.evaluate"),
         flags=flags("evaluate"),
-    resources:
-        mem_mb=megabytes(600, 60),
     shell:
         "python -m stages.eval.evaluate --sequence {input.sequence} --flow {input.flow} --priors {input.priors}"
         " --masks {input.masks} --poses {input.poses} --depth {input.depth} --colmap {input.colmap}"
