@@ -1,0 +1,109 @@
+"""Evidence from geometry: do parts move, does the camera travel, do the movers bend?"""
+
+import cv2
+import numpy as np
+
+from stages.scene.observed import Observed, rigid_flow
+from stages.shared import lie
+
+MIN_CONFIDENCE = 0.3
+SAMPLED_EDGES = 24
+MIN_REGION_PX = 40
+IRLS_STEPS = 8
+
+
+def dynamic_evidence(seen: Observed) -> dict[str, float]:
+    """How much of the frames the masks cover, and how badly a static scene explains the flow in and outside them.
+
+    The longest edges are used: they add up slow motion.
+    """
+    inside, outside = [], []
+    for edge in _spread_edges(seen, np.abs(seen.offsets).max(initial=0)):
+        residual = _static_residual(seen, edge)
+        trusted = seen.confidence[edge] >= MIN_CONFIDENCE
+        dynamic = seen.dynamic[seen.edges[edge, 0]]
+        inside.append(residual[trusted & dynamic])
+        outside.append(residual[trusted & ~dynamic])
+    return {
+        "mask_share": float(seen.dynamic.mean()),
+        "residual_inside_px": _median(inside),
+        "residual_outside_px": _median(outside),
+    }
+
+
+def parallax_evidence(seen: Observed) -> dict[str, float]:
+    """How far the camera's travel moves static pixels, beyond what its turning does, over the most distant frames."""
+    F, _, w = seen.depth.shape
+    parallax = []
+    for source, target in {(0, F - 1), (0, F // 2), (F // 2, F - 1)}:
+        motion = seen.cam_from_world[target] @ lie.inverse(seen.cam_from_world[source])
+        turn = motion.copy()
+        turn[:3, 3] = 0
+        Ks = seen.Ks[source], seen.Ks[target]
+        turned = rigid_flow(seen.depth[source], *Ks, turn)
+        shift = np.linalg.norm(rigid_flow(seen.depth[source], *Ks, motion) - turned, axis=-1)
+        parallax.append(float(np.median(shift[~seen.dynamic[source]])) if not seen.dynamic[source].all() else 0.0)
+    return {"parallax_px": max(parallax), "parallax_share_of_width": max(parallax) / w}
+
+
+def bending_evidence(seen: Observed) -> dict[str, float]:
+    """What is left of the flow of each moving region after the best planar rigid motion, and the regions' size.
+
+    The flow of a rigid plane is quadratic in the pixel with eight parameters (Longuet-Higgins and Prazdny 1980);
+    a moderately curved rigid body comes close to one.
+    """
+    residuals, areas, spreads = [], [], []
+    shortest = np.abs(seen.offsets).min(initial=1)
+    for edge in _spread_edges(seen, shortest):
+        dynamic = seen.dynamic[seen.edges[edge, 0]].astype(np.uint8)
+        count, labels = cv2.connectedComponents(dynamic)
+        areas.append(float(dynamic.sum()))
+        for label in range(1, count):
+            chosen = (labels == label) & (seen.confidence[edge] >= MIN_CONFIDENCE)
+            if chosen.sum() >= MIN_REGION_PX:
+                flow = seen.flow[edge][chosen].astype(float)
+                residuals.append(planar_residual(np.argwhere(chosen)[:, ::-1], flow))
+                spreads.append(np.linalg.norm(flow - np.median(flow, axis=0), axis=1))
+    return {
+        "bending_px": _median(residuals),
+        "flow_spread_px": _median(spreads),
+        "area_share": float(np.median(areas)) / dynamic.size if areas else 0.0,
+    }
+
+
+def planar_residual(uv: np.ndarray, flow: np.ndarray) -> np.ndarray:
+    """Distance [n] in px of flow [n, 2] at pixels uv [n, 2] from the robustly fitted flow of a rigid plane."""
+    centred = uv - uv.mean(axis=0)
+    x, y = (centred / max(float(np.abs(centred).max()), 1.0)).T
+    zero, one = np.zeros_like(x), np.ones_like(x)
+    rows_u = np.stack([one, x, y, zero, zero, zero, x * x, x * y], axis=-1)
+    rows_v = np.stack([zero, zero, zero, one, x, y, x * y, y * y], axis=-1)
+    design = np.stack([rows_u, rows_v], axis=1)
+    weights = np.ones(len(uv))
+    for _ in range(IRLS_STEPS):  # L1 by reweighting, so that a limb does not tilt the fit of the body
+        weighted = design * weights[:, None, None]
+        normal = np.einsum("nci,ncj->ij", weighted, design)
+        solution = np.linalg.lstsq(normal, np.einsum("nci,nc->i", weighted, flow), rcond=None)[0]
+        distance = np.linalg.norm(flow - design @ solution, axis=1)
+        weights = 1 / np.maximum(distance, 0.05)
+    return distance
+
+
+def _static_residual(seen: Observed, edge: int) -> np.ndarray:
+    """Distance [h, w] in px between the flow of an edge and that of a static scene."""
+    source, target = seen.edges[edge]
+    motion = seen.cam_from_world[target] @ lie.inverse(seen.cam_from_world[source])
+    predicted = rigid_flow(seen.depth[source], seen.Ks[source], seen.Ks[target], motion)
+    return np.asarray(np.linalg.norm(seen.flow[edge] - predicted, axis=-1))
+
+
+def _spread_edges(seen: Observed, offset: int) -> np.ndarray:
+    """At most SAMPLED_EDGES edges of this frame distance, spread over the clip."""
+    rows = np.flatnonzero(np.abs(seen.offsets) == offset)
+    return rows[np.unique(np.linspace(0, len(rows) - 1, min(SAMPLED_EDGES, len(rows))).astype(int))]
+
+
+def _median(parts: list[np.ndarray]) -> float:
+    """Median of all parts; 0 where there is nothing."""
+    values = np.concatenate(parts) if parts else np.zeros(0)
+    return float(np.median(values)) if len(values) else 0.0

@@ -1,0 +1,56 @@
+"""What the evidence is drawn from: the training frames on the flow grid, with static pixels, depth and cameras."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from stages.shared.cameras import pixel_grid
+
+
+@dataclass(frozen=True)
+class Observed:
+    """F training frames on the flow grid [h, w] and the E flow edges between them. Held-out frames are not in here.
+
+    Attributes:
+        rgb: [F, h, w, 3] float32 in 0..1. dynamic: [F, h, w] bool, the masks.
+        depth: [F, h, w] z-depth in scene units; in dynamic pixels a guess from their border.
+        cam_from_world: [F, 4, 4]. Ks: [F, 3, 3] in pixels of the flow grid.
+        edges: [E, 2] positions in 0..F-1, source and target. flow: [E, h, w, 2] px. confidence: [E, h, w] 0..1.
+        offsets: [E] frame distances of the edges, signed.
+    """
+
+    rgb: np.ndarray
+    dynamic: np.ndarray
+    depth: np.ndarray
+    cam_from_world: np.ndarray
+    Ks: np.ndarray
+    edges: np.ndarray
+    flow: np.ndarray
+    confidence: np.ndarray
+    offsets: np.ndarray
+
+
+def depth_on_grid(inverse_depth: np.ndarray, stride_px: int, scale: float, height: int, width: int) -> np.ndarray:
+    """z-depth [F, h, w] on the flow grid from the solver's inverse depth [F, h', w'] > 0, bilinear in its logarithm."""
+    full_uv = (pixel_grid(height, width) + 0.5) / scale - 0.5
+    grid_uv = ((full_uv - (stride_px - 1) / 2) / stride_px).astype(np.float32)
+    logs = np.log(inverse_depth).astype(np.float32)
+    maps = grid_uv[..., 0], grid_uv[..., 1]
+    sampled = [cv2.remap(log, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE) for log in logs]
+    return np.exp(-np.stack(sampled))
+
+
+def rigid_flow(
+    depth: np.ndarray, K_source: np.ndarray, K_target: np.ndarray, target_from_source: np.ndarray
+) -> np.ndarray:
+    """Flow [h, w, 2] that a static scene of this z-depth [h, w] shows under this camera motion [4, 4]."""
+    xyz = camera_points(depth, K_source) @ target_from_source[:3, :3].T + target_from_source[:3, 3]
+    uvw = xyz @ K_target.T
+    return np.asarray(uvw[..., :2] / uvw[..., 2:] - pixel_grid(*depth.shape))
+
+
+def camera_points(depth: np.ndarray, K: np.ndarray) -> np.ndarray:
+    """Points [h, w, 3] in the camera of the pixels of a z-depth image [h, w]."""
+    homogeneous = np.concatenate([pixel_grid(*depth.shape), np.ones((*depth.shape, 1))], axis=-1)
+    return np.asarray(depth[..., None] * (homogeneous @ np.linalg.inv(K).T))
