@@ -47,14 +47,15 @@ def main(
 
 
 def _decide(seen: Observed, rotation_only_share: float, options: SceneOptions) -> dict[str, dict[str, Any]]:
-    gains, standard_error = photometry.log_gains(seen)
+    near, far, standard_error = photometry.log_gains(seen)
+    view = photometry.view_evidence(seen, photometry.common_gain(near, far))
     parallax = motion.parallax_evidence(seen) | {"frames_marked_share": rotation_only_share}
-    exposure = photometry.exposure_evidence(gains, standard_error)
+    exposure = photometry.exposure_evidence(near, far, standard_error)
     return {
         "dynamic": rules.decide_dynamic(motion.dynamic_evidence(seen), options.dynamic),
         "rotation_only": rules.decide_rotation_only(parallax, options.rotation_only),
         "exposure": rules.decide_exposure(exposure, options.exposure),
-        "view_dependent": rules.decide_view_dependent(photometry.view_evidence(seen, gains), options.view_dependent),
+        "view_dependent": rules.decide_view_dependent(view, options.view_dependent),
         "non_rigid": rules.decide_non_rigid(motion.bending_evidence(seen), options.non_rigid),
     }
 

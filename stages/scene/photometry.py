@@ -10,6 +10,8 @@ from stages.shared.warp import is_inside, warp
 
 DARK, BRIGHT = 0.08, 0.92
 """Colours outside are clipped or mostly noise; a gain cannot be read from them."""
+MEDIAN_VARIANCE = np.pi / 2
+"""Variance of the median of n normal values: pi / 2 sigma^2 / n."""
 REFERENCES = 3
 SAMPLES = 4000
 DEPTH_TOLERANCE = 0.05
@@ -17,34 +19,52 @@ RIDGE = 1e-2
 MIN_SIGHTINGS = 3
 
 
-def log_gains(seen: Observed) -> tuple[np.ndarray, float]:
-    """Logarithm of each training frame's brightness [F] relative to the first, and its standard error at the end.
+def log_gains(seen: Observed) -> tuple[np.ndarray, np.ndarray, float]:
+    """Logarithm of each training frame's brightness relative to the first, from near and from far static pixels.
 
     Along the chain of neighbouring frames: the median log ratio of static, well exposed, reliably matched pixels.
-    A step without an edge keeps the brightness.
+    Exposure changes near and far alike; fog, which thins out as the camera comes closer, does not.
+
+    Returns:
+        near [F], far [F], and the larger standard error of the two at the end. A step without an edge adds nothing.
     """
     F = len(seen.rgb)
     grey = seen.rgb.mean(axis=-1)
-    step, variance = np.zeros(F), np.zeros(F)
+    steps, variance = np.zeros((2, F)), np.zeros(2)
     row_of = {tuple(edge): row for row, edge in enumerate(seen.edges.tolist())}
     for k in range(1, F):
         row = row_of.get((k - 1, k))
         if row is None:
             continue
-        here, there = grey[k - 1], warp(grey[k], seen.flow[row].astype(np.float32))
+        here, there = grey[k - 1], warp(grey[k], seen.flow[row])
         good = (seen.confidence[row] >= MIN_CONFIDENCE) & ~seen.dynamic[k - 1] & is_inside(seen.flow[row])
         good &= (np.minimum(here, there) > DARK) & (np.maximum(here, there) < BRIGHT)
-        if good.any():
-            ratios = np.log(there[good] / here[good])
-            step[k] = np.median(ratios)
-            variance[k] = 1.57 * np.median(np.abs(ratios - step[k])) ** 2 * 1.4826**2 / len(ratios)
-    return np.cumsum(step), float(np.sqrt(variance.sum()))
+        is_near = seen.depth[k - 1] < np.median(seen.depth[k - 1][good]) if good.any() else good
+        for half, chosen in enumerate((good & is_near, good & ~is_near)):
+            if chosen.any():
+                ratios = np.log(there[chosen] / here[chosen])
+                steps[half, k] = np.median(ratios)
+                spread = 1.4826 * np.median(np.abs(ratios - steps[half, k]))
+                variance[half] += MEDIAN_VARIANCE * spread**2 / len(ratios)
+    near, far = np.cumsum(steps, axis=1)
+    return near, far, float(np.sqrt(variance.max()))
 
 
-def exposure_evidence(gains: np.ndarray, standard_error: float) -> dict[str, float]:
-    """The range of the brightness over the clip, in per cent, and its standard error."""
+def common_gain(near: np.ndarray, far: np.ndarray) -> np.ndarray:
+    """The part of the logarithmic gain [F] that near and far pixels share."""
+    return np.where(near * far > 0, np.sign(near) * np.minimum(np.abs(near), np.abs(far)), 0.0)
+
+
+def exposure_evidence(near: np.ndarray, far: np.ndarray, standard_error: float) -> dict[str, float]:
+    """Ranges of the brightness over the clip, in per cent: of what near and far pixels share, and of each."""
+
+    def percent(gains: np.ndarray) -> float:
+        return 100 * float(np.expm1(np.ptp(gains)))
+
     return {
-        "gain_range_percent": 100 * float(np.expm1(np.ptp(gains))),
+        "gain_range_percent": percent(common_gain(near, far)),
+        "near_range_percent": percent(near),
+        "far_range_percent": percent(far),
         "standard_error_percent": 100 * standard_error,
     }
 

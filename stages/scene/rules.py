@@ -32,7 +32,7 @@ def decide_dynamic(evidence: dict[str, float], choice: Choice) -> dict[str, Any]
     elif explained:
         why = f"a static scene explains the masked pixels as well as the others: {inside:.2f} px and {outside:.2f} px"
     else:
-        why = f"the masks cover {share:.1%}; a static scene misses the flow by {inside:.1f} px there, {outside:.2f} elsewhere"
+        why = f"the masks cover {share:.1%}; a static scene misses their flow by {inside:.1f} px, others' by {outside:.2f}"
     return _decision(needed, evidence, why, choice)
 
 
@@ -50,7 +50,11 @@ def decide_exposure(evidence: dict[str, float], choice: Choice) -> dict[str, Any
     """Exposure change: a visible and significant range of the frames' brightness."""
     gain, error = evidence["gain_range_percent"], evidence["standard_error_percent"]
     needed = gain >= MIN_GAIN_PERCENT and gain >= MIN_GAIN_SIGMAS * error
-    why = f"the brightness of static pixels varies by {gain:.1f} % (threshold {MIN_GAIN_PERCENT:.0f} %)"
+    near, far = evidence["near_range_percent"], evidence["far_range_percent"]
+    why = (
+        f"near and far static pixels share a brightness range of {gain:.1f} % (threshold {MIN_GAIN_PERCENT:.0f} %;"
+        f" alone {near:.1f} % and {far:.1f} %)"
+    )
     return _decision(needed, evidence, why, choice)
 
 
