@@ -32,7 +32,10 @@ def decide_dynamic(evidence: dict[str, float], choice: Choice) -> dict[str, Any]
     elif explained:
         why = f"a static scene explains the masked pixels as well as the others: {inside:.2f} px and {outside:.2f} px"
     else:
-        why = f"the masks cover {share:.1%}; a static scene misses their flow by {inside:.1f} px, others' by {outside:.2f}"
+        why = (
+            f"the masks cover {share:.1%}; a static scene misses their flow by {inside:.1f} px,"
+            f" that of the others by {outside:.2f} px"
+        )
     return _decision(needed, evidence, why, choice)
 
 
