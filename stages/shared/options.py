@@ -16,7 +16,9 @@ class Options(BaseModel):
     A number written as text ("1e-3", which YAML 1.1 reads as a string) is accepted as that number.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True, allow_inf_nan=False)
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, populate_by_name=True, allow_inf_nan=False, coerce_numbers_to_str=True
+    )
 
     @field_validator("*", mode="before")
     @classmethod
