@@ -1,0 +1,116 @@
+"""Estimate per pixel how likely it moves in the world, from flow and from the cameras of the round before."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import cv2
+import numpy as np
+
+from stages.flow import epipolar, resweep
+from stages.flow.epipolar import Evidence, PairMatches
+from stages.flow.options import MotionOptions
+from stages.flow.pooling import pool
+from stages.shared import cli, figures
+from stages.shared.artifacts import read_dense, read_metadata, write_dense
+from stages.shared.cameras import Cameras, pixel_grid, read_cameras, scale_intrinsics
+from stages.shared.cli import In, Out
+from stages.shared.errors import InputError
+from stages.shared.images import read_rgb, write_image
+from stages.shared.log import logger
+from stages.shared.sequences import Sequence, read_sequence
+
+MIDWAY = 0.35
+"""Pooled misfit at which a pixel moves as likely as not."""
+SPREAD = 0.07
+
+
+def main(
+    sequence: Annotated[Path, In("sequence.json of the input check")],
+    flow: Annotated[Path, In("flow/pairs.arrow")],
+    output: Annotated[Path, Out("prior.arrow: probability of motion per frame and pixel")],
+    figure: Annotated[Path, Out("picture for the report: frames and their prior")],
+    options: MotionOptions,
+    previous_poses: Annotated[Path | None, In("poses.parquet of the round before")] = None,
+    previous_depth: Annotated[Path | None, In("depth.arrow of the round before")] = None,
+) -> None:
+    """Estimate the probability that a pixel moves in the world, from geometry alone.
+
+    Without cameras: misfit of the flow to the epipolar geometry of many frame pairs (to homographies where nothing
+    shows parallax). With the cameras of the round before: misfit to the best depth per pixel. Both are pooled along
+    the flow. The metadata of the output says which was used, and why.
+    """
+    frames = read_sequence(sequence)
+    pairs, scale = read_dense(flow), float(read_metadata(flow)["scale"])
+    edges = {(int(i), int(j)): e for e, (i, j) in enumerate(zip(pairs["source"], pairs["target"], strict=True))}
+    cameras = _usable_cameras(previous_poses, previous_depth)
+    if cameras is None or previous_depth is None:
+        evidence, facts = _from_flow(pairs, edges, len(frames.numbers), options.seed)
+    else:
+        stride_px = float(read_metadata(previous_depth)["stride_px"])
+        evidence, facts = _from_cameras(pairs, cameras, read_dense(previous_depth), scale, stride_px)
+    misfit = pool(evidence, edges, pairs["flow"].astype(np.float32), pairs["confidence"].astype(np.float32))
+    probability = to_probability(misfit)
+    facts |= {"moving_share": float((probability > 0.5).mean())}
+    logger.info("%s: %s", frames.name, facts)
+    columns = {"frame": np.array(frames.numbers), "probability": probability.astype(np.float16)}
+    write_dense(output, columns, {"units": "probability", **facts, "options": options.model_dump(mode="json")})
+    write_image(figure, _picture(frames, probability))
+
+
+def to_probability(misfit: np.ndarray) -> np.ndarray:
+    """Probability of motion of a pooled misfit [...] in 0..1: a logistic curve through the scatter of static pixels."""
+    return np.asarray(1 / (1 + np.exp((MIDWAY - misfit) / SPREAD)))
+
+
+def _usable_cameras(poses: Path | None, depth: Path | None) -> Cameras | None:
+    """Cameras of the round before; none if there was none or it failed."""
+    if (poses is None) != (depth is None):
+        raise InputError("--previous-poses", "together with --previous-depth", "only one of them", "give both or none")
+    cameras = read_cameras(poses) if poses else None
+    if cameras is not None and "failed" in cameras.status:
+        logger.warning("motion: the cameras of the round before failed; the prior comes from flow alone")
+        return None
+    return cameras
+
+
+def _from_flow(
+    pairs: dict[str, np.ndarray], edges: dict[tuple[int, int], int], T: int, seed: int
+) -> tuple[Evidence, dict[str, Any]]:
+    """Evidence from two-view geometry, and what was used."""
+    pixels = pixel_grid(*pairs["confidence"].shape[1:])
+    matches = PairMatches(pixels, pixels + pairs["flow"], pairs["confidence"].astype(np.float32))
+    parallax, residual_px = epipolar.has_parallax(edges, matches, seed)
+    evidence = epipolar.two_view_evidence(edges, matches, T, parallax, seed)
+    model = "fundamental matrices" if parallax else "homographies: too little parallax for epipolar geometry"
+    return evidence, {"source": "flow", "model": model, "homography_residual_px": residual_px}
+
+
+def _from_cameras(
+    pairs: dict[str, np.ndarray], cameras: Cameras, depth: dict[str, np.ndarray], scale: float, stride_px: float
+) -> tuple[Evidence, dict[str, Any]]:
+    """Evidence from the cameras of the round before, depth searched anew, and what was used."""
+    h, w = pairs["confidence"].shape[1:]
+    start = resweep.resample(depth["inverse_depth"], stride_px * scale, h, w)
+    evidence, sigma_px = resweep.camera_evidence(
+        pairs, cameras.cam_from_world, scale_intrinsics(cameras.Ks, scale), start
+    )
+    rotating = set(cameras.status) == {"rotation-only"}
+    model = "rotations: the camera does not translate" if rotating else "depth re-sweep"
+    return evidence, {"source": "cameras", "model": model, "sigma_px": sigma_px}
+
+
+def _picture(frames: Sequence, probability: np.ndarray) -> np.ndarray:
+    """Shown frames above the probability of motion."""
+    shown = figures.spread(len(probability), 4)
+    h, w = probability.shape[1:]
+    reduced = [cv2.resize(read_rgb(frames.frames[k]), (w, h), interpolation=cv2.INTER_AREA) for k in shown]
+    cells = [
+        image
+        for k, rgb in zip(shown, reduced, strict=True)
+        for image in (rgb, figures.scalar_to_rgb(probability[k], 0, 1))
+    ]
+    return figures.contact_sheet(cells, columns=2)
+
+
+if __name__ == "__main__":
+    cli.run(main)

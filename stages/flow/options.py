@@ -25,3 +25,5 @@ class FlowOptions(Options):
 
 class MotionOptions(Options):
     """Probability that a pixel moves in the world, from geometry alone."""
+
+    seed: int = Field(0, ge=0, description="seed of the robust two-view fits")

@@ -1,0 +1,135 @@
+"""Motion evidence from flow alone: how badly each pixel's flow fits the two-view geometry of its frame pair."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+MIN_CONFIDENCE = 0.5
+MIN_MATCHES = 50
+RANSAC_MATCHES = 3000
+"""MAGSAC++ gains nothing from more."""
+NO_PARALLAX_PX = 0.5
+"""Median residual of homographies over the longest edges below which a fundamental matrix is undetermined."""
+SIGMA_RANGE_PX = (0.5, 3.0)
+
+Fit = Callable[[np.ndarray, np.ndarray, cv2.UsacParams], np.ndarray | None]
+Errors = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+
+
+class Evidence(NamedTuple):
+    """Misfit of the flow to rigid motion [T, h, w] in 0..1, and the confidence summed over the edges, [T, h, w]."""
+
+    misfit: np.ndarray
+    weight: np.ndarray
+
+
+class PairMatches(NamedTuple):
+    """Pixels of the flow grid [h, w, 2], where each edge takes them [E, h, w, 2], and the confidence [E, h, w]."""
+
+    pixels: np.ndarray
+    matches: np.ndarray
+    confidence: np.ndarray
+
+
+def has_parallax(edges: dict[tuple[int, int], int], pairs: PairMatches, seed: int) -> tuple[bool, float]:
+    """Whether homographies fail to explain the longest edges, and their median residual in px.
+
+    Without parallax (a camera that only turns, stands, or looks at a plane) a fundamental matrix is undetermined.
+    """
+    longest = max((abs(i - j) for i, j in edges), default=0)
+    medians = []
+    for (i, j), e in edges.items():
+        if j - i == longest:
+            x, y = _confident(pairs, e, edges[j, i])
+            H = fit_homography(x, y, _usac(1.0, seed)) if len(x) >= MIN_MATCHES else None
+            medians += [float(np.median(homography_errors(H, x, y)))] if H is not None else []
+    residual = float(np.median(medians)) if medians else 0.0
+    return residual > NO_PARALLAX_PX, residual
+
+
+def two_view_evidence(
+    edges: dict[tuple[int, int], int], pairs: PairMatches, T: int, parallax: bool, seed: int
+) -> Evidence:
+    """Geman-McClure cost of the epipolar (or, without parallax, homography) residual, averaged over a frame's edges.
+
+    Args:
+        edges: (source, target) -> row; every edge has its reverse.
+    """
+    fit, errors = (fit_fundamental, sampson_errors) if parallax else (fit_homography, homography_errors)
+    misfit = np.zeros((T, *pairs.confidence.shape[1:]), np.float32)
+    weight = np.zeros_like(misfit)
+    threshold_px = ransac_threshold_px(edges, pairs)
+    for (i, j), e in edges.items():
+        back = edges[j, i]
+        x, y = _confident(pairs, e, back)
+        model = fit(x, y, _usac(threshold_px, seed)) if i < j and len(x) >= MIN_MATCHES else None
+        if model is None:
+            continue
+        sigma_px = np.clip(3 * np.median(errors(model, x, y)), *SIGMA_RANGE_PX)
+        reverse = model.T if parallax else np.linalg.inv(model)
+        for frame, edge, its_model in ((i, e, model), (j, back, reverse)):
+            squared = (errors(its_model, pairs.pixels, pairs.matches[edge]) / sigma_px) ** 2
+            misfit[frame] += pairs.confidence[edge] * squared / (1 + squared)
+            weight[frame] += pairs.confidence[edge]
+    return Evidence(misfit / np.maximum(weight, 1e-6), weight)
+
+
+def ransac_threshold_px(edges: dict[tuple[int, int], int], pairs: PairMatches) -> float:
+    """Inlier threshold: 15 % of the median motion of the shortest edges within 0.3..1 px.
+
+    A wider one lets a moving object bend the geometry until it fits.
+    """
+    shortest = min((abs(i - j) for i, j in edges), default=0)
+    moves = [
+        np.median(np.linalg.norm(pairs.matches[e] - pairs.pixels, axis=-1))
+        for (i, j), e in edges.items()
+        if abs(i - j) == shortest
+    ]
+    return float(np.clip(0.15 * np.median(moves), 0.3, 1.0)) if moves else 0.3
+
+
+def fit_fundamental(x: np.ndarray, y: np.ndarray, params: cv2.UsacParams) -> np.ndarray | None:
+    """F [3, 3] with y^T F x = 0 of matches [n, 2] px by MAGSAC++ (Barath et al., CVPR 2020); None if there is none."""
+    step = max(1, len(x) // RANSAC_MATCHES)
+    F, _ = cv2.findFundamentalMat(x[::step], y[::step], params)
+    return F if F is not None and F.shape == (3, 3) else None
+
+
+def fit_homography(x: np.ndarray, y: np.ndarray, params: cv2.UsacParams) -> np.ndarray | None:
+    """H [3, 3] with y ~ H x of matches [n, 2] px by MAGSAC++; None if there is none."""
+    step = max(1, len(x) // RANSAC_MATCHES)
+    H, _ = cv2.findHomography(x[::step], y[::step], params)
+    return H if H is not None and np.linalg.matrix_rank(H) == 3 else None
+
+
+def sampson_errors(F: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Sampson distance [...] px of matches x, y [..., 2] from the epipolar geometry F."""
+    line_y = x @ F[:, :2].T + F[:, 2]
+    line_x = y @ F[:2] + F[2]
+    numerator = (line_y[..., :2] * y).sum(axis=-1) + line_y[..., 2]
+    squared = (line_y[..., :2] ** 2).sum(axis=-1) + (line_x[..., :2] ** 2).sum(axis=-1)
+    return np.asarray(np.abs(numerator) / np.sqrt(np.maximum(squared, 1e-24)))
+
+
+def homography_errors(H: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Transfer error |y - H x| [...] px of matches x, y [..., 2]."""
+    there = x @ H[:, :2].T + H[:, 2]
+    return np.asarray(np.linalg.norm(y - there[..., :2] / there[..., 2:], axis=-1))
+
+
+def _confident(pairs: PairMatches, edge: int, back: int) -> tuple[np.ndarray, np.ndarray]:
+    """Confident matches x [n, 2] and y [n, 2] of an edge and its reverse, pooled."""
+    there, here = pairs.confidence[edge] > MIN_CONFIDENCE, pairs.confidence[back] > MIN_CONFIDENCE
+    x = np.concatenate([pairs.pixels[there], pairs.matches[back][here]])
+    return x, np.concatenate([pairs.matches[edge][there], pairs.pixels[here]])
+
+
+def _usac(threshold_px: float, seed: int) -> cv2.UsacParams:
+    params = cv2.UsacParams()
+    params.sampler, params.score = cv2.SAMPLING_UNIFORM, cv2.SCORE_METHOD_MAGSAC
+    params.loMethod, params.loIterations, params.loSampleSize = cv2.LOCAL_OPTIM_SIGMA, 10, 50
+    params.confidence, params.threshold, params.maxIterations = 0.9999, threshold_px, 2000
+    params.randomGeneratorState = seed
+    return params
