@@ -1,5 +1,6 @@
 """Score one sequence: poses, images, masks, depth and flow against whatever truth there is, and what it cost."""
 
+import re
 from collections.abc import Sequence as Rows
 from pathlib import Path
 from typing import Annotated, Any
@@ -54,7 +55,10 @@ def main(
     """Write one row per method and protocol; what cannot be scored is a row that says why."""
     frames = read_sequence(sequence)
     truth = true_cameras(frames)
-    candidates = [*score_poses.own_candidates(poses), *score_poses.colmap_candidates(colmap)]
+    times = [_time_row(frames.name, path) for path in stage_stats]
+    write_rows(time_table, times, TIME, {"unit": "seconds and MB"})
+    seconds = _seconds_to_poses(times, len(poses))
+    candidates = [*score_poses.own_candidates(poses, seconds), *score_poses.colmap_candidates(colmap)]
     pose_rows = [score_poses.score(frames.name, candidate, truth) for candidate in candidates]
     _log_rows("poses", pose_rows)
     write_rows(poses_table, pose_rows, POSES, {"protocol": trajectory.PROTOCOL})
@@ -83,7 +87,6 @@ def main(
     )
     _log_rows("checks", checks)
     write_rows(checks_table, checks, CHECKS, {})
-    write_rows(time_table, [_time_row(frames.name, path) for path in stage_stats], TIME, {"unit": "seconds and MB"})
     with atomic(figure) as partial:
         partial.write_bytes(draw_trajectories(paths, "png"))
 
@@ -106,9 +109,19 @@ def _long(rows: Rows[Row], kind: str, metrics: tuple[str, ...]) -> list[Row]:
 def _time_row(name: str, stats: Path) -> dict[str, Any]:
     """What `<folder>/<sequence>/[roundN/]stats/<stage>.json` says."""
     content, folder = read_json(stats), stats.parent.parent.name
-    number = int(folder.removeprefix("round")) if folder.startswith("round") else None
+    number = int(folder.removeprefix("round")) if re.fullmatch(r"round\d+", folder) else None
     costs = {name: content[name] for name in ("wall_s", "cpu_s", "peak_mb", "gpu_peak_mb", "output_mb")}
     return {"sequence": name, "stage": stats.stem, "round": number} | costs
+
+
+def _seconds_to_poses(times: Rows[Row], rounds: int) -> list[float]:
+    """Wall seconds from the frames to the poses of each round; the last round has no number."""
+    once = sum(row["wall_s"] for row in times if row["stage"] == "flow")
+    repeated = [0.0] * rounds
+    for row in times:
+        if row["stage"] in ("motion", "segment", "ba"):
+            repeated[row["round"] - 1 if row["round"] else -1] += row["wall_s"]
+    return [once + sum(repeated[: k + 1]) for k in range(rounds)]
 
 
 if __name__ == "__main__":

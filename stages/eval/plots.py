@@ -34,18 +34,23 @@ def colour_of(method: str, methods: Sequence[str]) -> str:
 
 def draw_trajectories(rows: Sequence[Row], kind: str) -> bytes:
     """Camera centres from above and in 3D; `rows` as in eval/trajectory.parquet."""
-    paths = paths_of(rows)
     with figure((10, 4.2), kind) as (fig, done):
-        top, space = fig.add_subplot(1, 2, 1), fig.add_subplot(1, 2, 2, projection="3d")
-        for method, path in paths.items():
-            style = _line_style(method, list(paths))
-            top.plot(path[:, 0], path[:, 2], label=method, **style)
-            top.plot(*path[0, [0, 2]], "o", color=style["color"], ms=4)
-            space.plot(path[:, 0], path[:, 2], -path[:, 1], **style)
-        top.set(xlabel="x (scene units)", ylabel="z (scene units)", title="from above; dot: first frame")
-        top.axis("equal")
-        top.legend(fontsize=9)
-        _equal_box(space, np.concatenate(list(paths.values())) if paths else np.zeros((1, 3)))
+        _plot_top(fig.add_subplot(1, 2, 1), paths_of(rows))
+        _plot_space(fig.add_subplot(1, 2, 2, projection="3d"), paths_of(rows))
+    return done.getvalue()
+
+
+def draw_top(rows: Sequence[Row]) -> bytes:
+    """Camera centres from above, as SVG."""
+    with figure((5.2, 4.0), "svg") as (fig, done):
+        _plot_top(fig.add_subplot(), paths_of(rows))
+    return done.getvalue()
+
+
+def draw_space(rows: Sequence[Row]) -> bytes:
+    """Camera centres in 3D, as SVG."""
+    with figure((5.2, 4.0), "svg") as (fig, done):
+        _plot_space(fig.add_subplot(projection="3d"), paths_of(rows))
     return done.getvalue()
 
 
@@ -69,10 +74,8 @@ def draw_lines(
         axes = fig.add_subplot()
         for name, (x, y) in series.items():
             axes.plot(x, y, label=name, marker="o", ms=2.5, lw=1.4, color=colour_of(name, methods))
-        axes.set(xlabel=labels[0], ylabel=labels[1])
-        if log:
-            axes.set_yscale("log")
-        else:
+        axes.set(xlabel=labels[0], ylabel=labels[1], yscale="log" if log else "linear")
+        if not log:
             axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
         if len(series) > 1:
             axes.legend(fontsize=9)
@@ -93,6 +96,23 @@ def figure(size: tuple[float, float], kind: str) -> Iterator[tuple[Any, io.Bytes
         drawn.savefig(done, format=kind, dpi=120, metadata=metadata)
 
 
+def _plot_top(axes: Any, paths: Mapping[str, np.ndarray]) -> None:
+    for method, path in paths.items():
+        style = _line_style(method, list(paths))
+        axes.plot(path[:, 0], path[:, 2], label=method, **style)
+        axes.plot(*path[0, [0, 2]], "o", color=style["color"], ms=4)
+    axes.set(xlabel="x, right (scene units)", ylabel="z, forward (scene units)")
+    axes.axis("equal")
+    if paths:
+        axes.legend(fontsize=9)
+
+
+def _plot_space(axes: Any, paths: Mapping[str, np.ndarray]) -> None:
+    for method, path in paths.items():
+        axes.plot(path[:, 0], path[:, 2], -path[:, 1], **_line_style(method, list(paths)))
+    _equal_box(axes, np.concatenate(list(paths.values())) if paths else np.zeros((1, 3)))
+
+
 def _line_style(method: str, methods: Sequence[str]) -> dict[str, Any]:
     if method == "truth":
         return {"color": COLOURS["truth"], "lw": 3, "alpha": 0.35}
@@ -104,6 +124,6 @@ def _equal_box(axes: Any, points: np.ndarray) -> None:
     turned = points[:, [0, 2, 1]] * [1, 1, -1]
     middle, half = (turned.min(axis=0) + turned.max(axis=0)) / 2, max(np.ptp(turned, axis=0).max() / 2, 1e-9)
     limits = np.stack([middle - half, middle + half], axis=1)
-    axes.set(xlim=limits[0], ylim=limits[1], zlim=limits[2], xlabel="x", ylabel="z", zlabel="up (-y)")
+    axes.set(xlim=limits[0], ylim=limits[1], zlim=limits[2], xlabel="x, right", ylabel="z, forward", zlabel="up")
     axes.set_box_aspect((1, 1, 1))
     axes.tick_params(labelsize=7)

@@ -1,0 +1,88 @@
+"""One self-contained HTML page over all sequences, and each of its tables as CSV and Parquet."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import jinja2
+import markupsafe
+import yaml
+
+from stages.eval import overview, provenance
+from stages.eval.effects import decision_rows, simulation_rows
+from stages.eval.options import ReportOptions
+from stages.eval.sections import build_section
+from stages.eval.tables import Row, read_rows
+from stages.shared import cli
+from stages.shared.artifacts import atomic, atomic_folder, read_metadata
+from stages.shared.cli import In, Out
+from stages.shared.log import logger, progress
+
+TEMPLATES = Path(__file__).parent / "templates"
+ASSETS = {"style": "style.css", "script": "sort.js"}
+KINDS = ("poses", "images", "masks", "checks", "time")
+SECTION_TABLES = ("time", "decisions", "simulation")
+
+
+def main(
+    sequences: Annotated[list[Path], In("result folders of the sequences")],
+    published_numbers: Annotated[Path, In("numbers of other methods, with source and protocol")],
+    output: Annotated[Path, Out("the page")],
+    tables: Annotated[Path, Out("folder for the tables as CSV and Parquet")],
+    options: ReportOptions,
+    manifests: Annotated[Path | None, In("folder with what the simulator drew, <sequence>.json")] = None,
+) -> None:
+    """Write the report. It needs no network, no other file, and only the results that are there."""
+    rows, protocols = gather(sequences)
+    rows["decisions"] = [row for folder in sequences for row in decision_rows(folder)]
+    rows["simulation"] = [row for folder in sequences for row in simulation_rows(manifests, folder.name)]
+    numbers = yaml.safe_load(published_numbers.read_text())
+    groups = overview.build_groups(rows, protocols, numbers)
+    every = {table.name: table for group in groups for table in [*group.tables, *group.more]}
+    shown = []
+    for folder in progress(sequences, "sequences"):
+        section = build_section(folder)
+        if len(sequences) > 1:
+            own = [every[name].of(section.name) for name in SECTION_TABLES if name in every]
+            section.tables = [table for table in own if table.rows]
+        shown.append(section)
+    about = provenance.tables([(folder.name, folder) for folder in sequences])
+    with atomic_folder(tables) as target:
+        for table in [*every.values(), *about]:
+            table.write(target)
+    page = render(
+        title=options.title,
+        summary=overview.summary(rows),
+        tiles=overview.tiles(rows),
+        problems=overview.problems(rows, [folder.name for folder in sequences]),
+        groups=groups,
+        sections=shown,
+        provenance=about,
+    )
+    with atomic(output) as partial:
+        partial.write_text(page, encoding="utf-8")
+    logger.info("report: %s, %.1f MB", output, len(page.encode()) / 1e6)
+
+
+def gather(folders: list[Path]) -> tuple[dict[str, list[Row]], dict[str, str]]:
+    """Rows of all sequences and the protocol, by kind of table; what is not there is left out."""
+    rows: dict[str, list[Row]] = {kind: [] for kind in KINDS}
+    protocols = dict.fromkeys(KINDS, "")
+    for kind in KINDS:
+        for path in (folder / "eval" / f"{kind}.parquet" for folder in folders):
+            if path.exists():
+                rows[kind] += read_rows(path)
+                protocols[kind] = read_metadata(path).get("protocol", "")
+    return rows, protocols
+
+
+def render(**content: Any) -> str:
+    """Fill the template; text is escaped, style and script are put in as they are."""
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(TEMPLATES), autoescape=True, undefined=jinja2.StrictUndefined
+    )
+    parts = {name: markupsafe.Markup((TEMPLATES / file).read_text()) for name, file in ASSETS.items()}
+    return environment.get_template("report.html.j2").render(**content, **parts)
+
+
+if __name__ == "__main__":
+    cli.run(main)

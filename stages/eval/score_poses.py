@@ -9,7 +9,7 @@ import numpy as np
 
 from stages.eval import trajectory
 from stages.shared import lie
-from stages.shared.alignment import DegenerateError, extent, umeyama
+from stages.shared.alignment import DegenerateError, extent
 from stages.shared.artifacts import read_metadata, read_table
 from stages.shared.cameras import Cameras, intrinsics, make_cameras, read_cameras
 
@@ -25,21 +25,21 @@ class Candidate:
     Attributes:
         cameras: the k <= total registered frames, ascending; None if there is none.
         failure: why there is none.
-        wall_s: seconds of the whole method; None where other rows of the report hold them.
+        wall_s: seconds of the whole method.
     """
 
     method: str
     protocol: str
     total: int
     cameras: Cameras | None
-    failure: str | None = None
-    wall_s: float | None = None
+    failure: str | None
+    wall_s: float
 
 
-def own_candidates(tables: Sequence[Path]) -> list[Candidate]:
-    """Our poses after each round, in order; the last round is called "ours"."""
+def own_candidates(tables: Sequence[Path], seconds: Sequence[float]) -> list[Candidate]:
+    """Our poses after each round, with the seconds until then, in order; the last round is called "ours"."""
     candidates = []
-    for k, path in enumerate(tables, start=1):
+    for k, (path, wall_s) in enumerate(zip(tables, seconds, strict=True), start=1):
         cameras = read_cameras(path)
         good = ~np.isin(cameras.status.astype(str), WITHOUT_POSE)
         method = "ours" if k == len(tables) else f"ours, round {k}"
@@ -48,7 +48,7 @@ def own_candidates(tables: Sequence[Path]) -> list[Candidate]:
             protocol = protocol.replace("no intrinsics given", "true intrinsics given")
         registered = select(cameras, good) if good.any() else None
         failure = None if good.any() else str(cameras.status[0])
-        candidates.append(Candidate(method, protocol, len(good), registered, failure))
+        candidates.append(Candidate(method, protocol, len(good), registered, failure, wall_s))
     return candidates
 
 

@@ -1,14 +1,100 @@
-"""Rows in and out of Parquet, where an absent number is a null."""
+"""Tables of the report: rows in and out of Parquet and CSV, columns with label, unit and digits."""
 
+import base64
+import csv
+import io
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from stages.shared.artifacts import read_table, write_table
+from stages.shared.artifacts import atomic, read_table, write_table
 
 Row = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column.
+
+    Attributes:
+        key: name in the rows and in the files.
+        label, unit: heading.
+        digits: after the point; None for text and counts.
+        bar: draw each value as a bar too.
+        long: sentences, shown small.
+    """
+
+    key: str
+    label: str
+    unit: str = ""
+    digits: int | None = None
+    bar: bool = False
+    long: bool = False
+
+    def show(self, row: Row) -> str:
+        """The cell as text; "n/a" for what is not known."""
+        value = row.get(self.key)
+        if value is None or value == "":
+            return "n/a" if self.digits is not None else ""
+        return f"{value:.{self.digits}f}" if self.digits is not None else str(value)
+
+    def style(self, row: Row) -> str:
+        """The class of the cell."""
+        is_number = self.digits is not None or isinstance(row.get(self.key), int)
+        return "number" if is_number else "long" if self.long else "text"
+
+    def sort_key(self, row: Row) -> str:
+        """What the page sorts by: the unrounded number, or the text."""
+        value = row.get(self.key)
+        return "" if value is None else str(value)
+
+
+@dataclass(frozen=True)
+class Table:
+    """A titled table; `note` states the protocol, `name` is the file name of its copies."""
+
+    name: str
+    title: str
+    note: str
+    columns: tuple[Column, ...]
+    rows: list[Row]
+
+    @property
+    def highest(self) -> dict[str, float]:
+        """Greatest value of every column that is drawn with bars."""
+        values = {c.key: [row[c.key] for row in self.rows if row.get(c.key) is not None] for c in self.columns if c.bar}
+        return {key: max(found, default=0.0) for key, found in values.items()}
+
+    def csv(self) -> str:
+        """All digits, a header of keys with units."""
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow([f"{c.key} [{c.unit}]" if c.unit else c.key for c in self.columns])
+        writer.writerows([row.get(c.key) for c in self.columns] for row in self.rows)
+        return text.getvalue()
+
+    def csv_uri(self) -> str:
+        """The CSV as a data URI, so that the page alone carries it."""
+        return f"data:text/csv;charset=utf-8;base64,{base64.b64encode(self.csv().encode()).decode()}"
+
+    def of(self, sequence: str) -> "Table":
+        """The rows of one sequence, without the column that names it."""
+        columns = tuple(column for column in self.columns if column.key != "sequence")
+        rows = [row for row in self.rows if row["sequence"] == sequence]
+        return Table(f"{self.name}_{sequence}", self.title, self.note, columns, rows)
+
+    def write(self, folder: Path) -> None:
+        """Write `<name>.csv` and `<name>.parquet`."""
+        with atomic(folder / f"{self.name}.csv") as partial:
+            partial.write_text(self.csv())
+        units = {column.key: column.unit for column in self.columns}
+        keys = [column.key for column in self.columns]
+        about = {"title": self.title, "protocol": self.note, "units": units}
+        rows = [{key: row.get(key) for key in keys} for row in self.rows]
+        write_rows(folder / f"{self.name}.parquet", rows, keys, about)
 
 
 def write_rows(path: Path, rows: Sequence[Row], columns: Sequence[str], about: Mapping[str, Any]) -> None:

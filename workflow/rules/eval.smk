@@ -71,23 +71,30 @@ rule evaluate:
 rule report:
     input:
         tables=expand(rules.evaluate.output, seq=SEQUENCES, dataset=DATASET),
+        convergence=expand(
+            rules.train.output.convergence, seq=SEQUENCES, dataset=DATASET
+        ),
         published=workflow.source_path("../resources/published.yaml"),
+        page=expand(
+            str(REPO / "stages/eval/templates/{file}"),
+            file=["report.html.j2", "style.css", "sort.js"],
+        ),
     output:
         html=report(
             f"<results>/{DATASET}/report/index.html",
             caption="../report/report.rst",
             category="Report",
         ),
+        tables=directory(f"<results>/{DATASET}/report/tables"),
     log:
         f"<logs>/{DATASET}/report.log",
-    conda:
-        "../envs/motionsplat.yaml"
     resources:
         mem_mb=1500,
     params:
         code=code_digest("stages.eval.report"),
         flags=flags("report"),
         sequences=expand("<results>/{dataset}/{seq}", seq=SEQUENCES, dataset=DATASET),
+        manifests="--manifests simulated" if DATASET == settings.SIMULATED else "",
     shell:
-        "python -m stages.eval.report --sequences {params.sequences} --published {input.published}"
-        " --output {output.html} {params.flags} --log {log}"
+        "python -m stages.eval.report --sequences {params.sequences} --published-numbers {input.published}"
+        " {params.manifests} --output {output.html} --tables {output.tables} {params.flags} --log {log}"

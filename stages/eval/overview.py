@@ -1,0 +1,148 @@
+"""The first screen of the report: one sentence, the headline figures, what failed, and the groups of tables."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from stages.eval import published, summaries
+from stages.eval.tables import Row, Table
+
+Rows = Mapping[str, list[Row]]
+
+
+@dataclass(frozen=True)
+class Tile:
+    """One headline figure."""
+
+    label: str
+    value: str
+    note: str
+
+
+@dataclass(frozen=True)
+class Group:
+    """Tables on one subject: `tables` in view, `more` folded away."""
+
+    name: str
+    title: str
+    tables: list[Table]
+    more: list[Table]
+
+    @property
+    def text(self) -> str:
+        """What the group is about."""
+        return TEXTS[self.name]
+
+
+TEXTS = {
+    "poses": "How far the estimated cameras are from the true ones. COLMAP ran on the same frames on the same machine.",
+    "images": "How well renders match frames. Held-out frames were never trained on; copying the nearest training "
+    "frame is the least that a method must beat.",
+    "masks": "How well the pixels called dynamic match those that truly move.",
+    "checks": "How well poses and depth explain the optical flow (needs no truth), and flow and depth against truth.",
+    "time": "What every stage cost. Each sequence has its own table further down.",
+    "effects": "Only what a scene calls for is modelled; what is left out costs nothing.",
+}
+
+
+def build_groups(rows: Rows, protocols: Mapping[str, str], numbers: Mapping[str, Any]) -> list[Group]:
+    """The groups of tables; with several sequences their mean is in view and the single ones are folded away."""
+    poses_mean, poses = summaries.pose_tables(rows["poses"], protocols["poses"])
+    images_mean, images = summaries.image_tables(rows["images"], protocols["images"])
+    masks_mean, masks = summaries.mask_tables(rows["masks"], protocols["masks"])
+    time_mean, time = summaries.time_tables(rows["time"])
+    checks = summaries.check_table(rows["checks"])
+    effects = [summaries.decision_table(rows["decisions"]), summaries.simulation_table(rows["simulation"])]
+    other_poses, other_images = published.pose_table(numbers, rows["poses"]), published.image_table(numbers)
+    many = len({row["sequence"] for row in rows["time"]}) > 1
+    groups = [
+        Group("poses", "Camera poses", [poses_mean, poses] if many else [poses], [other_poses]),
+        Group("images", "Images", [images_mean] if many else [images], [*([images] if many else []), other_images]),
+        Group("masks", "Masks", [masks_mean] if many else [masks], [masks] if many else []),
+        Group("checks", "Flow and depth", [] if many else [checks], [checks] if many else []),
+        Group("time", "Time and memory", [time_mean] if many else [time], [time] if many else []),
+        Group("effects", "Effects", [] if many else effects, effects if many else []),
+    ]
+    return [_without_empty(group) for group in groups]
+
+
+def _without_empty(group: Group) -> Group:
+    tables, more = ([table for table in part if table.rows] for part in (group.tables, group.more))
+    return Group(group.name, group.title, tables, more)
+
+
+def tiles(rows: Rows) -> list[Tile]:
+    """Headline figures: ours, means over sequences, each with what it is a mean of."""
+    ours = _mean(summaries.mean_rows(rows["poses"], ("method",), summaries.POSE_METRICS), method="ours")
+    test = summaries.mean_rows(rows["images"], ("split", "region", "method"), summaries.IMAGE_METRICS)
+    image = _mean(test, split="test", region="whole", method="ours")
+    copied = _mean(test, split="test", region="whole", method="nearest training frame")
+    masks = summaries.mean_rows(rows["masks"], ("method", "round"), summaries.MASK_METRICS)
+    mask = _mean(masks[-2:], method="refined masks")
+    seconds = _per_sequence(rows["time"], "wall_s", sum)
+    peak_mb = _per_sequence(rows["time"], "peak_mb", max)
+    rivals = [row for row in summaries.mean_rows(rows["poses"], ("method",), summaries.POSE_METRICS) if _rival(row)]
+    best = min(rivals, key=lambda row: row["ate_percent"], default=None)
+    against = f"best COLMAP: {best['ate_percent']:.2f} %" if best else "COLMAP: none"
+    copied_words = f"nearest training frame: {copied['psnr_db']:.1f} dB" if copied else ""
+    return [
+        Tile("Camera error (ATE)", _show(ours, "ate_percent", 2, "% of path"), f"{_scored(ours)}; {against}"),
+        Tile("Focal error", _show(ours, "focal_error_percent", 1, "%"), _scored(ours)),
+        Tile(
+            "Held-out PSNR", _show(image, "psnr_db", 1, "dB"), "; ".join(filter(None, [_scored(image), copied_words]))
+        ),
+        Tile("Mask IoU", _show(mask, "iou", 2, ""), _scored(mask)),
+        Tile(
+            "Time", f"{np.mean(seconds):.0f} s" if seconds else "n/a", f"per sequence, all stages, n = {len(seconds)}"
+        ),
+        Tile("Peak memory", f"{max(peak_mb):.0f} MB" if peak_mb else "n/a", "largest of all stages"),
+    ]
+
+
+def summary(rows: Rows) -> str:
+    """The report in one sentence."""
+    values = {tile.label: tile for tile in tiles(rows)}
+    names = sorted({row["sequence"] for row in rows["time"]})
+    return (
+        f"{len(names)} sequence{'s' if len(names) != 1 else ''}. Cameras: {values['Camera error (ATE)'].value} off "
+        f"({values['Camera error (ATE)'].note}). Held-out views: {values['Held-out PSNR'].value}. "
+        f"Masks: IoU {values['Mask IoU'].value}. Cost: {values['Time'].value} per sequence."
+    )
+
+
+def problems(rows: Rows, names: Sequence[str]) -> list[str]:
+    """Failures and missing results, one sentence each."""
+    scored = {row["sequence"] for row in rows["poses"]}
+    found = [f"{name}: not evaluated; it counts as failed." for name in names if name not in scored]
+    for row in rows["poses"]:
+        if row["status"] not in ("ok", "no truth"):
+            found.append(f"{row['sequence']}, {row['method']}: {row['status']} ({row['note']}).")
+    blind = sorted({row["sequence"] for row in rows["poses"] if row["status"] == "no truth"})
+    if blind:
+        found.append(f"No camera truth, hence no ATE or RPE: {', '.join(blind)}. See the checks without truth.")
+    return found
+
+
+def _mean(rows: Sequence[Row], **wanted: str) -> Row | None:
+    return next((row for row in rows if all(row[key] == value for key, value in wanted.items())), None)
+
+
+def _rival(row: Row) -> bool:
+    return str(row["method"]).startswith("COLMAP") and row["ate_percent"] is not None
+
+
+def _per_sequence(rows: Sequence[Row], key: str, combine: Callable[[list[float]], float]) -> list[float]:
+    groups: dict[str, list[float]] = {}
+    for row in rows:
+        groups.setdefault(row["sequence"], []).append(row[key])
+    return [combine(values) for values in groups.values()]
+
+
+def _show(row: Row | None, key: str, digits: int, unit: str) -> str:
+    return f"{row[key]:.{digits}f} {unit}".strip() if row and row[key] is not None else "n/a"
+
+
+def _scored(row: Row | None) -> str:
+    return f"n = {row['n']} of {row['sequences']} sequences" if row else "no truth"

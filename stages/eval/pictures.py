@@ -1,0 +1,90 @@
+"""Pictures of the report as data URIs, small enough to mail."""
+
+import base64
+import io
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from stages.shared.figures import contact_sheet, overlay_mask, scalar_to_rgb
+from stages.shared.images import read_rgb
+
+QUALITY = 75
+MAX_WIDTH_PX = 1200
+GIF_WIDTH_PX = 480
+DIFFERENCE_GAIN = 4.0
+TRUE_EDGE = (0, 200, 255)
+
+
+def data_uri(content: bytes, kind: str) -> str:
+    """`content` of a media type such as "image/webp", for the src of an element."""
+    return f"data:{kind};base64,{base64.b64encode(content).decode()}"
+
+
+def webp(image: np.ndarray) -> str:
+    """An RGB image [H, W, 3] uint8, at most 1200 px wide, as the data URI of a WebP."""
+    height, width = image.shape[:2]
+    if width > MAX_WIDTH_PX:
+        size = (MAX_WIDTH_PX, round(height * MAX_WIDTH_PX / width))
+        image = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+    _, encoded = cv2.imencode(".webp", image[..., ::-1], [cv2.IMWRITE_WEBP_QUALITY, QUALITY])
+    return data_uri(encoded.tobytes(), "image/webp")
+
+
+def animation(path: Path) -> str:
+    """A GIF, reduced to 480 px width, as the data URI of an animated WebP."""
+    from PIL import Image, ImageSequence
+
+    with Image.open(path) as gif:
+        width = min(gif.width, GIF_WIDTH_PX)
+        size = (width, round(gif.height * width / gif.width))
+        frames = [frame.convert("RGB").resize(size) for frame in ImageSequence.Iterator(gif)]
+        duration = gif.info.get("duration", 80)
+    content = io.BytesIO()
+    frames[0].save(
+        content, "WEBP", save_all=True, append_images=frames[1:], duration=duration, loop=0, quality=QUALITY // 2
+    )
+    return data_uri(content.getvalue(), "image/webp")
+
+
+def mask_sheet(images: list[np.ndarray], masks: list[np.ndarray], truths: list[np.ndarray | None]) -> np.ndarray:
+    """Frames [H, W, 3] with our masks tinted red and the outline of the true ones in blue."""
+    drawn = []
+    for image, mask, truth in zip(images, masks, truths, strict=True):
+        sheet = overlay_mask(image, mask)
+        if truth is not None:
+            edge = cv2.morphologyEx(truth.astype(np.uint8), cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8)) > 0
+            sheet[edge] = TRUE_EDGE
+        drawn.append(sheet)
+    return contact_sheet(drawn, columns=2)
+
+
+def comparison_sheet(pairs: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
+    """A row per pair (truth, render), both [H, W, 3]: truth, render, absolute difference times 4."""
+    cells = []
+    for truth, render in pairs:
+        if truth.shape != render.shape:
+            truth = cv2.resize(truth, render.shape[1::-1], interpolation=cv2.INTER_AREA)
+        difference = DIFFERENCE_GAIN * np.abs(truth.astype(float) - render).mean(axis=-1)
+        cells += [truth, render, scalar_to_rgb(difference, 0, 255)]
+    return contact_sheet(cells, columns=3)
+
+
+def depth_sheet(inverse_depths: np.ndarray, true_depths: list[np.ndarray | None]) -> np.ndarray:
+    """A row per frame: our inverse depth [n, h, w] and, where there is any, the true one in the same colours."""
+    low, high = np.percentile(inverse_depths, [2, 98])
+    cells = []
+    for ours, truth in zip(inverse_depths, true_depths, strict=True):
+        size = (truth.shape[1], truth.shape[0]) if truth is not None else (4 * ours.shape[1], 4 * ours.shape[0])
+        cells.append(cv2.resize(scalar_to_rgb(ours, low, high), size, interpolation=cv2.INTER_LINEAR))
+        if truth is not None:
+            small = cv2.resize(truth, ours.shape[::-1], interpolation=cv2.INTER_NEAREST)
+            scale = np.median(ours * small)  # true inverse depth in our units
+            cells.append(scalar_to_rgb(scale / truth, low, high))
+    return contact_sheet(cells, columns=2)
+
+
+def read_pairs(files: list[tuple[Path, Path]]) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Pairs of images [H, W, 3] uint8."""
+    return [(read_rgb(first), read_rgb(second)) for first, second in files]

@@ -1,0 +1,115 @@
+"""Where the numbers come from: versions, commit, machine, options, and hashes of inputs and predictions."""
+
+import datetime
+import hashlib
+import os
+import platform
+import subprocess
+from collections.abc import Sequence
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from stages.eval.tables import Column, Table
+from stages.shared.artifacts import read_json
+from stages.shared.digest import ROOT
+
+PACKAGES = (
+    "motionsplat",
+    "numpy",
+    "scipy",
+    "numba",
+    "opencv-contrib-python-headless",
+    "torch",
+    "pycolmap",
+    "snakemake",
+)
+PREDICTIONS = ("ba/poses.parquet", "masks", "gaussians/gaussians.ply", "gaussians/model.safetensors", "renders")
+
+
+def tables(folders: Sequence[tuple[str, Path]]) -> list[Table]:
+    """Everything about where the numbers come from, for sequences given by name and result folder."""
+    run = [{"what": what, "value": value} for what, value in about_run().items()]
+    options = [{"sequence": name} | row for name, folder in folders for row in options_of(folder)]
+    hashes = [{"sequence": name} | row for name, folder in folders for row in hashes_of(folder)]
+    name = Column("sequence", "sequence")
+    columns = Column("what", "what"), Column("value", "value", long=True)
+    option_columns = name, Column("stage", "stage"), Column("options", "options", long=True)
+    hash_columns = name, Column("what", "what"), Column("sha256", "SHA-256 (first 16 digits)")
+    return [
+        Table("run", "This report", "Versions and machine as found when this page was written.", columns, run),
+        Table("options", "Options", "Of the last round where a stage ran in rounds.", option_columns, options),
+        Table("hashes", "Inputs and predictions", "Over file contents, in order of names.", hash_columns, hashes),
+    ]
+
+
+def about_run() -> dict[str, str]:
+    """Date, commit, versions and machine of this report."""
+    return {
+        "written": datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d %H:%M UTC"),
+        "commit": commit(),
+        "versions": ", ".join(f"{name} {_version(name)}" for name in PACKAGES),
+        "Python": platform.python_version(),
+        "machine": f"{_processor()}, {os.cpu_count()} cores, {_memory_gb()} GB, {platform.system()}",
+    }
+
+
+def commit() -> str:
+    """The git commit of this code, with "and local changes" where the tree differs from it."""
+
+    def git(*words: str) -> str:
+        return subprocess.run(
+            ["git", "-C", str(ROOT), *words], capture_output=True, text=True, check=True
+        ).stdout.strip()
+
+    try:
+        return git("rev-parse", "HEAD") + (" and local changes" if git("status", "--porcelain", "-uno") else "")
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown (not a git checkout)"
+
+
+def options_of(folder: Path) -> list[dict[str, str]]:
+    """The options of every stage of a sequence, as its time files hold them."""
+    rows = []
+    for path in sorted((folder / "stats").glob("*.json")):
+        options = read_json(path).get("options", {})
+        text = ", ".join(f"{name} = {value}" for name, value in options.items())
+        rows.append({"stage": path.stem, "options": text or "none"})
+    return rows
+
+
+def hashes_of(folder: Path) -> list[dict[str, str]]:
+    """SHA-256 (16 digits) of the input frames and of every prediction of a sequence that is there."""
+    frames: Any = read_json(folder / "sequence.json").get("frames_sha256")
+    rows = [{"what": "input frames (pixels)", "sha256": str(frames)[:16]}] if frames else []
+    for name in PREDICTIONS:
+        path = folder / name
+        if path.exists():
+            files = sorted(file for file in path.rglob("*") if file.is_file()) if path.is_dir() else [path]
+            rows.append({"what": name, "sha256": sha256(files)[:16]})
+    return rows
+
+
+def sha256(files: Sequence[Path]) -> str:
+    """Digest over the contents of files, in order."""
+    digest = hashlib.sha256()
+    for path in files:
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "not installed"
+
+
+def _processor() -> str:
+    lines = Path("/proc/cpuinfo").read_text().splitlines() if Path("/proc/cpuinfo").exists() else []
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.processor() or "unknown processor"
+
+
+def _memory_gb() -> int:
+    return round(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30)

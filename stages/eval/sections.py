@@ -1,0 +1,209 @@
+"""What the report shows of one sequence: figures with alternative text, decisions, and what is missing."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from stages.eval import pictures, plots
+from stages.eval.score_masks import read_masks
+from stages.eval.tables import Row, Table, read_rows
+from stages.eval.truth import true_masks
+from stages.shared import sequences, sintel
+from stages.shared.artifacts import read_dense, read_json, read_metadata, read_table
+from stages.shared.figures import spread
+from stages.shared.images import read_rgb
+
+SHOWN_FRAMES = 4
+STAGE_FIGURES = {
+    "inspect": "Input frames, with true motion where it is known",
+    "flow": "Optical flow: hue is direction, saturation is length",
+    "motion": "Motion prior: how likely each pixel moves in the world",
+    "segment": "Mask refinement",
+    "ba": "Bundle adjustment",
+    "scene": "Evidence for the effects",
+    "control": "Control points",
+    "gaussians": "Gaussian training",
+}
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A picture or chart as a data URI, with what it shows in words."""
+
+    title: str
+    source: str
+    alt: str
+    wide: bool = False
+
+
+@dataclass
+class Section:
+    """One sequence in the report."""
+
+    name: str
+    about: str
+    figures: list[Figure] = field(default_factory=list)
+    stage_figures: list[Figure] = field(default_factory=list)
+    tables: list[Table] = field(default_factory=list)
+    missing: list[str] = field(default_factory=list)
+    doubts: list[str] = field(default_factory=list)
+
+
+def build_section(folder: Path) -> Section:
+    """Read everything that lies in the folder of a sequence; absent parts are listed as missing."""
+    content = read_json(folder / "sequence.json")
+    sequence = sequences.read_sequence(folder / "sequence.json")
+    truth = ", ".join(sorted(sequence.truth)) or "none"
+    about = f"{len(sequence.frames)} frames, {sequence.width} x {sequence.height} px; truth: {truth}"
+    section = Section(sequence.name, about, missing=list(content.get("missing_truth", [])))
+    section.doubts = [*sequence.warnings, *_doubts(folder)]
+    parts: dict[str, Callable[[], list[Figure]]] = {
+        "trajectories": partial(_trajectory_figures, folder),
+        "masks": partial(_mask_figures, folder, sequence),
+        "depth": partial(_depth_figures, folder, sequence),
+        "renders": partial(_render_figures, folder, sequence),
+        "convergence": partial(_convergence_figures, folder),
+    }
+    for name, draw in parts.items():
+        try:
+            section.figures += draw()
+        except FileNotFoundError as error:
+            section.missing.append(f"{name}: {error.filename} is not there")
+    section.stage_figures = _stage_figures(folder)
+    return section
+
+
+def _doubts(folder: Path) -> list[str]:
+    path = folder / "ba" / "poses.parquet"
+    return [f"poses: {flag}" for flag in read_metadata(path).get("flags", [])] if path.exists() else []
+
+
+def _svg(title: str, content: bytes, alt: str) -> Figure:
+    return Figure(title, pictures.data_uri(content, "image/svg+xml"), alt)
+
+
+def _existing(path: Path) -> Path:
+    if not path.exists():
+        raise FileNotFoundError(2, "missing", str(path))
+    return path
+
+
+def _trajectory_figures(folder: Path) -> list[Figure]:
+    rows = read_rows(_existing(folder / "eval" / "trajectory.parquet"))
+    paths = plots.paths_of(rows)
+    listed = ", ".join(paths) or "no method"
+    found = [
+        _svg("Camera path from above", plots.draw_top(rows), f"Camera centres of {listed}, seen from above"),
+        _svg("Camera path in 3D", plots.draw_space(rows), f"Camera centres of {listed} in three dimensions"),
+    ]
+    errors = _series([row for row in rows if row["error"] is not None and row["method"] in paths], "error")
+    if errors:
+        worst = {method: max(values[1]) for method, values in errors.items()}
+        words = ", ".join(f"{method} at most {value:.3g}" for method, value in worst.items())
+        chart = plots.draw_lines(errors, ("frame", "distance to truth (scene units)"), list(paths))
+        found.append(
+            _svg("Error of every camera", chart, f"Distance to the true camera per frame: {words} scene units")
+        )
+    return found
+
+
+def _series(rows: Sequence[Row], key: str) -> dict[str, tuple[list[float], list[float]]]:
+    """Frame numbers and values by method."""
+    found: dict[str, tuple[list[float], list[float]]] = {}
+    for row in rows:
+        frames, values = found.setdefault(row["method"], ([], []))
+        frames.append(row["frame"])
+        values.append(row[key])
+    return found
+
+
+def _mask_figures(folder: Path, sequence: sequences.Sequence) -> list[Figure]:
+    masks = read_masks(_existing(folder / "masks"))
+    truth, _ = true_masks(sequence)
+    shown = [sequence.numbers[k] for k in spread(len(sequence.numbers), SHOWN_FRAMES)]
+    images = [read_rgb(sequence.frames[sequence.numbers.index(n)]) for n in shown]
+    sheet = pictures.mask_sheet(images, [masks[n] for n in shown], [truth.get(n) for n in shown])
+    outline = "; blue outline: the true ones" if truth else ""
+    title = f"Masks of frames {', '.join(map(str, shown))} (red: called dynamic{outline})"
+    share = 100 * np.mean([mask.mean() for mask in masks.values()])
+    figures = [
+        Figure(title, pictures.webp(sheet), f"Frames with dynamic masks covering {share:.1f} % on average", True)
+    ]
+    return figures + _frame_chart(folder, "masks", "iou", "Mask overlap per frame", "IoU")
+
+
+def _frame_chart(folder: Path, kind: str, metric: str, title: str, label: str) -> list[Figure]:
+    rows = read_rows(_existing(folder / "eval" / "frames.parquet"))
+    chosen = [row for row in rows if row["kind"] == kind and row["metric"] == metric]
+    for row in chosen:
+        row["method"] = row["method"] if row["split"] is None else f"{row['method']}, {row['split']}"
+    series = _series(chosen, "value")
+    if not series:
+        return []
+    words = ", ".join(f"{name} {np.mean(values[1]):.3g} on average" for name, values in series.items())
+    chart = plots.draw_lines(series, ("frame", label), list(series))
+    return [_svg(title, chart, f"{label} per frame: {words}")]
+
+
+def _depth_figures(folder: Path, sequence: sequences.Sequence) -> list[Figure]:
+    depth = read_dense(_existing(folder / "ba" / "depth.arrow"))
+    shown = spread(len(sequence.numbers), 3)
+    has_truth = sequence.has_truth("depth")
+    files = [sequence.truth["depth"][sequence.numbers[k]] if has_truth else None for k in shown]
+    truths = [sintel.read_dpt(file) if file else None for file in files]
+    sheet = pictures.depth_sheet(depth["inverse_depth"][shown], truths)
+    beside = " (left: ours, right: truth)" if has_truth else ""
+    numbers = ", ".join(str(sequence.numbers[k]) for k in shown)
+    title = f"Inverse depth of frames {numbers}{beside}, near is yellow"
+    return [Figure(title, pictures.webp(sheet), f"Inverse depth maps of frames {numbers}{beside}", True)]
+
+
+def _render_figures(folder: Path, sequence: sequences.Sequence) -> list[Figure]:
+    found = []
+    for split, words in {"test": "held-out", "right": "right-eye"}.items():
+        renders = {int(p.stem.removeprefix("frame_")): p for p in (folder / "renders" / split).glob("frame_*.png")}
+        truth = sequence.truth.get("clean_right", {}) if split == "right" else _frames_by_number(sequence)
+        numbers = [n for n in sorted(renders) if n in truth]
+        shown = [numbers[k] for k in spread(len(numbers), 2)] if numbers else []
+        if shown:
+            pairs = [(read_rgb(truth[n]), read_rgb(renders[n])) for n in shown]
+            title = f"{words.capitalize()} frames {', '.join(map(str, shown))}: truth, render, difference x4"
+            alt = f"True {words} frames beside our renders and their difference"
+            found.append(Figure(title, pictures.webp(pictures.comparison_sheet(pairs)), alt, True))
+    if not found:
+        raise FileNotFoundError(2, "missing", f"renders of held-out frames in {folder / 'renders'}")
+    if (folder / "figures" / "render.gif").exists():
+        fly = pictures.animation(folder / "figures" / "render.gif")
+        found.append(Figure("Fly-through at moving time", fly, "Animation of the reconstructed scene from new views"))
+    return found + _frame_chart(folder, "images", "psnr_db", "Image quality per frame", "PSNR (dB)")
+
+
+def _frames_by_number(sequence: sequences.Sequence) -> Mapping[int, Path]:
+    return dict(zip(sequence.numbers, sequence.frames, strict=True))
+
+
+def _convergence_figures(folder: Path) -> list[Figure]:
+    found = []
+    steps = read_table(_existing(folder / "ba" / "convergence.parquet"))
+    line = {"ours": (steps["iteration"].tolist(), steps["cost"].tolist())}
+    alt = f"Cost of bundle adjustment over {len(steps['cost'])} iterations, from {steps['cost'][0]:.4g}"
+    chart = plots.draw_lines(line, ("iteration (all phases)", "cost"), ["ours"], log=True)
+    found.append(_svg("Bundle adjustment", chart, f"{alt} to {steps['cost'][-1]:.4g}"))
+    training = read_table(_existing(folder / "gaussians" / "convergence.parquet"))
+    line = {"ours": (training["step"].tolist(), training["loss"].tolist())}
+    alt = f"Training loss over {len(training['loss'])} entries, from {training['loss'][0]:.3g}"
+    chart = plots.draw_lines(line, ("training step", "loss"), ["ours"], log=True)
+    found.append(_svg("Gaussian training", chart, f"{alt} to {training['loss'][-1]:.3g}"))
+    return found
+
+
+def _stage_figures(folder: Path) -> list[Figure]:
+    found = []
+    for name, title in STAGE_FIGURES.items():
+        path = folder / "figures" / f"{name}.png"
+        if path.exists():
+            found.append(Figure(title, pictures.webp(read_rgb(path)), f"Picture of the {name} stage: {title}", True))
+    return found
