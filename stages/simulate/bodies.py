@@ -23,11 +23,11 @@ from stages.simulate.shape_models import (
     Walker,
 )
 from stages.simulate.textures import fractal_field
+from stages.simulate.walker import walker
 
 Deform = Callable[[float, float], np.ndarray]
 """(seconds, clip time 0..1) -> vertices [V, 3] about the body's origin."""
 Ground = Callable[[float, float], float]
-SKIN = Texture(colours=((0.62, 0.4, 0.29), (0.5, 0.3, 0.2)), scale=0.1, contrast=0.3)
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ def terrain_height(terrain: Terrain, seed: int, xy: np.ndarray) -> np.ndarray:
 def _ground(scene: Scene, seed: int) -> Ground:
     terrain = next((shape for shape in scene.objects if isinstance(shape, Terrain)), None)
     if terrain is None:
-        return lambda x, y: 0.0
+        return lambda *_: 0.0
     x0, y0, z0 = terrain.position
     return lambda x, y: z0 + float(terrain_height(terrain, seed, np.array([[x - x0, y - y0]]))[0])
 
@@ -130,7 +130,7 @@ def _parts(shape: Placed, seed: int) -> list[tuple[Mesh, Deform | None, Texture]
         case Box():
             return [(meshes.box(shape.size), None, texture)]
         case Sphere():
-            return [(meshes.sphere(shape.radii), None, texture)]
+            return [(_bumpy(shape, seed), None, texture)]
         case Cylinder():
             return [(meshes.cylinder(shape.radius, shape.height), None, texture)]
         case Terrain():
@@ -139,8 +139,8 @@ def _parts(shape: Placed, seed: int) -> list[tuple[Mesh, Deform | None, Texture]
             xy = (flat.vertices[:, :2] - 0.5) * shape.size
             return [(Mesh(np.column_stack([xy, terrain_height(shape, seed, xy)]), flat.faces), None, texture)]
         case Walker():
-            clothes, skin = deform.walker(shape)
-            return [(*clothes, texture), (*skin, SKIN)]
+            shirt, trousers, skin = walker(shape)
+            return [(*shirt, texture), (*trousers, shape.trousers), (*skin, shape.skin)]
         case Cloth():
             return [(*deform.cloth(shape), texture)]
         case Breather():
@@ -150,3 +150,12 @@ def _parts(shape: Placed, seed: int) -> list[tuple[Mesh, Deform | None, Texture]
         case Cluster():
             return [(*deform.cluster(shape), texture)]
     raise TypeError(type(shape).__name__)
+
+
+def _bumpy(shape: Sphere, seed: int) -> Mesh:
+    """An ellipsoid whose radius varies with fractal noise."""
+    if not shape.bumps:
+        return meshes.sphere(shape.radii)
+    unit = meshes.sphere((1.0, 1.0, 1.0))
+    bumps = fractal_field(1.1 * unit.vertices + 7.0 + seed, 0.1)
+    return Mesh(unit.vertices * (1 + shape.bumps * bumps)[:, None] * shape.radii, unit.faces)

@@ -66,7 +66,18 @@ def _boxes(corners: np.ndarray, levels: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 @njit(cache=True, error_model="numpy", inline="always")
-def _enters(low, high, node, ox, oy, oz, ix, iy, iz, reach):  # type: ignore[no-untyped-def]
+def _enters(
+    low: np.ndarray,
+    high: np.ndarray,
+    node: int,
+    ox: float,
+    oy: float,
+    oz: float,
+    ix: float,
+    iy: float,
+    iz: float,
+    reach: float,
+) -> bool:
     """Whether the ray meets the node's box before `reach` (slab test)."""
     x0, x1 = (low[node, 0] - ox) * ix, (high[node, 0] - ox) * ix
     y0, y1 = (low[node, 1] - oy) * iy, (high[node, 1] - oy) * iy
@@ -77,7 +88,9 @@ def _enters(low, high, node, ox, oy, oz, ix, iy, iz, reach):  # type: ignore[no-
 
 
 @njit(cache=True, error_model="numpy", inline="always")
-def _meets(corners, k, ox, oy, oz, dx, dy, dz):  # type: ignore[no-untyped-def]
+def _meets(
+    corners: np.ndarray, k: int, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float
+) -> tuple[float, float, float]:
     """Ray parameter and barycentrics (t, u, v) of triangle k, t = -1 for a miss (Moeller and Trumbore 1997)."""
     ax, ay, az = corners[k, 0, 0], corners[k, 0, 1], corners[k, 0, 2]
     ex, ey, ez = corners[k, 1, 0] - ax, corners[k, 1, 1] - ay, corners[k, 1, 2] - az
@@ -99,13 +112,15 @@ def _meets(corners, k, ox, oy, oz, dx, dy, dz):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy", inline="always")
-def _slope(x):  # type: ignore[no-untyped-def]
+def _slope(x: float) -> float:
     """1 / x, large instead of infinite at 0 so that a slab test never forms 0 * inf."""
     return 1.0 / x if abs(x) > 1e-200 else 1e200
 
 
 @njit(cache=True, error_model="numpy")
-def walk(tree, ox, oy, oz, dx, dy, dz, reach, any_hit):  # type: ignore[no-untyped-def]
+def walk(
+    tree: Tree, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float, reach: float, any_hit: bool
+) -> tuple[float, int, float, float]:
     """The nearest triangle along o + t d with 1e-7 < t < reach, or with `any_hit` the first one found.
 
     Returns:

@@ -1,13 +1,13 @@
 """Shapes whose vertices move against each other. Each returns its mesh at rest and (seconds, clip time) -> vertices."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
 
 from stages.simulate import meshes
 from stages.simulate.meshes import Mesh
 from stages.simulate.motion import rotation
-from stages.simulate.shape_models import Breather, Cloth, Cluster, Jelly, Walker
+from stages.simulate.shape_models import Breather, Cloth, Cluster, Jelly
 
 Deforming = tuple[Mesh, Callable[[float, float], np.ndarray]]
 
@@ -88,62 +88,3 @@ def cluster(shape: Cluster) -> Deforming:
         return np.concatenate(moved)
 
     return meshes.join(shapes), vertices
-
-
-class _Limb:
-    """Two segments hanging from a joint; angles about x, the second joint's relative to the first's."""
-
-    def __init__(
-        self, joint: Sequence[float], lengths: Sequence[float], radii: Sequence[float], end: Mesh | None
-    ) -> None:
-        self.joint, self.upper_length = np.array(joint), lengths[0]
-        self.upper, self.lower = (_segment(length, radius) for length, radius in zip(lengths, radii, strict=True))
-        if end is not None:
-            self.lower = meshes.join([self.lower, Mesh(end.vertices - [0, 0, lengths[1]], end.faces)])
-
-    @property
-    def faces(self) -> Mesh:
-        return meshes.join([self.upper, self.lower])
-
-    def vertices(self, first_deg: float, second_deg: float) -> np.ndarray:
-        R = rotation((first_deg, 0, 0))
-        knee = self.joint + R @ [0, 0, -self.upper_length]
-        below = R @ rotation((second_deg, 0, 0))
-        return np.concatenate([self.upper.vertices @ R.T + self.joint, self.lower.vertices @ below.T + knee])
-
-
-def _segment(length: float, radius: float) -> Mesh:
-    """An ellipsoid from the joint at the origin down to -`length`, a little longer at both ends."""
-    mesh = meshes.sphere((radius, radius, length / 2 + 0.6 * radius), segments=16)
-    return Mesh(mesh.vertices - [0, 0, length / 2], mesh.faces)
-
-
-def walker(shape: Walker) -> tuple[Deforming, Deforming]:
-    """A walking figure that faces +y: clothes (torso, legs, sleeves) and skin (head, hands are part of the sleeves)."""
-    foot = meshes.box((0.05, 0.14, 0.03))
-    foot = Mesh(foot.vertices + [0, 0.035, -0.015], foot.faces)
-    legs = [_Limb((side * 0.055, 0, 0.5), (0.24, 0.24), (0.052, 0.04), foot) for side in (-1, 1)]
-    arms = [_Limb((side * 0.135, 0, 0.8), (0.17, 0.17), (0.036, 0.03), None) for side in (-1, 1)]
-    torso = meshes.sphere((0.12, 0.08, 0.2), segments=24)
-    torso = Mesh(torso.vertices + [0, 0, 0.66], torso.faces)
-    head = meshes.sphere((0.055, 0.065, 0.075), segments=24)
-    head = Mesh((head.vertices + [0, 0.01, 0.925]) * shape.height, head.faces)
-
-    def clothes(seconds: float, _: float) -> np.ndarray:
-        stride = 2 * np.pi * shape.pace_hz * seconds
-        limbs = [torso.vertices]
-        for side, leg, arm in zip((0, np.pi), legs, arms, strict=True):
-            swing = np.sin(stride + side)
-            lift = max(np.cos(stride + side), 0.0) if shape.pace_hz else 0.0
-            limbs.append(leg.vertices(shape.swing_deg * swing, -1.4 * shape.swing_deg * lift))
-            limbs.append(arm.vertices(-0.8 * shape.swing_deg * swing, 0.5 * shape.swing_deg * (1.2 - swing)))
-        return shape.height * (np.concatenate(limbs) + [0, 0, 0.012 * np.cos(2 * stride)])
-
-    def skin(seconds: float, _: float) -> np.ndarray:
-        bob = 0.012 * np.cos(4 * np.pi * shape.pace_hz * seconds)
-        return head.vertices + [0, 0, shape.height * bob]
-
-    meshes_in_order = [torso, legs[0].faces, arms[0].faces, legs[1].faces, arms[1].faces]
-    faces = meshes.join(meshes_in_order).faces
-    standing = np.concatenate([torso.vertices, *(limb.vertices(0, 0) for limb in (legs[0], arms[0], legs[1], arms[1]))])
-    return (Mesh(standing * shape.height, faces), clothes), (head, skin)

@@ -79,7 +79,7 @@ def noise(effect: Noise, picture: np.ndarray, frame: int, seed: int) -> np.ndarr
 
 
 @njit(cache=True, parallel=True)
-def _gather(picture, depth, radius):  # type: ignore[no-untyped-def]
+def _gather(picture: np.ndarray, depth: np.ndarray, radius: np.ndarray) -> np.ndarray:
     """Each pixel averages those whose blur circle reaches it; one behind it counts only within its own circle."""
     height, width = depth.shape
     reach = int(np.ceil(radius.max()))

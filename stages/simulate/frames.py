@@ -10,12 +10,14 @@ from stages.simulate import effects
 from stages.simulate.motion import View
 from stages.simulate.raycast import Hits, cast
 from stages.simulate.scene import Scene
-from stages.simulate.shading import lit, surfaces
+from stages.simulate.shading import Surface, lit, surfaces
 from stages.simulate.stopwatch import Stopwatch
 from stages.simulate.world import Snapshot, World
 
 SUBPIXELS = np.array([[-0.125, -0.375], [0.375, -0.125], [-0.375, 0.125], [0.125, 0.375]])
 """Rotated-grid samples of a pixel, relative to its centre."""
+PLASTIC = (0.7548776662466927, 0.5698402909980532)
+"""Steps of the R2 sequence (Roberts 2018): successive points cover the pixel evenly."""
 OF_LIGHT = ("shadows", "specular", "fog")
 
 
@@ -36,20 +38,35 @@ class Moment(NamedTuple):
     view: View
 
 
-def picture(stage: Stage, moment: Moment, with_effects: bool) -> tuple[np.ndarray, Hits]:
-    """Radiance [H, W, 3] and what the pixel centres see [H W]."""
+class Seen(NamedTuple):
+    """What a camera sees: surfaces at the pixel centres [H W], and at SUBPIXELS of the pixels `edges` [m]."""
+
+    hits: Hits
+    surface: Surface
+    edges: np.ndarray
+    finer_hits: Hits
+    finer_surface: Surface
+
+
+def see(stage: Stage, moment: Moment) -> Seen:
+    """Cast the rays of a picture: one per pixel, and more where bodies meet."""
     height, width = stage.scene.height, stage.scene.width
     uv = pixel_grid(height, width).reshape(-1, 2)
     hits = cast(moment.snapshot, moment.view, uv)
-    radiance = _radiance(stage, moment, hits, with_effects)
     edges = np.flatnonzero(edge_pixels(hits, stage.world, height, width))
-    finer = (uv[edges, None] + SUBPIXELS).reshape(-1, 2)
-    sampled = _radiance(stage, moment, cast(moment.snapshot, moment.view, finer), with_effects)
-    radiance[edges] = sampled.reshape(-1, len(SUBPIXELS), 3).mean(axis=1)
-    return radiance.reshape(height, width, 3), hits
+    finer = cast(moment.snapshot, moment.view, (uv[edges, None] + SUBPIXELS).reshape(-1, 2))
+    return Seen(hits, _surface(stage, moment, hits), edges, finer, _surface(stage, moment, finer))
 
 
-def final(stage: Stage, frame: int, moment: Moment, clean: np.ndarray, hits: Hits) -> np.ndarray:
+def develop(stage: Stage, moment: Moment, seen: Seen, with_effects: bool) -> np.ndarray:
+    """Radiance [H, W, 3] of what was seen; `with_effects` adds the listed ones that act on light."""
+    radiance = _radiance(stage, moment, seen.hits, seen.surface, with_effects)
+    finer = _radiance(stage, moment, seen.finer_hits, seen.finer_surface, with_effects)
+    radiance[seen.edges] = finer.reshape(-1, len(SUBPIXELS), 3).mean(axis=1)
+    return radiance.reshape(stage.scene.height, stage.scene.width, 3)
+
+
+def final(stage: Stage, frame: int, moment: Moment, seen: Seen, clean: np.ndarray) -> np.ndarray:
     """The final pass [H, W, 3]: `clean` with the effects that the scene lists, and no others."""
     listed, measure = stage.scene.effects, stage.watch.measure
     radiance = clean
@@ -57,11 +74,10 @@ def final(stage: Stage, frame: int, moment: Moment, clean: np.ndarray, hits: Hit
         with measure("motion_blur"):
             radiance = _motion_blur(stage, frame)
     elif any(getattr(listed, name) for name in OF_LIGHT):
-        with measure("light effects"):
-            radiance = picture(stage, moment, with_effects=True)[0]
+        radiance = develop(stage, moment, seen, with_effects=True)
     if listed.defocus:
         with measure("defocus"):
-            radiance = effects.defocus(listed.defocus, radiance, hits.depth.reshape(radiance.shape[:2]))
+            radiance = effects.defocus(listed.defocus, radiance, seen.hits.depth.reshape(radiance.shape[:2]))
     if listed.vignette:
         with measure("vignette"):
             radiance = effects.vignette(listed.vignette, radiance)
@@ -100,20 +116,28 @@ def to_srgb(radiance: np.ndarray) -> np.ndarray:
 
 
 def _motion_blur(stage: Stage, frame: int) -> np.ndarray:
-    """Mean of pictures over the time the shutter is open."""
+    """Mean over the time the shutter is open; each sample also looks through another point of the pixel."""
     blur = stage.scene.effects.motion_blur
     assert blur is not None
-    moments = frame + blur.shutter * ((np.arange(blur.samples) + 0.5) / blur.samples - 0.5)
-    total = np.zeros((stage.scene.height, stage.scene.width, 3))
-    for time in moments:
-        total += picture(stage, Moment(stage.world.at(time), stage.view(time)), with_effects=True)[0]
-    return total / blur.samples
+    shape = (stage.scene.height, stage.scene.width, 3)
+    uv = pixel_grid(*shape[:2]).reshape(-1, 2)
+    total = np.zeros((len(uv), 3))
+    for k in range(blur.samples):
+        time = frame + blur.shutter * ((k + 0.5) / blur.samples - 0.5)
+        moment = Moment(stage.world.at(time), stage.view(time))
+        hits = cast(moment.snapshot, moment.view, uv + (np.array(PLASTIC) * (k + 1) % 1 - 0.5))
+        total += _radiance(stage, moment, hits, _surface(stage, moment, hits), with_effects=True)
+    return total.reshape(shape) / blur.samples
 
 
-def _radiance(stage: Stage, moment: Moment, hits: Hits, with_effects: bool) -> np.ndarray:
+def _surface(stage: Stage, moment: Moment, hits: Hits) -> Surface:
+    view = moment.view
+    return surfaces(stage.world, moment.snapshot, stage.scene.lights, hits, view.centre, view.K[0, 0])
+
+
+def _radiance(stage: Stage, moment: Moment, hits: Hits, surface: Surface, with_effects: bool) -> np.ndarray:
     """Radiance [n, 3] of what rays meet, with the effects of light if asked for."""
     listed, lights, centre = stage.scene.effects, stage.scene.lights, moment.view.centre
-    surface = surfaces(stage.world, moment.snapshot, lights, hits, centre, moment.view.K[0, 0])
     sunlight = np.ones(len(hits.face))
     if with_effects and listed.shadows:
         with stage.watch.measure("shadows"):

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit, prange
 
-from stages.simulate.bvh import walk
+from stages.simulate.bvh import Tree, walk
 from stages.simulate.motion import View
 from stages.simulate.world import Snapshot, World
 
@@ -46,7 +46,9 @@ def follow(hits: Hits, world: World, snapshot: Snapshot) -> np.ndarray:
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
-def _nearest(still, moving, centre, directions):  # type: ignore[no-untyped-def]
+def _nearest(
+    still: Tree, moving: Tree, centre: np.ndarray, directions: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     n = len(directions)
     depth, face, bary = np.empty(n), np.empty(n, np.int64), np.zeros((n, 2))
     ox, oy, oz = centre
@@ -66,7 +68,9 @@ def _nearest(still, moving, centre, directions):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
-def blocked(still, moving, points, source, directional, slack):  # type: ignore[no-untyped-def]
+def blocked(
+    still: Tree, moving: Tree, points: np.ndarray, source: np.ndarray, directional: bool, slack: float
+) -> np.ndarray:
     """Whether something lies between points [n, 3] and `source` [3], a point, or a direction if `directional`.
 
     `slack` is how much of the way next to the point does not count, relative for a point source, metres otherwise.
@@ -89,7 +93,9 @@ def blocked(still, moving, points, source, directional, slack):  # type: ignore[
 
 
 @njit(cache=True, parallel=True)
-def _follow(faces, vertices, face, bary, point):  # type: ignore[no-untyped-def]
+def _follow(
+    faces: np.ndarray, vertices: np.ndarray, face: np.ndarray, bary: np.ndarray, point: np.ndarray
+) -> np.ndarray:
     moved = point.copy()
     for k in prange(len(face)):
         if face[k] >= 0:

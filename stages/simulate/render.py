@@ -75,20 +75,22 @@ def draw_frame(stage: Stage, frame: int, folders: dict[str, Path]) -> None:
     last = frame == scene.frames - 1
     with watch.measure("clean"):
         now = Moment(world.at(frame), stage.view(frame))
-        clean, hits = frames.picture(stage, now, with_effects=False)
+        seen = frames.see(stage, now)
+        clean = frames.develop(stage, now, seen, with_effects=False)
     with watch.measure("truth"):
         other = frame - 1 if last else frame + 1
         uv = pixel_grid(scene.height, scene.width).reshape(-1, 2)
-        moved = motion(hits, uv, world, world.at(other), stage.view(other), now.view.K[0, 0])
-    final = frames.final(stage, frame, now, clean, hits)
+        moved = motion(seen.hits, uv, world, world.at(other), stage.view(other), now.view.K[0, 0])
+    final = frames.final(stage, frame, now, seen, clean)
     with watch.measure("right eye"):
         right = right_of(now.view, scene.camera.baseline)
-        clean_right = frames.picture(stage, Moment(now.snapshot, right), with_effects=False)[0]
+        other_eye = Moment(now.snapshot, right)
+        clean_right = frames.develop(stage, other_eye, frames.see(stage, other_eye), with_effects=False)
     with watch.measure("writing"):
         stem = f"frame_{frame + 1:04d}"
         for kind, image in (("clean", clean), ("final", final), ("clean_right", clean_right)):
             write_image(folders[kind] / f"{stem}.png", frames.to_srgb(image))
-        sintel.write_dpt(folders["depth"] / f"{stem}.dpt", hits.depth.reshape(clean.shape[:2]))
+        sintel.write_dpt(folders["depth"] / f"{stem}.dpt", seen.hits.depth.reshape(clean.shape[:2]))
         for kind, view in (("camdata_left", now.view), ("camdata_right", right)):
             _write_view(folders[kind] / f"{stem}.cam", view)
         _write_motion(folders, stem, moved, clean.shape[:2], last)
@@ -104,7 +106,7 @@ def explanation(scene: Scene, name: str, seed: int, watch: Stopwatch) -> dict[st
         "frames": scene.frames,
         "width": scene.width,
         "height": scene.height,
-        "objects": {shape.name: shape.kind for shape in scene.objects},  # type: ignore[union-attr]
+        "objects": {shape.name: shape.kind for shape in scene.objects},
         "effects": {effect: getattr(scene.effects, effect).model_dump() for effect in listed},
         "not_simulated": [effect for effect in Effects.model_fields if effect not in listed],
         "seconds": {key: round(value, 4) for key, value in watch.spent.items()},

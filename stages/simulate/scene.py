@@ -4,6 +4,7 @@ World axes: x right, y forward, z up, in metres. `time` of keyframes runs 0..1 o
 hertz at 24 frames per second.
 """
 
+import itertools
 from pathlib import Path
 from typing import Any
 
@@ -51,7 +52,7 @@ class Camera(Options):
     @model_validator(mode="after")
     def _in_order(self) -> "Camera":
         times = [key.time for key in self.keys]
-        if any(b <= a for a, b in zip(times, times[1:], strict=False)):
+        if any(b <= a for a, b in itertools.pairwise(times)):
             raise ValueError("keyframes with increasing times")
         return self
 
@@ -60,11 +61,11 @@ class Lights(Options):
     """One sun and a sky that lights from above; both are radiances in units of display white."""
 
     sun_from: Vec3 = Field((-0.4, -0.5, 0.8), description="direction towards the sun")
-    sun: Colour = Field((1.15, 1.08, 0.95), description="linear RGB")
-    sky: Colour = Field((0.42, 0.48, 0.58), description="linear RGB light from above")
-    bounce: Colour = Field((0.22, 0.19, 0.16), description="linear RGB light from below")
-    horizon: Colour = Field((0.75, 0.78, 0.8), description="linear RGB of the sky at the horizon")
-    zenith: Colour = Field((0.22, 0.4, 0.72), description="linear RGB of the sky overhead")
+    sun: Colour = Field((1.3, 1.16, 0.92), description="linear RGB")
+    sky: Colour = Field((0.25, 0.32, 0.44), description="linear RGB light from above")
+    bounce: Colour = Field((0.11, 0.09, 0.07), description="linear RGB light from below")
+    horizon: Colour = Field((0.62, 0.68, 0.74), description="linear RGB of the sky at the horizon")
+    zenith: Colour = Field((0.13, 0.27, 0.56), description="linear RGB of the sky overhead")
     clouds: float = Field(0.6, ge=0, le=1, description="how much of the sky is cloud")
 
     @model_validator(mode="after")

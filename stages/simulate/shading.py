@@ -8,7 +8,7 @@ from numba import njit, prange
 from stages.simulate.raycast import Hits
 from stages.simulate.scene import Lights
 from stages.simulate.textures import ROUGH, fractal, noise, pattern
-from stages.simulate.world import Snapshot, World
+from stages.simulate.world import Materials, Snapshot, World
 
 
 class Surface(NamedTuple):
@@ -32,7 +32,7 @@ def surfaces(
 ) -> Surface:
     """Texture and orientation at `hits`, seen from a camera at `centre` [3]."""
     sky = np.array([lights.horizon, lights.zenith], float)
-    mesh = (world.faces, world.body, world.rest, snapshot.vertices, snapshot.normals)
+    mesh = (world.faces, world.body, world.rest, snapshot.normals)
     return Surface(*_surfaces(mesh, world.materials, hits, centre, focal_px, sky, lights.clouds))
 
 
@@ -43,8 +43,16 @@ def lit(surface: Surface, lights: Lights, sunlight: np.ndarray) -> np.ndarray:
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
-def _surfaces(mesh, materials, hits, centre, focal, sky, clouds):  # type: ignore[no-untyped-def]
-    faces, body, rest, vertices, normals = mesh
+def _surfaces(
+    mesh: tuple[np.ndarray, ...],
+    materials: Materials,
+    hits: Hits,
+    centre: np.ndarray,
+    focal: float,
+    sky: np.ndarray,
+    clouds: float,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    faces, body, rest, normals = mesh
     depth, face, bary, point = hits
     n = len(face)
     albedo, normal, gloss = np.empty((n, 3)), np.zeros((n, 3)), np.zeros(n)
@@ -71,7 +79,9 @@ def _surfaces(mesh, materials, hits, centre, focal, sky, clouds):  # type: ignor
 
 
 @njit(cache=True)
-def _texture(materials, m, where, across, footprint, out):  # type: ignore[no-untyped-def]
+def _texture(
+    materials: Materials, m: int, where: np.ndarray, across: np.ndarray, footprint: float, out: np.ndarray
+) -> None:
     """Albedo of material `m` at a rest position whose triangle has the rest normal `across`."""
     scale, contrast = materials.scale[m], materials.contrast[m]
     p = where / scale + materials.offset[m]
@@ -87,15 +97,15 @@ def _texture(materials, m, where, across, footprint, out):  # type: ignore[no-un
             first, second = p[0], p[2]
         cell, joint = pattern(materials.pattern[m], first, second, footprint / scale)
         tone = 0.25 * tone + 0.75 * cell
-    mix = min(max(tone + 0.35 * contrast * detail, 0.0), 1.0)
-    brightness = np.exp(0.75 * contrast * detail) * (1.0 - 0.7 * contrast * joint)
+    mix = min(max(tone + 0.25 * contrast * detail, 0.0), 1.0)
+    brightness = np.exp(0.95 * contrast * detail) * (1.0 - 0.7 * contrast * joint)
     for c in range(3):
         blend = materials.colours[m, 0, c] + mix * contrast * (materials.colours[m, 1, c] - materials.colours[m, 0, c])
         out[c] = min(blend * brightness, 1.0)
 
 
 @njit(cache=True)
-def _sky(direction, sky, clouds, footprint, out):  # type: ignore[no-untyped-def]
+def _sky(direction: np.ndarray, sky: np.ndarray, clouds: float, footprint: float, out: np.ndarray) -> None:
     """Radiance of the sky: a gradient from horizon to zenith with fractal clouds."""
     x, y, z = direction
     height = min(max(z, 0.0), 1.0) ** 0.6
@@ -104,11 +114,13 @@ def _sky(direction, sky, clouds, footprint, out):  # type: ignore[no-untyped-def
     cover = clouds * min(max(cloud, 0.0), 1.0)
     for c in range(3):
         clear = sky[0, c] + height * (sky[1, c] - sky[0, c])
-        out[c] = clear + cover * (0.92 - clear)
+        out[c] = clear + cover * (0.85 - clear)
 
 
 @njit(cache=True, parallel=True)
-def _lit(albedo, normal, sun, colours, sunlight):  # type: ignore[no-untyped-def]
+def _lit(
+    albedo: np.ndarray, normal: np.ndarray, sun: np.ndarray, colours: tuple[np.ndarray, ...], sunlight: np.ndarray
+) -> np.ndarray:
     direct, above, below = colours
     radiance = np.empty_like(albedo)
     for k in prange(len(albedo)):

@@ -1,5 +1,6 @@
 """What can stand in a scene: shapes with their place, surface, motion and copies."""
 
+import itertools
 from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, Tag, model_validator
@@ -54,7 +55,7 @@ class Placed(Options):
     @model_validator(mode="after")
     def _in_order(self) -> "Placed":
         times = [key.time for key in self.path]
-        if any(b <= a for a, b in zip(times, times[1:], strict=False)):
+        if any(b <= a for a, b in itertools.pairwise(times)):
             raise ValueError("path keyframes with increasing times")
         return self
 
@@ -67,10 +68,11 @@ class Box(Placed):
 
 
 class Sphere(Placed):
-    """An ellipsoid about its origin."""
+    """An ellipsoid about its origin, with bumps a boulder or a bush."""
 
     kind: Literal["sphere"]
     radii: tuple[Size, Size, Size] = Field(description="along x, y, z, metres")
+    bumps: float = Field(0.0, ge=0, le=0.5, description="depth of fractal bumps, share of the radius")
 
 
 class Cylinder(Placed):
@@ -98,6 +100,8 @@ class Walker(Placed):
     height: Size = Field(1.75, description="metres")
     pace_hz: float = Field(0.9, ge=0, le=5, description="full strides per second; 0 to stand still")
     swing_deg: float = Field(32.0, ge=0, le=80, description="how far the legs swing, degrees")
+    trousers: Texture = Texture(colours=((0.06, 0.08, 0.16), (0.13, 0.14, 0.2)), scale=0.2, contrast=0.8)
+    skin: Texture = Texture(colours=((0.58, 0.36, 0.25), (0.36, 0.2, 0.13)), scale=0.12, contrast=0.5)
 
 
 class Cloth(Placed):

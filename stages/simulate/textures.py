@@ -10,34 +10,27 @@ from numba import njit, prange
 PERSISTENCE = 0.78
 """Contrast of an octave relative to the next coarser one."""
 ROUGH, BRICKS, PLANKS, STRIPES, STONES, CHECKS = range(6)
+GRADIENTS = np.random.default_rng(0).uniform(-1, 1, (256, 3))
 PATTERNS = {"rough": ROUGH, "bricks": BRICKS, "planks": PLANKS, "stripes": STRIPES, "stones": STONES, "checks": CHECKS}
 
 
 @njit(cache=True, inline="always")
-def _hash(x, y, z):  # type: ignore[no-untyped-def]
-    """A random 32-bit integer for a lattice point (integer mixing after Wang 2007)."""
-    h = (
-        np.uint32(x) * np.uint32(0x8DA6B343)
-        ^ np.uint32(y) * np.uint32(0xD8163841)
-        ^ np.uint32(z) * np.uint32(0xCB1AB31F)
-    )
-    h = (h ^ (h >> np.uint32(15))) * np.uint32(0x2C1B3C6D)
-    h = (h ^ (h >> np.uint32(12))) * np.uint32(0x297A2D39)
-    return h ^ (h >> np.uint32(15))
+def _hash(x: int, y: int, z: int) -> int:
+    """A random integer for a lattice point (multiplicative mixing as in Teschner et al. 2003, then avalanche)."""
+    h = np.uint32((x * 0x8DA6B343) ^ (y * 0xD8163841) ^ (z * 0xCB1AB31F))
+    h = np.uint32((h ^ (h >> 15)) * 0x2C1B3C6D)
+    return np.int64(h ^ (h >> 13))  # type: ignore[return-value]
 
 
 @njit(cache=True, inline="always")
-def _slope(x, y, z, fx, fy, fz):  # type: ignore[no-untyped-def]
+def _slope(x: int, y: int, z: int, fx: float, fy: float, fz: float) -> float:
     """Dot product of the lattice point's random gradient with the offset (fx, fy, fz)."""
-    h = _hash(x, y, z)
-    gx = np.float64(h & np.uint32(1023)) * (2.0 / 1023.0) - 1.0
-    gy = np.float64((h >> np.uint32(10)) & np.uint32(1023)) * (2.0 / 1023.0) - 1.0
-    gz = np.float64((h >> np.uint32(20)) & np.uint32(1023)) * (2.0 / 1023.0) - 1.0
-    return gx * fx + gy * fy + gz * fz
+    k = _hash(x, y, z) & 255
+    return GRADIENTS[k, 0] * fx + GRADIENTS[k, 1] * fy + GRADIENTS[k, 2] * fz
 
 
 @njit(cache=True)
-def noise(x, y, z):  # type: ignore[no-untyped-def]
+def noise(x: float, y: float, z: float) -> float:
     """Gradient noise at a point: zero mean, about -1..1, features of size 1."""
     bx, by, bz = np.floor(x), np.floor(y), np.floor(z)
     fx, fy, fz = x - bx, y - by, z - bz
@@ -59,11 +52,11 @@ def noise(x, y, z):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def fractal(x, y, z, footprint):  # type: ignore[no-untyped-def]
-    """Sum of octaves from size 1 down to two footprints, standard deviation about 0.6."""
+def fractal(x: float, y: float, z: float, footprint: float) -> float:
+    """Sum of octaves from size 1 down to the footprint, standard deviation about 0.6."""
     total, weight, size = 0.0, 1.0, 1.0
     for octave in range(12):
-        fade = min(size / (2.0 * footprint) - 1.0, 1.0)
+        fade = min(size / footprint - 1.0, 1.0)
         if fade <= 0.0:
             break
         shift = 17.3 * octave
@@ -74,7 +67,7 @@ def fractal(x, y, z, footprint):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, parallel=True)
-def fractal_field(points, footprint):  # type: ignore[no-untyped-def]
+def fractal_field(points: np.ndarray, footprint: float) -> np.ndarray:
     """`fractal` at points [n, 3] -> [n]."""
     values = np.empty(len(points))
     for n in prange(len(points)):
@@ -83,44 +76,44 @@ def fractal_field(points, footprint):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, inline="always")
-def _edge(distance, width, footprint):  # type: ignore[no-untyped-def]
+def _edge(distance: float, width: float, footprint: float) -> float:
     """1 inside a line of half-width `width`, 0 outside, blurred over the footprint."""
     soft = max(footprint, 0.25 * width)
     return min(max((width - distance) / soft + 0.5, 0.0), 1.0) * min(1.0, 2.0 * width / soft)
 
 
 @njit(cache=True)
-def _bricks(u, v, footprint, aspect):  # type: ignore[no-untyped-def]
+def _bricks(u: float, v: float, footprint: float, aspect: float) -> tuple[float, float]:
     """Tone of a brick or plank and how much its joint shows, with rows of height 1 / `aspect`."""
     row = np.floor(v * aspect)
     shifted = u + 0.5 * (np.int64(row) & 1) if aspect < 6 else u + 0.37 * row
     column = np.floor(shifted)
     du = min(shifted - column, column + 1 - shifted)
     dv = min(v * aspect - row, row + 1 - v * aspect) / aspect
-    tone = np.float64(_hash(np.int64(row), np.int64(column), 5) & np.uint32(255)) / 255.0
+    tone = np.float64(_hash(np.int64(row), np.int64(column), 5) & 255) / 255.0
     return tone, _edge(min(du, dv), 0.018, footprint)
 
 
 @njit(cache=True)
-def _stones(u, v, footprint):  # type: ignore[no-untyped-def]
+def _stones(u: float, v: float, footprint: float) -> tuple[float, float]:
     """Tone of the nearest cell and how much the joint to the second nearest shows (Worley 1996)."""
     iu, iv = np.int64(np.floor(u)), np.int64(np.floor(v))
     nearest, second, tone = 9.0, 9.0, 0.0
     for j in range(iv - 1, iv + 2):
         for i in range(iu - 1, iu + 2):
             h = _hash(i, j, 9)
-            du = i + np.float64(h & np.uint32(255)) / 255.0 - u
-            dv = j + np.float64((h >> np.uint32(8)) & np.uint32(255)) / 255.0 - v
+            du = i + np.float64(h & 255) / 255.0 - u
+            dv = j + np.float64((h >> 8) & 255) / 255.0 - v
             distance = np.sqrt(du * du + dv * dv)
             if distance < nearest:
-                nearest, second, tone = distance, nearest, np.float64((h >> np.uint32(16)) & np.uint32(255)) / 255.0
+                nearest, second, tone = distance, nearest, np.float64((h >> 16) & 255) / 255.0
             elif distance < second:
                 second = distance
     return tone, _edge(0.5 * (second - nearest), 0.05, footprint)
 
 
 @njit(cache=True)
-def pattern(kind, u, v, footprint):  # type: ignore[no-untyped-def]
+def pattern(kind: int, u: float, v: float, footprint: float) -> tuple[float, float]:
     """Tone 0..1 and joint 0..1 of a pattern with features of size 1 in its plane."""
     if kind == BRICKS:
         return _bricks(u, v, footprint, 2.6)

@@ -1,0 +1,108 @@
+"""An articulated figure that walks: every limb is two segments on hinges."""
+
+import numpy as np
+
+from stages.simulate import meshes
+from stages.simulate.deform import Deforming
+from stages.simulate.meshes import Mesh
+from stages.simulate.motion import rotation
+from stages.simulate.shape_models import Walker
+
+SIDES = (-1.0, 1.0)
+HIP, SHOULDER = (0.05, 0.0, 0.5), (0.125, 0.0, 0.79)
+"""Joints of the right side of a figure of height 1 that faces +y."""
+THIGH, SHIN, UPPER_ARM, FOREARM = (0.25, 0.056), (0.24, 0.04), (0.17, 0.04), (0.15, 0.03)
+"""Length and radius of each segment."""
+
+
+def walker(shape: Walker) -> tuple[Deforming, Deforming, Deforming]:
+    """Shirt, trousers (with shoes and hair) and skin of a walking figure; each with how its vertices move."""
+    torso = meshes.join([_ellipsoid((0, 0, 0.68), (0.125, 0.078, 0.165)), _ellipsoid((0, 0, 0.53), (0.1, 0.075, 0.09))])
+    head = meshes.join(
+        [_ellipsoid((0, 0.01, 0.925), (0.052, 0.06, 0.075)), _ellipsoid((0, 0, 0.85), (0.03, 0.03, 0.06))]
+    )
+    shoe = meshes.box((0.055, 0.15, 0.03))
+    shoe = Mesh(shoe.vertices + np.array([0, 0.035, -SHIN[0] - 0.015]), shoe.faces)
+    hand = _ellipsoid((0, 0, -FOREARM[0] - 0.03), (0.018, 0.028, 0.045))
+    hair = _ellipsoid((0, -0.008, 0.948), (0.055, 0.06, 0.062))
+    thigh, shin = _segment(*THIGH), meshes.join([_segment(*SHIN), shoe])
+    upper_arm, forearm = _segment(*UPPER_ARM), _segment(*FOREARM)
+
+    def shirt(seconds: float, _: float) -> np.ndarray:
+        parts = [torso.vertices]
+        for side in SIDES:
+            swing, bend = _arm_deg(shape, seconds, side)
+            upper, lower = _hinges(SHOULDER, side, UPPER_ARM[0], swing, bend)
+            parts += [_moved(upper_arm, upper), _moved(forearm, lower)]
+        return _risen(shape, seconds, parts)
+
+    def trousers(seconds: float, _: float) -> np.ndarray:
+        parts = [hair.vertices]
+        for side in SIDES:
+            swing, bend = _leg_deg(shape, seconds, side)
+            upper, lower = _hinges(HIP, side, THIGH[0], swing, bend)
+            parts += [_moved(thigh, upper), _moved(shin, lower)]
+        return _risen(shape, seconds, parts)
+
+    def skin(seconds: float, _: float) -> np.ndarray:
+        parts = [head.vertices]
+        for side in SIDES:
+            parts.append(_moved(hand, _hinges(SHOULDER, side, UPPER_ARM[0], *_arm_deg(shape, seconds, side))[1]))
+        return _risen(shape, seconds, parts)
+
+    shirt_faces = meshes.join([torso, upper_arm, forearm, upper_arm, forearm]).faces
+    trousers_faces = meshes.join([hair, thigh, shin, thigh, shin]).faces
+    skin_faces = meshes.join([head, hand, hand]).faces
+    return (
+        (Mesh(shirt(0.0, 0.0), shirt_faces), shirt),
+        (Mesh(trousers(0.0, 0.0), trousers_faces), trousers),
+        (Mesh(skin(0.0, 0.0), skin_faces), skin),
+    )
+
+
+def _leg_deg(shape: Walker, seconds: float, side: float) -> tuple[float, float]:
+    """Angles of hip and knee; the knee bends while the leg swings forward."""
+    phase = 2 * np.pi * shape.pace_hz * seconds + (np.pi if side > 0 else 0.0)
+    return shape.swing_deg * np.sin(phase), -1.4 * shape.swing_deg * max(np.cos(phase), 0.0) * bool(shape.pace_hz)
+
+
+def _arm_deg(shape: Walker, seconds: float, side: float) -> tuple[float, float]:
+    """Angles of shoulder and elbow, opposite to the leg of the same side."""
+    phase = 2 * np.pi * shape.pace_hz * seconds + (np.pi if side > 0 else 0.0)
+    return -0.8 * shape.swing_deg * np.sin(phase), 0.5 * shape.swing_deg * (1.2 - np.sin(phase))
+
+
+def _hinges(
+    joint: tuple[float, float, float], side: float, length: float, first_deg: float, second_deg: float
+) -> tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
+    """Rotation and origin of a limb's upper and lower segment; the second angle is relative to the first."""
+    origin = np.array(joint) * [side, 1, 1]
+    upper = rotation((first_deg, 0, 0))
+    lower = upper @ rotation((second_deg, 0, 0))
+    return (upper, origin), (lower, origin + upper @ [0, 0, -length])
+
+
+def _moved(mesh: Mesh, pose: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+    R, origin = pose
+    return np.asarray(mesh.vertices @ R.T + origin)
+
+
+def _risen(shape: Walker, seconds: float, parts: list[np.ndarray]) -> np.ndarray:
+    """The parts at full size; the body is highest when the legs pass each other."""
+    bob = 0.012 * np.cos(4 * np.pi * shape.pace_hz * seconds)
+    return np.asarray(shape.height * (np.concatenate(parts) + np.array([0, 0, bob])))
+
+
+def _ellipsoid(centre: tuple[float, float, float], radii: tuple[float, float, float]) -> Mesh:
+    mesh = meshes.sphere(radii, segments=24)
+    return Mesh(mesh.vertices + np.array(centre), mesh.faces)
+
+
+def _segment(length: float, radius: float) -> Mesh:
+    """A limb segment from its joint at the origin down to -`length`, thicker at the joint and round at both ends."""
+    mesh = meshes.sphere((radius, radius, length / 2 + 0.5 * radius), segments=18)
+    z = mesh.vertices[:, 2] / (length / 2 + 0.5 * radius)
+    fuller = np.sqrt(np.sqrt(1 - z**8) / np.sqrt(np.maximum(1 - z**2, 1e-9))) * (1 + 0.18 * z)
+    fuller[np.abs(z) > 1 - 1e-9] = 1.0
+    vertices = mesh.vertices * np.stack([fuller, fuller, np.ones_like(z)], axis=1)
+    return Mesh(vertices - [0, 0, length / 2], mesh.faces)
