@@ -10,7 +10,14 @@ from stages.shared.split import SplitOptions
 class GaussiansOptions(SplitOptions):
     """Two-stage training of the 4D Gaussian scene (stage 2)."""
 
-    steps: int = Field(400, ge=1, description="optimisation steps")
+    steps: int = Field(600, ge=1, le=100_000, description="optimisation steps, one training frame each")
+    stride_px: int = Field(2, ge=1, le=16, description="one initial Gaussian per this many pixels, each way")
+    max_gaussians: int = Field(80_000, ge=1, description="hard cap of initialisation and densification")
+    densify: bool = Field(True, description="split Gaussians where the image gradient is high, prune transparent ones")
+    neighbours: int = Field(4, ge=1, le=16, description="control points that move one Gaussian")
+    detach: bool = Field(False, description="keep the photometric loss from the motion, as the paper reads literally")
+    learning_rate: float = Field(1.0, gt=0, le=10, description="factor on all step sizes")
+    ssim_weight: float = Field(0.2, ge=0, le=1, description="share of D-SSIM in the photometric loss; the rest is L1")
     seed: int = Field(0, ge=0, description="seed of the order of frames")
     device: Literal["auto", "cpu", "cuda"] = Field("auto", description="where to train")
 
@@ -18,4 +25,11 @@ class GaussiansOptions(SplitOptions):
 class RenderOptions(SplitOptions):
     """Train, held-out and novel views, and a video."""
 
+    novel_views: int = Field(24, ge=2, le=1000, description="frames of the fly-through")
+    orbit_share: float = Field(
+        0.03,
+        ge=0,
+        le=1,
+        description="how far the fly-through leaves the estimated path, as a share of the median depth",
+    )
     device: Literal["auto", "cpu", "cuda"] = Field("auto", description="where to render")

@@ -57,7 +57,7 @@ def rasterize(
     render = _render_cuda if means.is_cuda else _render_cpu
     views = []
     for viewmat, K, background in zip(viewmats, Ks, backgrounds, strict=True):
-        shown = colors if sh_degree is None else sh.sh_to_colour(colors, _directions(means, viewmat), sh_degree)
+        shown = colors if sh_degree is None else sh.sh_to_colour(colors, _views(means, viewmat), sh_degree)
         views.append(render(means, quats, scales, opacities, shown, viewmat, K, width, height, near_plane, background))
     colour, depth, alpha, centres = zip(*views, strict=True)
     return Rendering(torch.stack(colour), torch.stack(depth), torch.stack(alpha), list(centres))
@@ -83,9 +83,8 @@ def backend_name(device: torch.device) -> str:
     return "gsplat on CUDA" if device.type == "cuda" else "numba on the CPU"
 
 
-def _directions(means: Tensor, viewmat: Tensor) -> Tensor:
-    centre = -viewmat[:3, :3].T @ viewmat[:3, 3]
-    return torch.nn.functional.normalize(means - centre, dim=-1)
+def _views(means: Tensor, viewmat: Tensor) -> Tensor:
+    return means - (-viewmat[:3, :3].T @ viewmat[:3, 3]).to(means.dtype)
 
 
 def _render_cpu(
@@ -121,7 +120,7 @@ def _render_cuda(
 ) -> tuple[Tensor, ...]:
     from gsplat import rasterization
 
-    gsplat_K = K.clone()
+    gsplat_K = K.to(means.dtype, copy=True)
     gsplat_K[:2, 2] += 0.5  # gsplat puts pixel centres at half-integers
     image, alpha, info = rasterization(
         means, quats, scales, opacities, colours, viewmat[None], gsplat_K[None], width, height,

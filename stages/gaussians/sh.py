@@ -46,12 +46,16 @@ def basis(directions: Tensor, degree: int) -> Tensor:
     return torch.stack(values, dim=-1)
 
 
-def sh_to_colour(sh: Tensor, directions: Tensor, degree: int) -> Tensor:
-    """Colours [N, 3] >= 0 of coefficients [N, (degree + 1)^2, 3]: max(0, 0.5 + sum_k basis_k sh_k)."""
-    used = sh[:, : coefficients(degree)]
+def sh_to_colour(sh: Tensor, views: Tensor, degree: int) -> Tensor:
+    """Colours [N, 3] >= 0 of coefficients [N, (degree + 1)^2, 3]: max(0, 0.5 + sum_k basis_k sh_k).
+
+    Args:
+        views: [N, 3] from the camera to each Gaussian, any length but zero.
+    """
     if degree == 0:
-        return (0.5 + C0 * used[:, 0]).clamp_min(0)
-    return (0.5 + torch.einsum("nk,nkc->nc", basis(directions, degree), used)).clamp_min(0)
+        return (0.5 + C0 * sh[:, 0]).clamp_min(0)
+    values = basis(torch.nn.functional.normalize(views, dim=-1), degree)
+    return (0.5 + torch.einsum("nk,nkc->nc", values, sh[:, : coefficients(degree)])).clamp_min(0)
 
 
 def colour_to_sh(colour: Tensor) -> Tensor:

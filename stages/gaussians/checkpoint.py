@@ -1,0 +1,88 @@
+"""Checkpoints of the training: a killed run goes on where it was and ends with the same result, bit for bit."""
+
+import hashlib
+import time
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from stages.gaussians.densify import GradientRecord, select
+from stages.gaussians.optimise import History, Trainer
+from stages.gaussians.options import GaussiansOptions
+from stages.shared.artifacts import read_metadata, read_model, write_model
+from stages.shared.digest import code_digest
+from stages.shared.log import logger
+
+INTERVAL_S = 20.0
+
+
+class Checkpoint:
+    """A hidden file beside the model, of use only to a run with the same inputs, options and code."""
+
+    def __init__(self, model: Path, inputs: list[Path], options: GaussiansOptions) -> None:
+        self.path = model.with_name(f".{model.stem}.checkpoint.safetensors")
+        self.origin = _fingerprint(inputs, options)
+        self.saved_s = time.perf_counter()
+
+    def resume(self, trainer: Trainer) -> None:
+        """Bring a fresh trainer to the saved step, if there is a checkpoint of the same run."""
+        if not self.path.exists():
+            return
+        metadata = read_metadata(self.path)
+        if metadata["origin"] != self.origin:
+            logger.info("the checkpoint is of other inputs, options or code: training starts afresh")
+            return
+        restore(trainer, read_model(self.path), int(metadata["n_static"]))
+        logger.info("resumed at step %d of %d", trainer.step, trainer.options.steps)
+
+    def save_sometimes(self, trainer: Trainer) -> None:
+        """Save if the last time was a while ago."""
+        if time.perf_counter() - self.saved_s > INTERVAL_S:
+            write_model(self.path, capture(trainer), {"origin": self.origin, "n_static": trainer.scene.n_static})
+            self.saved_s = time.perf_counter()
+
+    def remove(self) -> None:
+        """Delete the file: the training is done."""
+        self.path.unlink(missing_ok=True)
+
+
+def capture(trainer: Trainer) -> dict[str, np.ndarray]:
+    """Everything that changes during training, as arrays."""
+    tensors = {f"scene.{name}": value for name, value in trainer.scene.state_dict().items()}
+    for group in trainer.optimiser.param_groups:
+        for k, parameter in enumerate(group["params"]):
+            state = trainer.optimiser.state[parameter]
+            tensors |= {f"adam.{group['name']}.{k}.{key}": value for key, value in state.items()}
+    tensors |= {"record.total": trainer.record.total, "record.views": trainer.record.views}
+    arrays = {name: value.detach().cpu().numpy() for name, value in tensors.items()}
+    return arrays | {f"history.{name}": np.array(values) for name, values in vars(trainer.history).items()}
+
+
+def restore(trainer: Trainer, arrays: dict[str, np.ndarray], n_static: int) -> None:
+    """Put a trainer of the same run into the state of `capture`."""
+    scene, device = trainer.scene, trainer.device
+    state = {name: torch.from_numpy(np.array(value)).to(device) for name, value in arrays.items()}
+    scene_state = {name.removeprefix("scene."): value for name, value in state.items() if name.startswith("scene.")}
+    N = len(scene_state["anchors"])
+    blank = select(scene.cloud(), torch.zeros(N, dtype=torch.int64, device=device))
+    blank.dynamic = torch.arange(N, device=device) >= n_static
+    scene.set_cloud(blank)  # gives every tensor its size
+    scene.load_state_dict(scene_state)
+    trainer.optimiser = trainer.new_optimiser()
+    for group in trainer.optimiser.param_groups:
+        for k, parameter in enumerate(group["params"]):
+            prefix = f"adam.{group['name']}.{k}."
+            moments = {name.removeprefix(prefix): value for name, value in state.items() if name.startswith(prefix)}
+            trainer.optimiser.state[parameter] = moments
+    trainer.record = GradientRecord(state["record.total"], state["record.views"])
+    trainer.history = History(**{name: arrays[f"history.{name}"].tolist() for name in vars(trainer.history)})
+    trainer.step = trainer.history.step[-1]
+
+
+def _fingerprint(inputs: list[Path], options: GaussiansOptions) -> str:
+    digest = hashlib.sha256(options.model_dump_json().encode() + code_digest("stages.gaussians.train").encode())
+    for path in inputs:
+        for file in sorted(path.rglob("*")) if path.is_dir() else [path]:
+            digest.update(file.name.encode() + file.read_bytes())
+    return digest.hexdigest()

@@ -1,0 +1,96 @@
+"""Density control: Gaussians that the image still pulls at are split, transparent ones removed, under a hard cap."""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from stages.gaussians.model import Cloud
+
+MIN_OPACITY = 0.01
+"""Below this opacity a Gaussian changes no pixel visibly."""
+GROWTH = 0.05
+"""At most this share of the Gaussians is split at a time."""
+MIN_GRADIENT = 1.5
+"""Only Gaussians whose mean image gradient is this many times the average are split."""
+
+
+@dataclass
+class GradientRecord:
+    """Mean length of the loss's gradient by the projected mean, over the steps in which a Gaussian was drawn.
+
+    Attributes:
+        total: [N] sum of lengths per pixel. views: [N] number of steps with a gradient.
+    """
+
+    total: Tensor
+    views: Tensor
+
+    @classmethod
+    def empty(cls, N: int, device: torch.device) -> "GradientRecord":
+        """A record of no step."""
+        return cls(torch.zeros(N, device=device), torch.zeros(N, device=device))
+
+    def add(self, gradient: Tensor) -> None:
+        """Count one step's gradient [1, N, 2]."""
+        length = gradient[0].norm(dim=-1)
+        self.total += length
+        self.views += length > 0
+
+    @property
+    def mean(self) -> Tensor:
+        """[N], 0 for what was never drawn."""
+        return self.total / self.views.clamp_min(1)
+
+
+def densify(cloud: Cloud, gradient: Tensor, max_gaussians: int) -> tuple[Cloud, Tensor]:
+    """Prune, then split along the longest axis while there is room.
+
+    Both halves lie one standard deviation of the parent's halved axis from its centre and cover it together: the axis
+    is halved, the others keep 0.85, the opacity 0.8 of the parent's. No random numbers.
+
+    Args:
+        gradient: [N] mean gradient length of each Gaussian.
+
+    Returns:
+        The new cloud, static first, and for each of its rows the parent's row [M], -1 for a split half.
+    """
+    alive = torch.nonzero(cloud.logits.sigmoid() > MIN_OPACITY)[:, 0]
+    room = max(0, min(int(GROWTH * len(alive)), max_gaussians - len(alive)))
+    pulled = gradient[alive]
+    wanted = int((pulled > MIN_GRADIENT * pulled.mean()).sum()) if len(alive) else 0
+    chosen = alive[pulled.topk(min(room, wanted)).indices]
+    is_chosen = torch.zeros_like(cloud.dynamic)
+    is_chosen[chosen] = True
+    kept = alive[~is_chosen[alive]]
+    rows = torch.cat([kept, chosen, chosen])
+    parents = torch.cat([kept, -torch.ones_like(chosen), -torch.ones_like(chosen)])
+    grown = select(cloud, rows)
+    _halve(grown, len(kept), len(chosen))
+    order = torch.argsort(grown.dynamic.to(torch.uint8), stable=True)
+    return select(grown, order), parents[order]
+
+
+def select(cloud: Cloud, rows: Tensor) -> Cloud:
+    """The given rows of a cloud, copied."""
+    return Cloud(*(values[rows] for values in vars(cloud).values()))
+
+
+def _halve(cloud: Cloud, start: int, count: int) -> None:
+    """Turn rows start..start + count and the `count` after them into the two halves of what both hold."""
+    for side, begin in ((1.0, start), (-1.0, start + count)):
+        rows = slice(begin, begin + count)
+        axis = cloud.log_scales[rows].argmax(dim=-1, keepdim=True)
+        longest = cloud.log_scales[rows].gather(1, axis).exp()
+        local = torch.zeros_like(cloud.means[rows]).scatter(1, axis, 0.5 * side * longest)
+        cloud.means[rows] += rotate(torch.nn.functional.normalize(cloud.quats[rows], dim=-1), local)
+        shrink = torch.full_like(local, 0.85).scatter(1, axis, 0.5)
+        cloud.log_scales[rows] += shrink.log()
+        cloud.logits[rows] = (0.8 * cloud.logits[rows].sigmoid()).logit()
+
+
+def rotate(quats: Tensor, vectors: Tensor) -> Tensor:
+    """Vectors [n, 3] turned by unit quaternions wxyz [n, 4]: v + 2 w (q x v) + 2 q x (q x v)."""
+    w, q = quats[:, :1], quats[:, 1:]
+    cross = torch.linalg.cross(q, vectors)
+    return vectors + 2 * (w * cross + torch.linalg.cross(q, cross))

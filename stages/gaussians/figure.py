@@ -1,0 +1,66 @@
+"""Picture of the training for the report: frames, renders and their difference, and the PSNR over the steps."""
+
+import io
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+import torch
+from PIL import Image
+
+from stages.gaussians.observations import Observations
+from stages.gaussians.optimise import Trainer
+from stages.shared.artifacts import atomic
+from stages.shared.figures import contact_sheet, spread
+
+WIDTH_PX = 1200
+GAIN = 4
+COLOURS = 96
+"""Size of the palette: a third of the bytes of full colour."""
+
+
+def to_uint8(image: np.ndarray) -> np.ndarray:
+    """[..., 3] float 0..1 (clipped) to uint8."""
+    return np.round(np.clip(image, 0, 1) * 255).astype(np.uint8)
+
+
+def write_figure(path: Path, image: np.ndarray) -> None:
+    """Write [H, W, 3] uint8 as a PNG with a palette."""
+    with atomic(path) as partial:
+        Image.fromarray(image).quantize(COLOURS, dither=Image.Dither.NONE).save(partial, "PNG", optimize=True)
+
+
+@torch.no_grad()
+def training_figure(trainer: Trainer, seen: Observations) -> np.ndarray:
+    """Frame, render and difference x GAIN of two training frames; below, the PSNR curve. [H, W, 3] uint8."""
+    cells = []
+    for f in spread(len(seen.images), 4)[1:3]:
+        view = trainer.scene.render(
+            float(seen.times[f]), trainer.viewmats[f], trainer.Ks[f], trainer.width, trainer.height
+        )
+        image = view.colour[0].cpu().numpy()
+        difference = GAIN * np.abs(image - seen.images[f])
+        cells += [to_uint8(seen.images[f]), to_uint8(image), to_uint8(difference)]
+    return np.concatenate([contact_sheet(cells, columns=3, width_px=WIDTH_PX), _curve(trainer)])
+
+
+def _curve(trainer: Trainer) -> np.ndarray:
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    history = trainer.history
+    round_of = len(trainer.targets)  # the mean over one round of frames: the single values differ by frame
+    psnr = np.convolve(history.psnr, np.full(round_of, 1 / round_of), mode="valid")
+    dpi = 100
+    figure, left = pyplot.subplots(figsize=(WIDTH_PX / dpi, 2.6), dpi=dpi, layout="constrained")
+    left.plot(history.step[-len(psnr) :], psnr, color="#1f5fa8")
+    left.set(xlabel="step", ylabel="PSNR of training frames, dB", xlim=(0, max(history.step)))
+    left.grid(alpha=0.3)
+    right = left.twinx()
+    right.plot(history.step, np.array(history.n_gaussians) / 1000, color="#b0552b", linewidth=1)
+    right.set_ylabel("Gaussians, thousands")
+    right.set_ylim(bottom=0)
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="rgba")
+    pyplot.close(figure)
+    return np.frombuffer(buffer.getvalue(), np.uint8).reshape(-1, WIDTH_PX, 4)[..., :3].copy()

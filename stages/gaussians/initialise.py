@@ -1,0 +1,194 @@
+"""The first Gaussians: pixels of several training frames lifted by their depth, labelled static or dynamic once."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import torch
+
+from stages.control.deformation import Deformation
+from stages.gaussians import sh
+from stages.gaussians.model import Cloud
+from stages.gaussians.observations import Observations
+from stages.gaussians.rasterize import rasterize
+from stages.gaussians.skinning import skin, to_canonical
+from stages.shared.cameras import project, unproject
+
+LIFTED_FRAMES = 8
+"""Frames that add what the ones before them do not show."""
+DEPTH_TOLERANCE = 0.06
+"""Relative difference of depth below which two points are the same surface."""
+SCALE_SHARE = 0.5
+"""Initial standard deviation as a share of the distance between neighbouring Gaussians."""
+OPACITY = 0.8
+
+
+@dataclass(frozen=True)
+class Points:
+    """n lifted pixels: positions [n, 3], colours [n, 3] 0..1, footprints [n] (scene units), frames [n] of origin."""
+
+    positions: np.ndarray
+    colours: np.ndarray
+    footprints: np.ndarray
+    frames: np.ndarray
+
+    def __getitem__(self, rows: np.ndarray) -> "Points":
+        return Points(*(values[rows] for values in vars(self).values()))
+
+
+def join(parts: list[Points]) -> Points:
+    """All points of `parts`, in order."""
+    return Points(*(np.concatenate(values) for values in zip(*(vars(part).values() for part in parts), strict=True)))
+
+
+def lift(seen: Observations, f: int, keep: np.ndarray, stride_px: int) -> Points:
+    """Points of the pixels of frame f on the stride grid where keep [H, W] holds."""
+    grid = np.zeros(keep.shape, bool)
+    grid[stride_px // 2 :: stride_px, stride_px // 2 :: stride_px] = True
+    v, u = np.nonzero(keep & grid)
+    depth = seen.depths[f, v, u].astype(float)
+    positions = unproject(np.stack([u, v], axis=-1), depth, seen.cam_from_world[f], seen.Ks[f])
+    return Points(positions, seen.images[f, v, u], depth / seen.Ks[f, 0, 0] * stride_px, np.full(len(u), f))
+
+
+def frame_order(F: int, first: int) -> list[int]:
+    """At most LIFTED_FRAMES of F frames: `first`, then those spread over the clip, the ends early."""
+    spread = np.unique(np.linspace(0, F - 1, min(LIFTED_FRAMES, F)).round().astype(int)).tolist()
+    ends_first = spread[:1] + spread[-1:] + spread[1:-1]
+    return list(dict.fromkeys([first, *ends_first]))
+
+
+def lift_static(seen: Observations, order: list[int], stride_px: int, static: np.ndarray) -> Points:
+    """Union over frames: each adds its `static` pixels [F, H, W] that the points so far leave open."""
+    parts: list[Points] = []
+    for f in order:
+        uncovered = static[f] if not parts else static[f] & ~_covered(seen, f, join(parts).positions, stride_px)
+        parts.append(lift(seen, f, uncovered, stride_px))
+    return join(parts)
+
+
+def _covered(seen: Observations, f: int, positions: np.ndarray, stride_px: int) -> np.ndarray:
+    """Pixels [H, W] of frame f with a point within the stride that lies at or before the depth there."""
+    height, width = seen.depths.shape[1:]
+    u, v, z, inside = _pixels(seen, f, positions)
+    nearest = np.full((height, width), np.inf, np.float32)
+    np.minimum.at(nearest, (v[inside], u[inside]), z[inside].astype(np.float32))
+    size = 2 * stride_px + 1
+    nearest = cv2.erode(nearest, np.ones((size, size), np.uint8))
+    return np.asarray(nearest < seen.depths[f] * (1 + DEPTH_TOLERANCE))
+
+
+def _pixels(seen: Observations, f: int, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Nearest pixel u, v (0 outside) and depth of points [n, 3] in frame f, and whether they are in the image."""
+    height, width = seen.depths.shape[1:]
+    xyz = positions @ seen.cam_from_world[f, :3, :3].T + seen.cam_from_world[f, :3, 3]
+    front = xyz[:, 2] > 0
+    uv = np.full((len(positions), 2), -1.0)
+    uv[front] = project(positions[front], seen.cam_from_world[f], seen.Ks[f])[0]
+    inside = (uv > -0.5).all(axis=1) & (uv[:, 0] < width - 0.5) & (uv[:, 1] < height - 0.5)
+    u, v = np.where(inside[:, None], np.rint(uv), 0).astype(int).T
+    return u, v, xyz[:, 2], inside
+
+
+def dynamic_share(seen: Observations, tracks: np.ndarray) -> np.ndarray:
+    """Share [n] of the frames in which a point is seen (in the image, not behind the depth there) that mask it.
+
+    Args:
+        tracks: [F, n, 3] positions over time; [1, n, 3] for points at rest. Never seen: share 0.
+    """
+    votes, views = np.zeros(tracks.shape[1]), np.zeros(tracks.shape[1])
+    for f in range(len(seen.depths)):
+        u, v, z, inside = _pixels(seen, f, tracks[f % len(tracks)])
+        visible = inside & (z < seen.depths[f, v, u] * (1 + DEPTH_TOLERANCE))
+        views += visible
+        votes += visible & seen.masks[f, v, u]
+    return votes / np.maximum(views, 1)
+
+
+def lift_dynamic(
+    seen: Observations, order: list[int], stride_px: int, deformation: Deformation, K: int
+) -> tuple[Points, np.ndarray]:
+    """Masked pixels that the dynamic points so far leave open, frame by frame, and their canonical positions [n, 3]."""
+    parts: list[Points] = []
+    canonical: list[np.ndarray] = []
+    for f in order:
+        need = seen.masks[f]
+        if parts:
+            need = need & (_dynamic_alpha(seen, f, join(parts), np.concatenate(canonical), deformation, K) < 0.5)
+        points = lift(seen, f, need, stride_px)
+        positions, found = to_canonical(points.positions, seen.times[points.frames], deformation, K)
+        parts.append(points[found])
+        canonical.append(positions[found])
+    return join(parts), np.concatenate(canonical)
+
+
+@torch.no_grad()
+def _dynamic_alpha(
+    seen: Observations, f: int, points: Points, canonical: np.ndarray, deformation: Deformation, K: int
+) -> np.ndarray:
+    """Alpha [H, W] of the dynamic points alone in frame f."""
+    height, width = seen.depths.shape[1:]
+    cloud = make_cloud(points, canonical, np.ones(len(canonical), bool), sh_degree=0)
+    means = skin(cloud.means, float(seen.times[f]), deformation, K)
+    viewmat, camera = torch.tensor(seen.cam_from_world[f][None]), torch.tensor(seen.Ks[f][None])
+    scales, opacities = cloud.log_scales.exp(), cloud.logits.sigmoid()
+    near_plane = near_plane_of(seen)
+    rendered = rasterize(means, cloud.quats, scales, opacities, cloud.sh, viewmat, camera, width, height, 0, near_plane)
+    return rendered.alpha[0].numpy()
+
+
+def near_plane_of(seen: Observations) -> float:
+    """A hundredth of the median depth: nothing so near is drawn."""
+    return 0.01 * float(np.median(seen.depths))
+
+
+def make_cloud(points: Points, positions: np.ndarray, dynamic: np.ndarray, sh_degree: int) -> Cloud:
+    """Round Gaussians of the points at `positions` [n, 3], static ones first."""
+    order = np.argsort(dynamic, kind="stable")
+    footprints = torch.as_tensor(points.footprints[order], dtype=torch.float32)
+    n = len(order)
+    coefficients = torch.zeros(n, sh.coefficients(sh_degree), 3)
+    coefficients[:, 0] = sh.colour_to_sh(torch.as_tensor(points.colours[order], dtype=torch.float32))
+    return Cloud(
+        means=torch.as_tensor(positions[order], dtype=torch.float32),
+        footprints=footprints,
+        log_scales=(SCALE_SHARE * footprints).log()[:, None].repeat(1, 3),
+        quats=torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(n, 1),
+        logits=torch.full((n,), float(np.log(OPACITY / (1 - OPACITY)))),
+        sh=coefficients,
+        dynamic=torch.as_tensor(dynamic[order]),
+    )
+
+
+def initial_cloud(seen: Observations, deformation: Deformation | None, canonical: int, stride_px: int, K: int,
+                  sh_degree: int) -> Cloud:  # fmt: skip
+    """Gaussians of the whole scene; without a deformation every pixel is static.
+
+    Each candidate is voted static or dynamic over all frames in which it is seen: a static pixel that the masks of
+    other frames claim joins the dynamic ones, a masked pixel that others leave unmasked stays where it was lifted.
+
+    Args:
+        canonical: index (into the F training frames) of the canonical frame.
+    """
+    order = frame_order(len(seen.images), canonical)
+    if deformation is None:
+        points = lift_static(seen, order, stride_px, np.ones(seen.masks.shape, bool))
+        return make_cloud(points, points.positions, np.zeros(len(points.frames), bool), sh_degree)
+    # Pixels on the outline mix both colours: neither side starts from them.
+    kernel = np.ones((3, 3), np.uint8)
+    outside = np.stack([cv2.dilate(mask.astype(np.uint8), kernel) == 0 for mask in seen.masks])
+    static = lift_static(seen, order, stride_px, outside)
+    claimed = dynamic_share(seen, static.positions[None]) > 0.5
+    claimed_times = seen.times[static.frames[claimed]]
+    recovered, found = to_canonical(static.positions[claimed], claimed_times, deformation, K)
+    dynamic, means = lift_dynamic(seen, order, stride_px, deformation, K)
+    with torch.no_grad():
+        rest = torch.as_tensor(means, dtype=torch.float32)
+        tracks = np.stack([skin(rest, float(time), deformation, K).double().numpy() for time in seen.times])
+    moves = dynamic_share(seen, tracks) > 0.5
+    points = join([static[~claimed], static[claimed][found], dynamic])
+    positions = np.concatenate([
+        static.positions[~claimed], recovered[found], np.where(moves[:, None], means, dynamic.positions)
+    ])  # fmt: skip
+    labels = np.concatenate([np.zeros((~claimed).sum(), bool), np.ones(found.sum(), bool), moves])
+    return make_cloud(points, positions, labels, sh_degree)

@@ -1,0 +1,72 @@
+"""Read what the training needs from the artifacts of the other stages."""
+
+from pathlib import Path
+
+import numpy as np
+
+from stages.gaussians.observations import Observations, dense_depth
+from stages.shared.artifacts import read_dense, read_metadata
+from stages.shared.cameras import Cameras, read_cameras
+from stages.shared.errors import InputError
+from stages.shared.images import read_mask, read_rgb
+from stages.shared.sequences import Sequence, read_sequence
+from stages.shared.split import SplitOptions, held_out
+
+
+def read_observations(sequence: Path, masks: Path, poses: Path, depth: Path, split: SplitOptions) -> Observations:
+    """The training frames; no file of a held-out frame is opened.
+
+    Raises:
+        InputError: if a mask has another size than the frames, or the poses failed.
+    """
+    content, cameras = read_sequence(sequence), read_usable_cameras(poses)
+    frames = np.flatnonzero(~held_out(len(content.frames), split)).tolist()
+    images = np.stack([read_rgb(content.frames[k]) for k in frames]).astype(np.float32) / 255
+    grid, stride_px = read_dense(depth), int(read_metadata(depth)["stride_px"])
+    dense = [dense_depth(grid["inverse_depth"][k], image, stride_px) for k, image in zip(frames, images, strict=True)]
+    guessed = np.repeat(np.repeat(grid["filled"][frames] > 0, stride_px, axis=1), stride_px, axis=2)
+    missing = [(0, 0), (0, max(0, content.height - guessed.shape[1])), (0, max(0, content.width - guessed.shape[2]))]
+    guessed = np.pad(guessed, missing, mode="edge")[:, : content.height, : content.width]
+    return Observations(
+        images,
+        np.stack([_read_mask(masks, content, k) for k in frames]),
+        np.stack(dense),
+        guessed,
+        cameras.cam_from_world[frames],
+        cameras.Ks[frames],
+        frame_times(len(content.frames))[frames],
+    )
+
+
+def read_usable_cameras(poses: Path) -> Cameras:
+    """The estimated cameras.
+
+    Raises:
+        InputError: if the pose stage found none.
+    """
+    cameras = read_cameras(poses)
+    if "failed" in cameras.status:
+        advice = "give a sequence with more texture or parallax, or `intrinsics: truth`"
+        raise InputError(poses, "estimated poses", "status 'failed'", advice)
+    return cameras
+
+
+def frame_times(T: int) -> np.ndarray:
+    """Times [T] of all frames, 0..1."""
+    return np.arange(T) / (T - 1)
+
+
+def canonical_row(seen: Observations, sequence: Path, deformation: Path) -> int:
+    """Which of the training frames is the canonical one of the control points."""
+    numbers = read_sequence(sequence).numbers
+    time = frame_times(len(numbers))[numbers.index(read_metadata(deformation)["canonical_frame"])]
+    return int(np.abs(seen.times - time).argmin())
+
+
+def _read_mask(folder: Path, content: Sequence, k: int) -> np.ndarray:
+    path = folder / f"frame_{content.numbers[k]:04d}.png"
+    mask = read_mask(path)
+    if mask.shape != (content.height, content.width):
+        found = f"{mask.shape[1]} x {mask.shape[0]}"
+        raise InputError(path, f"{content.width} x {content.height}", found, "run the segment stage again")
+    return mask

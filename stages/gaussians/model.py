@@ -1,0 +1,170 @@
+"""The 4D scene: static and dynamic Gaussians in the canonical frame, and the motion of the dynamic ones."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from stages.control.deformation import Deformation, deformation_from_tensors, deformation_tensors
+from stages.control.lbs import blend, lbs_weights, neighbours
+from stages.gaussians.rasterize import Rendering, rasterize
+
+DEFORMATION = "deformation."
+"""Prefix of the motion model's tensors in the model file."""
+
+
+@dataclass
+class Cloud:
+    """N Gaussians as numbers that can be optimised freely.
+
+    Attributes:
+        means: [N, 3] scene units. footprints: [N] size of a lifted pixel there, the unit of learning rates.
+        log_scales: [N, 3]. quats: [N, 4] wxyz, any length but zero. logits: [N] of opacity.
+        sh: [N, K, 3] coefficients. dynamic: [N] bool, static Gaussians first.
+    """
+
+    means: Tensor
+    footprints: Tensor
+    log_scales: Tensor
+    quats: Tensor
+    logits: Tensor
+    sh: Tensor
+    dynamic: Tensor
+
+
+class GaussianScene(torch.nn.Module):
+    """Gaussians with their motion.
+
+    A mean is `anchors + footprints * offsets`: the optimiser's steps are in footprints, hence about a pixel's share
+    for near and far Gaussians alike, and independent of the scene's unit.
+    """
+
+    anchors: Tensor
+    footprints: Tensor
+    background: Tensor
+    index: Tensor
+
+    def __init__(
+        self, cloud: Cloud, deformation: Deformation | None, background: Tensor, near_plane: float, neighbours: int
+    ) -> None:
+        """background: [3] colour behind everything. neighbours: control points per dynamic Gaussian."""
+        super().__init__()
+        self.deformation = deformation
+        self.near_plane, self.neighbours = near_plane, neighbours
+        self.register_buffer("background", background)
+        self.set_cloud(cloud)
+
+    def set_cloud(self, cloud: Cloud) -> None:
+        """Replace all Gaussians."""
+        self.n_static = int((~cloud.dynamic).sum())
+        self.register_buffer("anchors", cloud.means)
+        self.register_buffer("footprints", cloud.footprints)
+        parameters = {
+            "offsets": torch.zeros_like(cloud.means),
+            "log_scales": cloud.log_scales,
+            "quats": cloud.quats,
+            "logits": cloud.logits,
+            "sh_dc": cloud.sh[:, :1],
+            "sh_rest": cloud.sh[:, 1:],
+        }
+        self.gaussians = torch.nn.ParameterDict({name: value.clone() for name, value in parameters.items()})
+        self.bind()
+
+    def cloud(self) -> Cloud:
+        """The Gaussians as they are, detached."""
+        values = {name: parameter.detach() for name, parameter in self.gaussians.items()}
+        dynamic = torch.arange(len(self.anchors), device=self.anchors.device) >= self.n_static
+        sh = torch.cat([values["sh_dc"], values["sh_rest"]], dim=1)
+        shape = (values["log_scales"], values["quats"], values["logits"])
+        return Cloud(self.means.detach(), self.footprints, *shape, sh, dynamic)
+
+    def bind(self) -> None:
+        """Find the nearest control points of every dynamic Gaussian where it is now."""
+        dynamic = self.means[self.n_static :]
+        if self.deformation is None:
+            self.register_buffer("index", torch.zeros(0, 1, dtype=torch.int64, device=dynamic.device))
+        else:
+            self.register_buffer("index", neighbours(self.deformation.points, dynamic, self.neighbours)[0])
+
+    @property
+    def means(self) -> Tensor:
+        """Canonical means [N, 3] in scene units."""
+        return self.anchors + self.footprints[:, None] * self.gaussians["offsets"]
+
+    @property
+    def sh_degree(self) -> int:
+        """Degree of the view-dependent colour."""
+        return round((1 + self.gaussians["sh_rest"].shape[1]) ** 0.5) - 1
+
+    def at(self, time: float, detach: bool = False) -> tuple[Tensor, Tensor]:
+        """Means [N, 3] and quats [N, 4] at `time` 0..1; `detach` stops gradients into the motion model."""
+        means, quats = self.means, self.gaussians["quats"]
+        if self.deformation is None or self.n_static == len(means):
+            return means, quats
+        with torch.set_grad_enabled(torch.is_grad_enabled() and not detach):
+            point_quats, translations = self.deformation(means.new_tensor([time]))
+            weights = self._weights(means[self.n_static :])
+        moved, turned = blend(
+            means[self.n_static :],
+            quats[self.n_static :],
+            self.deformation.points,
+            point_quats[0],
+            translations[0],
+            weights,
+            self.index,
+        )
+        return torch.cat([means[: self.n_static], moved]), torch.cat([quats[: self.n_static], turned])
+
+    def render(
+        self, time: float, viewmat: Tensor, K: Tensor, width: int, height: int, detach: bool = False
+    ) -> Rendering:
+        """The scene at `time` 0..1 from one camera [4, 4], [3, 3]; see `rasterize` for what comes back."""
+        means, quats = self.at(time, detach)
+        values = self.gaussians
+        sh = values["sh_dc"] if self.sh_degree == 0 else torch.cat([values["sh_dc"], values["sh_rest"]], dim=1)
+        return rasterize(
+            means,
+            quats,
+            values["log_scales"].exp(),
+            values["logits"].sigmoid(),
+            sh,
+            viewmat[None],
+            K[None],
+            width,
+            height,
+            sh_degree=self.sh_degree,
+            near_plane=self.near_plane,
+            backgrounds=self.background[None],
+        )
+
+    def _weights(self, means: Tensor) -> Tensor:
+        """Skinning weights [N, K]; without gradient to the means, which would trade place for influence."""
+        assert self.deformation is not None
+        offsets = means.detach()[:, None] - self.deformation.points[self.index]
+        return lbs_weights(offsets.square().sum(-1), self.deformation.log_radii, self.index)
+
+
+def scene_tensors(scene: GaussianScene) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """Arrays and metadata for `gaussians/model.safetensors`."""
+    cloud = scene.cloud()
+    tensors = {name: value.cpu().numpy() for name, value in vars(cloud).items()}
+    tensors["dynamic"] = tensors["dynamic"].astype(np.uint8)
+    tensors["background"] = scene.background.cpu().numpy()
+    if scene.deformation is not None:
+        tensors |= {DEFORMATION + name: value for name, value in deformation_tensors(scene.deformation).items()}
+    settings = {"near_plane": scene.near_plane, "neighbours": scene.neighbours, "sh_degree": scene.sh_degree}
+    counts = {"n_static": scene.n_static, "n_dynamic": len(scene.anchors) - scene.n_static}
+    return tensors, settings | counts
+
+
+def scene_from_tensors(tensors: Mapping[str, np.ndarray], metadata: Mapping[str, Any]) -> GaussianScene:
+    """Rebuild what `scene_tensors` took apart."""
+    values = {name: torch.from_numpy(np.array(value)) for name, value in tensors.items()}
+    names = Cloud.__dataclass_fields__
+    cloud = Cloud(**{name: values[name].bool() if name == "dynamic" else values[name] for name in names})
+    motion = {name.removeprefix(DEFORMATION): tensors[name] for name in tensors if name.startswith(DEFORMATION)}
+    deformation = deformation_from_tensors(motion) if motion else None
+    return GaussianScene(cloud, deformation, values["background"], metadata["near_plane"], metadata["neighbours"])

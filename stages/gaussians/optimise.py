@@ -1,0 +1,141 @@
+"""Stage 2: fit the scene to the training frames by L1 + D-SSIM + ARAP, one frame per step."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from stages.control.arap import arap_loss
+from stages.gaussians.densify import GradientRecord, densify
+from stages.gaussians.model import GaussianScene
+from stages.gaussians.observations import Observations
+from stages.gaussians.options import GaussiansOptions
+from stages.gaussians.ssim import Target, ssim
+
+LEARNING_RATES = {
+    "offsets": 0.18,
+    "log_scales": 0.06,
+    "quats": 0.03,
+    "logits": 0.15,
+    "sh_dc": 0.1,
+    "sh_rest": 0.005,
+}
+"""Adam's step per parameter: footprints, logarithms, radians / 2, logits, SH coefficients."""
+MOTION_RATE = 5e-4
+RADIUS_RATE = 2e-3
+FINAL_RATE = 0.05
+"""All rates decay exponentially to this share."""
+DENSIFY_EVERY = 100
+DENSIFY_UNTIL = 0.6
+"""Densification ends at this share of the steps, so that the last Gaussians have time to settle."""
+
+
+@dataclass
+class History:
+    """One entry per step, as the columns of `convergence.parquet`."""
+
+    step: list[int] = field(default_factory=list)
+    loss: list[float] = field(default_factory=list)
+    psnr: list[float] = field(default_factory=list)
+    n_gaussians: list[int] = field(default_factory=list)
+    seconds: list[float] = field(default_factory=list)
+
+
+class Trainer:
+    """The scene with its optimiser; `step` runs from 0 to options.steps and everything else follows from it."""
+
+    def __init__(self, scene: GaussianScene, seen: Observations, options: GaussiansOptions, arap_weight: float) -> None:
+        self.scene, self.options, self.arap_weight = scene, options, arap_weight
+        self.motion = None if options.detach else scene.deformation
+        self.device = scene.background.device
+        self.targets = [Target(torch.as_tensor(image, device=self.device)) for image in seen.images]
+        self.viewmats = torch.as_tensor(seen.cam_from_world, device=self.device)
+        self.Ks, self.times = torch.as_tensor(seen.Ks, device=self.device), seen.times
+        self.height, self.width = seen.images.shape[1:3]
+        self.optimiser = self.new_optimiser()
+        self.record = GradientRecord.empty(len(scene.anchors), self.device)
+        self.step, self.history = 0, History()
+
+    def run(self, after_step: Callable[["Trainer"], None]) -> None:
+        """Train to the last step."""
+        start = time.perf_counter() - (self.history.seconds[-1] if self.history.seconds else 0.0)
+        while self.step < self.options.steps:
+            loss, psnr = self._train_step()
+            self.step += 1
+            row = (self.step, loss, psnr, len(self.scene.anchors), time.perf_counter() - start)
+            for name, value in zip(vars(self.history), row, strict=True):
+                getattr(self.history, name).append(value)
+            if self._densifies_now():
+                self._densify()
+            after_step(self)
+        self.scene.bind()
+
+    def _train_step(self) -> tuple[float, float]:
+        """One step on the frame whose turn it is; returns the loss and the PSNR (dB) of that frame before the step."""
+        f = self._frame_of_step()
+        self._set_rates()
+        target = self.targets[f]
+        view = self.scene.render(
+            float(self.times[f]), self.viewmats[f], self.Ks[f], self.width, self.height, self.options.detach
+        )
+        view.centres[0].retain_grad()
+        image, weight = view.colour[0], self.options.ssim_weight
+        difference = image - target.image
+        loss = (1 - weight) * difference.abs().mean() + weight * (1 - ssim(image, target))
+        if self.motion is not None and self.arap_weight > 0:
+            loss = loss + self.arap_weight * arap_loss(self.motion, self._arap_times(f))
+        loss.backward()  # type: ignore[no-untyped-call]
+        self.optimiser.step()
+        self.optimiser.zero_grad()
+        if view.centres[0].grad is not None:
+            self.record.add(view.centres[0].grad)
+        mse = float(difference.detach().square().mean())
+        return float(loss.detach()), -10 * float(np.log10(mse))
+
+    def _frame_of_step(self) -> int:
+        """Frames in random order, each once per round; a function of seed and step alone, so that runs can resume."""
+        epoch, turn = divmod(self.step, len(self.targets))
+        return int(np.random.default_rng([self.options.seed, epoch]).permutation(len(self.targets))[turn])
+
+    def _arap_times(self, f: int) -> Tensor:
+        other = np.random.default_rng([self.options.seed, self.step, 1]).integers(len(self.targets))
+        return torch.tensor([self.times[f], self.times[other]], dtype=torch.float32, device=self.device)
+
+    def new_optimiser(self) -> torch.optim.Adam:
+        """Adam over the scene's present parameters, without moments; the groups carry their base `rate`."""
+        groups = [
+            {"params": [self.scene.gaussians[name]], "rate": rate, "name": name}
+            for name, rate in LEARNING_RATES.items()
+        ]
+        if self.motion is not None:
+            motion = dict(self.motion.named_parameters())
+            groups.append({"params": [motion.pop("log_radii")], "rate": RADIUS_RATE, "name": "log_radii"})
+            groups.append({"params": list(motion.values()), "rate": MOTION_RATE, "name": "motion"})
+        return torch.optim.Adam(groups, lr=0.0, eps=1e-15, fused=True)
+
+    def _set_rates(self) -> None:
+        decay = FINAL_RATE ** (self.step / self.options.steps)
+        for group in self.optimiser.param_groups:
+            group["lr"] = group["rate"] * self.options.learning_rate * decay
+
+    def _densifies_now(self) -> bool:
+        early = self.step <= DENSIFY_UNTIL * self.options.steps
+        return self.options.densify and early and self.step % DENSIFY_EVERY == 0
+
+    def _densify(self) -> None:
+        """Replace the Gaussians, and carry the optimiser's moments over to those that stay."""
+        cloud, parents = densify(self.scene.cloud(), self.record.mean, self.options.max_gaussians)
+        old = {name: self.optimiser.state[self.scene.gaussians[name]] for name in LEARNING_RATES}
+        motion = {p: state for p, state in self.optimiser.state.items() if p not in set(self.scene.gaussians.values())}
+        self.scene.set_cloud(cloud)
+        self.optimiser = self.new_optimiser()
+        self.optimiser.state.update(motion)
+        for name, state in old.items():
+            if state:
+                stays = (parents >= 0).view(-1, *[1] * (state["exp_avg"].dim() - 1))
+                moved = {key: state[key][parents.clamp_min(0)] * stays for key in ("exp_avg", "exp_avg_sq")}
+                self.optimiser.state[self.scene.gaussians[name]] = moved | {"step": state["step"]}
+        self.record = GradientRecord.empty(len(self.scene.anchors), self.device)

@@ -1,0 +1,44 @@
+"""Skinning of bare points by the control points, and its inverse: where a point seen at some time lies at rest."""
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from stages.control.deformation import Deformation
+from stages.control.lbs import blend, inverse_blend, lbs_weights, neighbours
+
+REACH = 6.0
+"""A point farther than this many kernel radii from every control point is no part of what they move."""
+MAX_ERROR = 0.5
+"""The inverse is accepted if skinning takes it this close to the point, in median kernel radii."""
+
+
+def skin(means: Tensor, time: float, deformation: Deformation, K: int) -> Tensor:
+    """Positions [n, 3] at `time` 0..1 of canonical means [n, 3], moved by the K nearest control points."""
+    quats, translations = (motion[0] for motion in deformation(means.new_tensor([time])))
+    index, sq_dist = neighbours(deformation.points, means, K)
+    weights = lbs_weights(sq_dist, deformation.log_radii, index)
+    unturned = means.new_tensor([1.0, 0.0, 0.0, 0.0]).repeat(len(means), 1)
+    return blend(means, unturned, deformation.points, quats, translations, weights, index)[0]
+
+
+def to_canonical(
+    positions: np.ndarray, times: np.ndarray, deformation: Deformation, K: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Canonical positions [n, 3] that skinning carries to `positions` [n, 3] at `times` [n], and which [n] exist.
+
+    Args:
+        K: control points per Gaussian.
+    """
+    canonical, found = np.zeros_like(positions), np.zeros(len(positions), bool)
+    points, log_radii = deformation.points, deformation.log_radii
+    for time in np.unique(times):
+        rows = times == time
+        seen = torch.as_tensor(positions[rows], dtype=torch.float32)
+        with torch.no_grad():
+            quats, translations = (motion[0] for motion in deformation(seen.new_tensor([time])))
+            rest, remoteness = inverse_blend(seen, points, quats, translations, log_radii, K)
+            error = (seen - skin(rest, float(time), deformation, K)).norm(dim=-1)
+            canonical[rows] = rest.numpy()
+            found[rows] = ((remoteness < REACH) & (error < MAX_ERROR * log_radii.exp().median())).numpy()
+    return canonical, found
