@@ -3,7 +3,7 @@
 import re
 from collections.abc import Sequence as Rows
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from stages.eval import image_metrics, mask_metrics, score_geometry, score_images, score_masks, score_poses, trajectory
 from stages.eval.options import EvaluateOptions
@@ -22,12 +22,28 @@ POSES = (
     *("sequence", "method", "registered", "total", "ate", "ate_percent", "rpe_trans", "rpe_rot_deg"),
     *("focal_error_percent", "path", "wall_s", "status", "note", "protocol"),
 )
-IMAGES = ("sequence", "method", "split", "region", "psnr_db", "ssim", "frames", "width", "height", "protocol")
+IMAGES = (
+    *(
+        "sequence",
+        "method",
+        "split",
+        "region",
+        "psnr_db",
+        "ssim",
+        "frames",
+        "width",
+        "height",
+        "mask_source",
+        "protocol",
+    ),
+)
 MASKS = (
     *("sequence", "method", "round", "iou", "boundary_f", "dynamic_percent", "true_percent", "frames", "protocol"),
 )
 CHECKS = ("sequence", "quantity", "value", "unit", "n", "protocol")
 TIME = ("sequence", "stage", "round", "wall_s", "cpu_s", "peak_mb", "gpu_peak_mb", "output_mb")
+BEFORE, REPEATED = ("inspect", "flow"), ("motion", "segment", "ba")
+AFTER = ("scene", "control", "gaussians", "render", "colmap")
 TRAJECTORY = ("method", "frame", "x", "y", "z", "error")
 FRAMES = ("kind", "method", "split", "frame", "metric", "value")
 
@@ -55,7 +71,7 @@ def main(
     """Write one row per method and protocol; what cannot be scored is a row that says why."""
     frames = read_sequence(sequence)
     truth = true_cameras(frames)
-    times = [_time_row(frames.name, path) for path in stage_stats]
+    times = sorted((_time_row(frames.name, path, len(poses)) for path in stage_stats), key=_stage_order)
     write_rows(time_table, times, TIME, {"unit": "seconds and MB"})
     seconds = _seconds_to_poses(times, len(poses))
     candidates = [*score_poses.own_candidates(poses, seconds), *score_poses.colmap_candidates(colmap)]
@@ -106,22 +122,28 @@ def _long(rows: Rows[Row], kind: str, metrics: tuple[str, ...]) -> list[Row]:
     ]
 
 
-def _time_row(name: str, stats: Path) -> dict[str, Any]:
-    """What `<folder>/<sequence>/[roundN/]stats/<stage>.json` says."""
+def _time_row(name: str, stats: Path, rounds: int) -> Row:
+    """What `<folder>/<sequence>/[roundN/]stats/<stage>.json` says; the last round has no folder of its own."""
     content, folder = read_json(stats), stats.parent.parent.name
-    number = int(folder.removeprefix("round")) if re.fullmatch(r"round\d+", folder) else None
+    number = int(folder.removeprefix("round")) if re.fullmatch(r"round\d+", folder) else rounds
     costs = {name: content[name] for name in ("wall_s", "cpu_s", "peak_mb", "gpu_peak_mb", "output_mb")}
-    return {"sequence": name, "stage": stats.stem, "round": number} | costs
+    return {"sequence": name, "stage": stats.stem, "round": number if stats.stem in REPEATED else None} | costs
+
+
+def _stage_order(row: Row) -> tuple[int, ...]:
+    """Stages as they run: before the rounds, each round, after them."""
+    stage = row["stage"]
+    if stage in REPEATED:
+        return 1, row["round"], REPEATED.index(stage)
+    before = stage in BEFORE
+    return 0 if before else 2, (BEFORE if before else AFTER).index(stage)
 
 
 def _seconds_to_poses(times: Rows[Row], rounds: int) -> list[float]:
-    """Wall seconds from the frames to the poses of each round; the last round has no number."""
+    """Wall seconds from the frames to the poses of each round."""
     once = sum(row["wall_s"] for row in times if row["stage"] == "flow")
-    repeated = [0.0] * rounds
-    for row in times:
-        if row["stage"] in ("motion", "segment", "ba"):
-            repeated[row["round"] - 1 if row["round"] else -1] += row["wall_s"]
-    return [once + sum(repeated[: k + 1]) for k in range(rounds)]
+    repeated = [row for row in times if row["stage"] in REPEATED]
+    return [once + sum(row["wall_s"] for row in repeated if row["round"] <= k) for k in range(1, rounds + 1)]
 
 
 if __name__ == "__main__":

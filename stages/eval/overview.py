@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from stages.eval import published, summaries
+from stages.eval import published, report_tables, summaries
 from stages.eval.tables import Row, Table
 
 Rows = Mapping[str, list[Row]]
@@ -18,6 +18,7 @@ class Tile:
 
     label: str
     value: str
+    unit: str
     note: str
 
 
@@ -49,12 +50,12 @@ TEXTS = {
 
 def build_groups(rows: Rows, protocols: Mapping[str, str], numbers: Mapping[str, Any]) -> list[Group]:
     """The groups of tables; with several sequences their mean is in view and the single ones are folded away."""
-    poses_mean, poses = summaries.pose_tables(rows["poses"], protocols["poses"])
-    images_mean, images = summaries.image_tables(rows["images"], protocols["images"])
-    masks_mean, masks = summaries.mask_tables(rows["masks"], protocols["masks"])
-    time_mean, time = summaries.time_tables(rows["time"])
-    checks = summaries.check_table(rows["checks"])
-    effects = [summaries.decision_table(rows["decisions"]), summaries.simulation_table(rows["simulation"])]
+    poses_mean, poses = report_tables.pose_tables(rows["poses"], protocols["poses"])
+    images_mean, images = report_tables.image_tables(rows["images"], protocols["images"])
+    masks_mean, masks = report_tables.mask_tables(rows["masks"], protocols["masks"])
+    time_mean, time = report_tables.time_tables(rows["time"])
+    checks = report_tables.check_table(rows["checks"])
+    effects = [report_tables.decision_table(rows["decisions"]), report_tables.simulation_table(rows["simulation"])]
     other_poses, other_images = published.pose_table(numbers, rows["poses"]), published.image_table(numbers)
     many = len({row["sequence"] for row in rows["time"]}) > 1
     groups = [
@@ -62,7 +63,7 @@ def build_groups(rows: Rows, protocols: Mapping[str, str], numbers: Mapping[str,
         Group("images", "Images", [images_mean] if many else [images], [*([images] if many else []), other_images]),
         Group("masks", "Masks", [masks_mean] if many else [masks], [masks] if many else []),
         Group("checks", "Flow and depth", [] if many else [checks], [checks] if many else []),
-        Group("time", "Time and memory", [time_mean] if many else [time], [time] if many else []),
+        Group("time", "Time and memory", [time_mean], [time] if many else []),
         Group("effects", "Effects", [] if many else effects, effects if many else []),
     ]
     return [_without_empty(group) for group in groups]
@@ -75,40 +76,43 @@ def _without_empty(group: Group) -> Group:
 
 def tiles(rows: Rows) -> list[Tile]:
     """Headline figures: ours, means over sequences, each with what it is a mean of."""
-    ours = _mean(summaries.mean_rows(rows["poses"], ("method",), summaries.POSE_METRICS), method="ours")
-    test = summaries.mean_rows(rows["images"], ("split", "region", "method"), summaries.IMAGE_METRICS)
+    ours = _mean(summaries.pose_means(rows["poses"]), method="ours")
+    test = summaries.image_means(rows["images"])
     image = _mean(test, split="test", region="whole", method="ours")
     copied = _mean(test, split="test", region="whole", method="nearest training frame")
-    masks = summaries.mean_rows(rows["masks"], ("method", "round"), summaries.MASK_METRICS)
+    masks = summaries.mask_means(rows["masks"])
     mask = _mean(masks[-2:], method="refined masks")
-    seconds = _per_sequence(rows["time"], "wall_s", sum)
-    peak_mb = _per_sequence(rows["time"], "peak_mb", max)
-    rivals = [row for row in summaries.mean_rows(rows["poses"], ("method",), summaries.POSE_METRICS) if _rival(row)]
+    own = [row for row in rows["time"] if row["stage"] != "colmap"]
+    seconds, peak_mb = _per_sequence(own, "wall_s", sum), _per_sequence(own, "peak_mb", max)
+    rivals = [row for row in summaries.pose_means(rows["poses"]) if _rival(row)]
     best = min(rivals, key=lambda row: row["ate_percent"], default=None)
     against = f"best COLMAP: {best['ate_percent']:.2f} %" if best else "COLMAP: none"
     copied_words = f"nearest training frame: {copied['psnr_db']:.1f} dB" if copied else ""
     return [
-        Tile("Camera error (ATE)", _show(ours, "ate_percent", 2, "% of path"), f"{_scored(ours)}; {against}"),
-        Tile("Focal error", _show(ours, "focal_error_percent", 1, "%"), _scored(ours)),
+        Tile("Camera error (ATE)", _show(ours, "ate_percent", 2), "% of path", f"{_scored(ours)}; {against}"),
+        Tile("Focal error", _show(ours, "focal_abs_percent", 1), "%", _scored(ours)),
         Tile(
-            "Held-out PSNR", _show(image, "psnr_db", 1, "dB"), "; ".join(filter(None, [_scored(image), copied_words]))
+            "Held-out PSNR", _show(image, "psnr_db", 1), "dB", "; ".join(filter(None, [_scored(image), copied_words]))
         ),
-        Tile("Mask IoU", _show(mask, "iou", 2, ""), _scored(mask)),
+        Tile("Mask IoU", _show(mask, "iou", 2), "", _scored(mask)),
         Tile(
-            "Time", f"{np.mean(seconds):.0f} s" if seconds else "n/a", f"per sequence, all stages, n = {len(seconds)}"
+            "Time",
+            f"{np.mean(seconds):.0f}" if seconds else "n/a",
+            "s",
+            f"per sequence, without COLMAP; n = {len(seconds)}",
         ),
-        Tile("Peak memory", f"{max(peak_mb):.0f} MB" if peak_mb else "n/a", "largest of all stages"),
+        Tile("Peak memory", f"{max(peak_mb):.0f}" if peak_mb else "n/a", "MB", "largest of all stages"),
     ]
 
 
 def summary(rows: Rows) -> str:
     """The report in one sentence."""
-    values = {tile.label: tile for tile in tiles(rows)}
-    names = sorted({row["sequence"] for row in rows["time"]})
+    values = {tile.label: f"{tile.value} {tile.unit}".strip() for tile in tiles(rows)}
+    names = {row["sequence"] for row in rows["time"]}
     return (
-        f"{len(names)} sequence{'s' if len(names) != 1 else ''}. Cameras: {values['Camera error (ATE)'].value} off "
-        f"({values['Camera error (ATE)'].note}). Held-out views: {values['Held-out PSNR'].value}. "
-        f"Masks: IoU {values['Mask IoU'].value}. Cost: {values['Time'].value} per sequence."
+        f"{len(names)} sequence{'s' if len(names) != 1 else ''}: cameras off by {values['Camera error (ATE)']}, "
+        f"held-out views at {values['Held-out PSNR']}, masks at IoU {values['Mask IoU']}, "
+        f"in {values['Time']} per sequence."
     )
 
 
@@ -140,8 +144,8 @@ def _per_sequence(rows: Sequence[Row], key: str, combine: Callable[[list[float]]
     return [combine(values) for values in groups.values()]
 
 
-def _show(row: Row | None, key: str, digits: int, unit: str) -> str:
-    return f"{row[key]:.{digits}f} {unit}".strip() if row and row[key] is not None else "n/a"
+def _show(row: Row | None, key: str, digits: int) -> str:
+    return f"{row[key]:.{digits}f}" if row and row[key] is not None else "n/a"
 
 
 def _scored(row: Row | None) -> str:

@@ -68,15 +68,16 @@ def draw_lines(
     labels: tuple[str, str],
     methods: Sequence[str],
     log: bool = False,
+    zero: bool = False,
 ) -> bytes:
-    """Lines (x, y) by name over a common axis, as SVG."""
+    """Lines (x, y) by name over a common axis, logarithmic or from zero if asked, as SVG."""
     with figure((5.2, 3.1), "svg") as (fig, done):
         axes = fig.add_subplot()
         for name, (x, y) in series.items():
             axes.plot(x, y, label=name, marker="o", ms=2.5, lw=1.4, color=colour_of(name, methods))
         axes.set(xlabel=labels[0], ylabel=labels[1], yscale="log" if log else "linear")
-        if not log:
-            axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
+        if zero:
+            axes.set_ylim(bottom=0)
         if len(series) > 1:
             axes.legend(fontsize=9)
     return done.getvalue()

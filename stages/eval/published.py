@@ -5,7 +5,6 @@ from typing import Any
 
 from stages.eval.tables import Column, Row, Table
 
-SINTEL_SIZE = (1024, 436)
 ABOUT = (Column("source", "source"), Column("notes", "note", long=True))
 
 
@@ -22,18 +21,16 @@ def pose_table(numbers: Mapping[str, Any], rows: Sequence[Row]) -> Table:
         ),
         *(Column("rpe_rot_deg", "RPE", "degrees", 3), *ABOUT),
     )
-    if len({row["sequence"] for row in scored}) < len(wanted):
+    if len(scored) < len(wanted):
+        title = f"Published: {published['title']} (not the same data)"
         relation = f"Not the same data as this report, which scored {len(scored)} of these 14 sequences"
-        return Table(
-            "published_poses", published["title"], f"{relation}. {published['protocol']}.", columns, published["rows"]
-        )
+        return Table("published_poses", title, f"{relation}. {published['protocol']}.", columns, published["rows"])
     metrics = ("ate", "rpe_trans", "rpe_rot_deg")
     mean = {key: sum(row[key] for row in scored) / len(scored) for key in metrics}
     ours = {"method": "ours", **mean, "source": "this report", "notes": "mean over the same 14 sequences"}
     listed = sorted([ours, *published["rows"]], key=lambda row: row["ate"])
-    return Table(
-        "published_poses", published["title"], f"The same 14 sequences. {published['protocol']}.", columns, listed
-    )
+    title = f"Published: {published['title']}"
+    return Table("published_poses", title, f"The same 14 sequences. {published['protocol']}.", columns, listed)
 
 
 def image_table(numbers: Mapping[str, Any]) -> Table:
@@ -44,4 +41,5 @@ def image_table(numbers: Mapping[str, Any]) -> Table:
         *(Column("time", "time"), Column("size_mb", "model", "MB", 0), *ABOUT),
     )
     note = f"Not the same data as this report. {published['protocol']}."
-    return Table("published_images", published["title"], note, columns, published["rows"])
+    title = f"Published: {published['title']} (not the same data)"
+    return Table("published_images", title, note, columns, published["rows"])

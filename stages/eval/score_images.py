@@ -16,7 +16,7 @@ REGIONS = ("whole", "static", "dynamic")
 SPLITS = {
     "train": "frames that were trained on",
     "test": "held-out frames, never trained on",
-    "right": "right-eye views, against the clean pass",
+    "right": "right-eye views against the clean pass, the only one with right-eye truth",
 }
 
 
@@ -62,11 +62,11 @@ def _score(
     for region, values in scores.items():
         if values:
             psnr, ssim = np.mean(values, axis=0).tolist()
-            about = SPLITS[split] if region == "whole" else f"{SPLITS[split]}; {region} pixels by {mask_source}"
             height, width = next(iter(pairs.values()))[0].shape[:2]
-            row = {"sequence": sequence.name, "method": method, "split": split, "region": region}
-            size = {"width": width, "height": height}
-            rows.append(row | {"psnr_db": psnr, "ssim": ssim, "frames": len(values), **size, "protocol": about})
+            row: dict[str, Any] = {"sequence": sequence.name, "method": method, "split": split, "region": region}
+            row |= {"psnr_db": psnr, "ssim": ssim, "frames": len(values), "width": width, "height": height}
+            regions = None if region == "whole" else f"{region} pixels by {mask_source}"
+            rows.append(row | {"protocol": SPLITS[split], "mask_source": regions})
     return rows, frames
 
 

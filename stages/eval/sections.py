@@ -72,6 +72,7 @@ def build_section(folder: Path) -> Section:
             section.figures += draw()
         except FileNotFoundError as error:
             section.missing.append(f"{name}: {error.filename} is not there")
+    section.figures.sort(key=lambda figure: figure.wide)  # the charts side by side, then the pictures
     section.stage_figures = _stage_figures(folder)
     return section
 
@@ -144,7 +145,7 @@ def _frame_chart(folder: Path, kind: str, metric: str, title: str, label: str) -
     if not series:
         return []
     words = ", ".join(f"{name} {np.mean(values[1]):.3g} on average" for name, values in series.items())
-    chart = plots.draw_lines(series, ("frame", label), list(series))
+    chart = plots.draw_lines(series, ("frame", label), list(series), zero=metric == "iou")
     return [_svg(title, chart, f"{label} per frame: {words}")]
 
 

@@ -25,6 +25,7 @@ class Column:
         digits: after the point; None for text and counts.
         bar: draw each value as a bar too.
         long: sentences, shown small.
+        file_only: in the CSV and Parquet copies, not on the page.
     """
 
     key: str
@@ -33,17 +34,20 @@ class Column:
     digits: int | None = None
     bar: bool = False
     long: bool = False
+    file_only: bool = False
 
     def show(self, row: Row) -> str:
         """The cell as text; "n/a" for what is not known."""
         value = row.get(self.key)
         if value is None or value == "":
             return "n/a" if self.digits is not None else ""
-        return f"{value:.{self.digits}f}" if self.digits is not None else str(value)
+        if self.digits is None:
+            return f"{value:g}" if isinstance(value, float) else str(value)
+        return f"{value:.{self.digits}f}"
 
     def style(self, row: Row) -> str:
         """The class of the cell."""
-        is_number = self.digits is not None or isinstance(row.get(self.key), int)
+        is_number = self.digits is not None or isinstance(row.get(self.key), int | float)
         return "number" if is_number else "long" if self.long else "text"
 
     def sort_key(self, row: Row) -> str:
@@ -61,6 +65,11 @@ class Table:
     note: str
     columns: tuple[Column, ...]
     rows: list[Row]
+
+    @property
+    def shown(self) -> tuple[Column, ...]:
+        """The columns of the page: those that say something in at least one row."""
+        return tuple(c for c in self.columns if not c.file_only and any(c.show(row) for row in self.rows))
 
     @property
     def highest(self) -> dict[str, float]:
