@@ -2,10 +2,12 @@
 
 import difflib
 import shlex
+import textwrap
 from collections.abc import Mapping
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo, field_validator
+from pydantic.fields import FieldInfo
 
 from stages.shared.errors import InputError
 
@@ -73,15 +75,30 @@ def _as_input_error(model: type[Options], error: Any, where: str, others: int) -
         near = difflib.get_close_matches(location[-1], known, n=1)
         advice = f"did you mean '{near[0]}'?" if near else f"known here: {', '.join(sorted(known))}"
         return InputError(f"{where}: {name}", "a known option", f"'{location[-1]}'", advice + more)
+    if error["type"] == "missing":
+        meanings = [found[location[-1]].description for found in _fields(model, location[:-1]) if location[-1] in found]
+        meaning = f" ({meanings[0]})" if meanings and meanings[0] else ""
+        return InputError(f"{where}: {name}", f"a value{meaning}", "nothing", f"set '{name}'{more}")
     expected = error["msg"].removeprefix("Input should be ").removeprefix("Value error, ")
-    return InputError(f"{where}: {name}", expected, repr(error["input"]), f"correct '{name}'{more}")
+    found = textwrap.shorten(repr(error["input"]), 80, placeholder=" ...")
+    return InputError(f"{where}: {name}", expected, found, f"correct '{name}'{more}")
 
 
 def _known_names(model: type[Options], path: list[str]) -> list[str]:
+    return [field.alias or name for fields in _fields(model, path) for name, field in fields.items()]
+
+
+def _fields(model: type[Options], path: list[str]) -> list[dict[str, FieldInfo]]:
+    """The fields at `path`, through lists and unions; a union's tag chooses the model of that name."""
+    models = [model]
     for part in path:
-        field = model.model_fields.get(part)
-        annotation = field.annotation if field else None
-        if not (isinstance(annotation, type) and issubclass(annotation, Options)):
-            return []
-        model = annotation
-    return [field.alias or name for name, field in model.model_fields.items()]
+        inner = [found for m in models if part in m.model_fields for found in _models(m.model_fields[part].annotation)]
+        models = inner or [m for m in models if m.__name__.lower() == part] or models
+    return [m.model_fields for m in models]
+
+
+def _models(annotation: Any) -> list[type[Options]]:
+    """Every options model that an annotation mentions."""
+    if isinstance(annotation, type) and issubclass(annotation, Options):
+        return [annotation]
+    return [model for part in get_args(annotation) for model in _models(part)]

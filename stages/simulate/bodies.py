@@ -39,6 +39,7 @@ class Body:
         texture, offset: what it looks like, and the shift [3] of its noise.
         vertices: frame index (may be fractional) -> world positions [V, 3].
         moves: false if `vertices` is constant.
+        solid: its faces look outwards, so that one can be inside (or under) it.
     """
 
     name: str
@@ -47,6 +48,7 @@ class Body:
     offset: np.ndarray
     vertices: Callable[[float], np.ndarray]
     moves: bool
+    solid: bool
 
 
 def build_bodies(scene: Scene, seed: int) -> list[Body]:
@@ -61,8 +63,9 @@ def build_bodies(scene: Scene, seed: int) -> list[Body]:
                 offset = np.random.default_rng([seed, 3, k, part]).uniform(-50, 50, 3) + rng.uniform(-50, 50, 3)
                 vertices = _placed(copy, scene.frames, mesh, change, ground, phase)
                 moves = bool(shape.path) or change is not None
+                solid = not isinstance(shape, Cloth | Breather)
                 rest = Mesh(mesh.vertices * copy.scale, mesh.faces)
-                bodies.append(Body(shape.name, rest, texture, offset, vertices, moves))
+                bodies.append(Body(shape.name, rest, texture, offset, vertices, moves, solid))
     return bodies
 
 

@@ -86,7 +86,7 @@ def _gather(picture: np.ndarray, depth: np.ndarray, radius: np.ndarray) -> np.nd
     blurred = np.empty_like(picture)
     for y in prange(height):
         for x in range(width):
-            total, weights = np.zeros(3), 0.0
+            red, green, blue, weights = 0.0, 0.0, 0.0, 0.0
             for j in range(max(y - reach, 0), min(y + reach + 1, height)):
                 for i in range(max(x - reach, 0), min(x + reach + 1, width)):
                     r = radius[j, i] if depth[j, i] <= depth[y, x] else min(radius[j, i], radius[y, x])
@@ -94,7 +94,8 @@ def _gather(picture: np.ndarray, depth: np.ndarray, radius: np.ndarray) -> np.nd
                     if inside > 0:
                         w = min(inside, 1.0) / (r + 0.5) ** 2
                         weights += w
-                        for c in range(3):
-                            total[c] += w * picture[j, i, c]
-            blurred[y, x] = total / weights
+                        red += w * picture[j, i, 0]
+                        green += w * picture[j, i, 1]
+                        blue += w * picture[j, i, 2]
+            blurred[y, x, 0], blurred[y, x, 1], blurred[y, x, 2] = red / weights, green / weights, blue / weights
     return blurred

@@ -45,15 +45,25 @@ def follow(hits: Hits, world: World, snapshot: Snapshot) -> np.ndarray:
     return _follow(world.faces, snapshot.vertices, hits.face, hits.bary, hits.point)
 
 
+def enclosing(world: World, snapshot: Snapshot, point: np.ndarray) -> str | None:
+    """The name of a solid body that the point [3] is inside of or under: the first face overhead looks away."""
+    overhead = np.array([[0.013, 0.017, 1.0]])
+    face = _nearest(snapshot.still, snapshot.moving, point, overhead)[1][0]
+    if face == SKY or not world.bodies[world.body[face]].solid:
+        return None
+    a, b, c = snapshot.vertices[world.faces[face]]
+    return world.bodies[world.body[face]].name if np.cross(b - a, c - a) @ overhead[0] > 0 else None
+
+
 @njit(cache=True, parallel=True, error_model="numpy")
 def _nearest(
     still: Tree, moving: Tree, centre: np.ndarray, directions: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     n = len(directions)
     depth, face, bary = np.empty(n), np.empty(n, np.int64), np.zeros((n, 2))
-    ox, oy, oz = centre
+    ox, oy, oz = centre[0], centre[1], centre[2]
     for k in prange(n):
-        dx, dy, dz = directions[k]
+        dx, dy, dz = directions[k, 0], directions[k, 1], directions[k, 2]
         t, hit, u, v = walk(still, ox, oy, oz, dx, dy, dz, FAR, False)
         face[k] = still.faces[hit] if hit >= 0 else SKY
         t, hit, mu, mv = walk(moving, ox, oy, oz, dx, dy, dz, t, False)
@@ -78,12 +88,12 @@ def blocked(
     n = len(points)
     between = np.empty(n, np.bool_)
     for k in prange(n):
-        px, py, pz = points[k]
+        px, py, pz = points[k, 0], points[k, 1], points[k, 2]
         if directional:
-            dx, dy, dz = source
+            dx, dy, dz = source[0], source[1], source[2]
             ox, oy, oz, reach = px + slack * dx, py + slack * dy, pz + slack * dz, FAR
         else:
-            ox, oy, oz = source
+            ox, oy, oz = source[0], source[1], source[2]
             dx, dy, dz, reach = px - ox, py - oy, pz - oz, 1.0 - slack
         hit = walk(still, ox, oy, oz, dx, dy, dz, reach, True)[1]
         if hit < 0:
@@ -99,8 +109,8 @@ def _follow(
     moved = point.copy()
     for k in prange(len(face)):
         if face[k] >= 0:
-            a, b, c = faces[face[k]]
-            v, w = bary[k]
+            a, b, c = faces[face[k], 0], faces[face[k], 1], faces[face[k], 2]
+            v, w = bary[k, 0], bary[k, 1]
             for axis in range(3):
                 moved[k, axis] = (1 - v - w) * vertices[a, axis] + v * vertices[b, axis] + w * vertices[c, axis]
     return moved

@@ -12,6 +12,7 @@ from stages.shared import cli, sintel
 from stages.shared.artifacts import atomic_folder, write_json
 from stages.shared.cameras import pixel_grid
 from stages.shared.cli import In, Out
+from stages.shared.errors import InputError
 from stages.shared.images import write_image
 from stages.shared.log import logger, progress
 from stages.simulate import frames
@@ -19,6 +20,7 @@ from stages.simulate.effect_models import Effects
 from stages.simulate.frames import Moment, Stage
 from stages.simulate.motion import View, camera_path, right_of
 from stages.simulate.options import SimulateOptions
+from stages.simulate.raycast import enclosing
 from stages.simulate.scene import Scene, load_scene
 from stages.simulate.stopwatch import Stopwatch
 from stages.simulate.truth import Motion, motion
@@ -58,6 +60,7 @@ def main(
     watch = Stopwatch()
     with watch.measure("scene"):
         stage = Stage(drawn, World(drawn, options.seed), camera_path(drawn, options.seed), options.seed, watch)
+        check_cameras(stage, scene)
     with contextlib.ExitStack() as stack:
         folders = {kind: stack.enter_context(atomic_folder(output / "training" / kind / name)) for kind in KINDS}
         for frame in progress(range(drawn.frames), name):
@@ -67,6 +70,19 @@ def main(
     logger.info("simulated: %s", content)
     if options.explain:
         print(explain(content))
+
+
+def check_cameras(stage: Stage, scene: Path) -> None:
+    """Refuse a camera that is inside an object or under the ground at any frame.
+
+    Raises:
+        InputError: names the object and the frame.
+    """
+    for frame in range(stage.scene.frames):
+        inside = enclosing(stage.world, stage.world.at(frame), stage.view(frame).centre)
+        if inside is not None:
+            found = f"the camera inside '{inside}' at frame {frame + 1}"
+            raise InputError(f"{scene}: camera.keys", "free space around every camera", found, "move the keyframes")
 
 
 def draw_frame(stage: Stage, frame: int, folders: dict[str, Path]) -> None:

@@ -57,44 +57,59 @@ def _surfaces(
     n = len(face)
     albedo, normal, gloss = np.empty((n, 3)), np.zeros((n, 3)), np.zeros(n)
     for k in prange(n):
-        to_point = point[k] - centre
-        distance = np.sqrt((to_point * to_point).sum())
+        dx, dy, dz = point[k, 0] - centre[0], point[k, 1] - centre[1], point[k, 2] - centre[2]
+        distance = np.sqrt(dx * dx + dy * dy + dz * dz)
         if face[k] < 0:
-            _sky(to_point / distance, sky, clouds, 1.0 / focal, albedo[k])
+            _sky(dx / distance, dy / distance, dz / distance, sky, clouds, 1.0 / focal, albedo[k])
             continue
-        a, b, c = faces[face[k]]
-        v, w = bary[k]
-        u = 1 - v - w
-        smooth = u * normals[a] + v * normals[b] + w * normals[c]
-        smooth /= max(np.sqrt((smooth * smooth).sum()), 1e-12)
-        facing = -(smooth * to_point).sum() / distance
-        normal[k] = smooth if facing >= 0 else -smooth
+        a, b, c = faces[face[k], 0], faces[face[k], 1], faces[face[k], 2]
+        v, w = bary[k, 0], bary[k, 1]
+        nx, ny, nz = _blend(normals, a, b, c, v, w)
+        facing = -(nx * dx + ny * dy + nz * dz) / distance
+        length = max(np.sqrt(nx * nx + ny * ny + nz * nz), 1e-12) * (1.0 if facing >= 0 else -1.0)
+        normal[k, 0], normal[k, 1], normal[k, 2] = nx / length, ny / length, nz / length
         m = body[face[k]]
         footprint = depth[k] / focal / max(np.sqrt(abs(facing)), 0.3)
-        across = np.cross(rest[b] - rest[a], rest[c] - rest[a])
-        where = u * rest[a] + v * rest[b] + w * rest[c]
-        _texture(materials, m, where, across, footprint, albedo[k])
+        _texture(materials, m, _blend(rest, a, b, c, v, w), _widest(rest, a, b, c), footprint, albedo[k])
         gloss[k] = materials.gloss[m]
     return albedo, normal, gloss
 
 
+@njit(cache=True, inline="always")
+def _blend(values: np.ndarray, a: int, b: int, c: int, v: float, w: float) -> tuple[float, float, float]:
+    """Value inside a triangle of rows a, b, c; scalars, because small arrays would be allocated per pixel."""
+    u = 1 - v - w
+    return (
+        u * values[a, 0] + v * values[b, 0] + w * values[c, 0],
+        u * values[a, 1] + v * values[b, 1] + w * values[c, 1],
+        u * values[a, 2] + v * values[b, 2] + w * values[c, 2],
+    )
+
+
+@njit(cache=True, inline="always")
+def _widest(rest: np.ndarray, a: int, b: int, c: int) -> int:
+    """Axis along which the triangle's normal at rest is longest: the pattern lies in the plane of the other two."""
+    ex, ey, ez = rest[b, 0] - rest[a, 0], rest[b, 1] - rest[a, 1], rest[b, 2] - rest[a, 2]
+    fx, fy, fz = rest[c, 0] - rest[a, 0], rest[c, 1] - rest[a, 1], rest[c, 2] - rest[a, 2]
+    x, y, z = abs(ey * fz - ez * fy), abs(ez * fx - ex * fz), abs(ex * fy - ey * fx)
+    if z >= x and z >= y:
+        return 2
+    return 0 if x >= y else 1
+
+
 @njit(cache=True)
 def _texture(
-    materials: Materials, m: int, where: np.ndarray, across: np.ndarray, footprint: float, out: np.ndarray
+    materials: Materials, m: int, where: tuple[float, float, float], axis: int, footprint: float, out: np.ndarray
 ) -> None:
-    """Albedo of material `m` at a rest position whose triangle has the rest normal `across`."""
+    """Albedo of material `m` at a rest position; its pattern lies across `axis`."""
     scale, contrast = materials.scale[m], materials.contrast[m]
-    p = where / scale + materials.offset[m]
-    detail = fractal(p[0], p[1], p[2], footprint / scale)
-    tone, joint = 0.5 + 0.5 * noise(0.31 * p[0], 0.31 * p[1], 0.31 * p[2] + 9.5), 0.0
+    x = where[0] / scale + materials.offset[m, 0]
+    y = where[1] / scale + materials.offset[m, 1]
+    z = where[2] / scale + materials.offset[m, 2]
+    detail = fractal(x, y, z, footprint / scale)
+    tone, joint = 0.5 + 0.5 * noise(0.31 * x, 0.31 * y, 0.31 * z + 9.5), 0.0
     if materials.pattern[m] != ROUGH:
-        x, y, z = np.abs(across)
-        if z >= x and z >= y:
-            first, second = p[0], p[1]
-        elif x >= y:
-            first, second = p[1], p[2]
-        else:
-            first, second = p[0], p[2]
+        first, second = (y if axis == 0 else x), (y if axis == 2 else z)
         cell, joint = pattern(materials.pattern[m], first, second, footprint / scale)
         tone = 0.25 * tone + 0.75 * cell
     mix = min(max(tone + 0.25 * contrast * detail, 0.0), 1.0)
@@ -105,9 +120,8 @@ def _texture(
 
 
 @njit(cache=True)
-def _sky(direction: np.ndarray, sky: np.ndarray, clouds: float, footprint: float, out: np.ndarray) -> None:
-    """Radiance of the sky: a gradient from horizon to zenith with fractal clouds."""
-    x, y, z = direction
+def _sky(x: float, y: float, z: float, sky: np.ndarray, clouds: float, footprint: float, out: np.ndarray) -> None:
+    """Radiance of the sky in a direction: a gradient from horizon to zenith with fractal clouds."""
     height = min(max(z, 0.0), 1.0) ** 0.6
     spread = 1.0 / (abs(z) + 0.25)
     cloud = 0.5 + 0.7 * fractal(1.3 * x * spread + 7.1, 1.3 * y * spread - 3.3, 0.5, 1.3 * spread * footprint)

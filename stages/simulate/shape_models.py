@@ -148,6 +148,9 @@ class Cluster(Placed):
         return self
 
 
+KINDS = ("box", "sphere", "cylinder", "terrain", "walker", "cloth", "jelly", "breather", "cluster")
+
+
 def _kind(raw: Any) -> str | None:
     """Which shape an entry of the scene file is."""
     return raw.get("kind") if isinstance(raw, dict) else getattr(raw, "kind", None)
@@ -163,5 +166,5 @@ Shape = Annotated[
     | Annotated[Jelly, Tag("jelly")]
     | Annotated[Breather, Tag("breather")]
     | Annotated[Cluster, Tag("cluster")],
-    Discriminator(_kind),
+    Discriminator(_kind, custom_error_type="kind", custom_error_message=f"a `kind` of {', '.join(KINDS)}"),
 ]
