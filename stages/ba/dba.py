@@ -11,7 +11,7 @@ from stages.ba import kernel, reduced
 from stages.ba.graph import FlowGraph
 from stages.shared import lie
 
-DEPTH_PRIOR = 1e-2
+DEPTH_PRIOR = 1e-4
 """Weight, px^2, that draws an inverse depth to the median 1: far below what one useful match says."""
 FLOW_VARIANCE = 1.5
 """Variance of a match, px^2, against which the prior of the focal length is weighed."""
@@ -94,10 +94,8 @@ def normalise(state: State) -> State:
 
 def errors_px(graph: FlowGraph, state: State) -> np.ndarray:
     """Reprojection errors of the matches [E, P] float32 in px (1e6 behind the camera)."""
-    relative = reduced.relative_motions(graph, state.cam_from_world)
-    R, t = np.ascontiguousarray(relative[:, :3, :3]), np.ascontiguousarray(relative[:, :3, 3])
-    lens = (float(state.focal_px), *graph.centre.tolist())
-    return np.asarray(kernel.errors_px(graph.source, R, t, graph.pixels, graph.matches, state.inverse_depth, lens))
+    data, at = _observations(graph), _geometry(graph, state)
+    return np.asarray(kernel.errors_px(data, at))
 
 
 def robust_cost(graph: FlowGraph, errors: np.ndarray, sigma_px: float) -> float:
@@ -112,8 +110,8 @@ def linear_system(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Undamped reduced system S [6T + 1, 6T + 1] and right-hand side; depths eliminated, or taken as known."""
     relative = reduced.relative_motions(graph, state.cam_from_world)
-    arrays = _arrays(graph, relative, state, sigma_px)
-    hessians, schur, _, _ = kernel.normal_equations(*arrays, 0.0, DEPTH_PRIOR)
+    data, at = _observations(graph), _geometry(graph, state)
+    hessians, schur, _, _ = kernel.normal_equations(data, at, float(sigma_px), 0.0, DEPTH_PRIOR)
     return reduced.assemble(graph, relative, hessians, schur if eliminate else np.zeros_like(schur))
 
 
@@ -121,11 +119,8 @@ def sweep(
     graph: FlowGraph, state: State, candidates: np.ndarray, sigma_px: float, refinements: int = 2
 ) -> tuple[np.ndarray, np.ndarray]:
     """Best inverse depth [T, P] and its curvature [T, P] (px^2) with the poses fixed, from `candidates` [K, T, P]."""
-    relative = reduced.relative_motions(graph, state.cam_from_world)
-    arrays = _arrays(graph, relative, state, sigma_px)
-    best, curvature = kernel.sweep_depth(
-        *arrays[:6], candidates, arrays[7], float(sigma_px), refinements, INVERSE_DEPTHS
-    )
+    data, at = _observations(graph), _geometry(graph, state)
+    best, curvature = kernel.sweep_depth(data, at, float(sigma_px), candidates, refinements, *INVERSE_DEPTHS)
     return best, curvature
 
 
@@ -169,8 +164,8 @@ def _propose(
 ) -> tuple[State | None, float]:
     """The state after one damped Gauss-Newton step and the length of the step; None if the system is singular."""
     relative = reduced.relative_motions(graph, state.cam_from_world)
-    arrays = _arrays(graph, relative, state, sigma_px)
-    hessians, schur, curvatures, gradients = kernel.normal_equations(*arrays, damping, DEPTH_PRIOR)
+    data, at = _observations(graph), _geometry(graph, state)
+    hessians, schur, *depths = kernel.normal_equations(data, at, float(sigma_px), damping, DEPTH_PRIOR)
     if not unknowns.translation:
         schur[:] = 0.0
     S, rhs = reduced.assemble(graph, relative, hessians, schur)
@@ -185,7 +180,7 @@ def _propose(
     inverse_depth = state.inverse_depth
     if unknowns.translation:
         local_steps = reduced.edge_steps(graph, relative, step)
-        inverse_depth = inverse_depth + kernel.depth_steps(*arrays, curvatures, gradients, local_steps)
+        inverse_depth = inverse_depth + kernel.depth_steps(data, at, float(sigma_px), *depths, local_steps)
         inverse_depth = np.clip(inverse_depth, *INVERSE_DEPTHS)
     twists = step[:-1].reshape(-1, 6)
     moved = State(lie.exp_se3(twists) @ state.cam_from_world, inverse_depth, float(state.focal_px * np.exp(step[-1])))
@@ -203,9 +198,11 @@ def _objective(graph: FlowGraph, state: State, sigma_px: float, unknowns: Unknow
     return cost
 
 
-def _arrays(graph: FlowGraph, relative: np.ndarray, state: State, sigma_px: float) -> tuple:
-    """The arguments that the kernels share."""
+def _observations(graph: FlowGraph) -> kernel.Observations:
+    return kernel.Observations(graph.pointer, graph.source, graph.pixels, graph.matches, graph.weights)
+
+
+def _geometry(graph: FlowGraph, state: State) -> kernel.Geometry:
+    relative = reduced.relative_motions(graph, state.cam_from_world)
     R, t = np.ascontiguousarray(relative[:, :3, :3]), np.ascontiguousarray(relative[:, :3, 3])
-    lens = (float(state.focal_px), *graph.centre.tolist())
-    data = (graph.pointer, R, t, graph.pixels, graph.matches, graph.weights)
-    return (*data, state.inverse_depth, lens, float(sigma_px))
+    return kernel.Geometry(R, t, state.inverse_depth, np.append(state.focal_px, graph.centre))

@@ -6,6 +6,8 @@ d, so points at infinity (d = 0) are ordinary. Local unknowns of an edge are the
 [rho, omega] and log focal; `stages.ba.reduced` maps them to the poses. Robust weights are Geman-McClure.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit, prange
 
@@ -13,37 +15,49 @@ BLOCK = 256
 """Pixels per block: the Jacobian of a block stays in the L2 cache."""
 MIN_DEPTH_RATIO = 0.1
 """A point nearer to the target camera than this share of its source depth counts as behind it."""
-Lens = tuple[float, float, float]
-"""Focal length and principal point, px."""
+BEHIND_PX = 1e6
 FAST = {"cache": True, "fastmath": True, "error_model": "numpy"}
+
+
+class Observations(NamedTuple):
+    """What is fixed: edges pointer[i]..pointer[i + 1] leave frame i; see `stages.ba.graph.FlowGraph`."""
+
+    pointer: np.ndarray
+    source: np.ndarray
+    pixels: np.ndarray
+    matches: np.ndarray
+    weights: np.ndarray
+
+
+class Geometry(NamedTuple):
+    """Where to linearise: target_from_source R [E, 3, 3], t [E, 3]; inverse depth [T, P]; lens (focal, cx, cy) px."""
+
+    R: np.ndarray
+    t: np.ndarray
+    inverse_depth: np.ndarray
+    lens: np.ndarray
 
 
 @njit(**FAST)
 def _linearise(
-    R: np.ndarray,
-    t: np.ndarray,
-    pixels: np.ndarray,
-    matches: np.ndarray,
-    weights: np.ndarray,
-    inverse_depth: np.ndarray,
-    lens: Lens,
-    sigma: float,
-    first: int,
-    J: np.ndarray,
-    D: np.ndarray,
+    data: Observations, at: Geometry, sigma: float, i: int, e: int, first: int, J: np.ndarray, D: np.ndarray
 ) -> None:
-    """Fill J [8, 2 BLOCK] (twist, log focal, residual) and D [2 BLOCK] (inverse depth), scaled by sqrt(weight)."""
-    focal, cx, cy = lens
-    for q in range(min(BLOCK, pixels.shape[0] - first)):
+    """Fill J [8, 2 BLOCK] (twist, log focal, residual) and D [2 BLOCK] (inverse depth) for pixels from `first` on.
+
+    Rows are scaled by the root of the weight; the u components come first, then the v components.
+    """
+    focal, cx, cy = at.lens[0], at.lens[1], at.lens[2]
+    R, t = at.R[e], at.t[e]
+    for q in range(min(BLOCK, data.pixels.shape[0] - first)):
         p, q2 = first + q, BLOCK + q
-        x, y, d = (pixels[p, 0] - cx) / focal, (pixels[p, 1] - cy) / focal, inverse_depth[p]
+        x, y, d = (data.pixels[p, 0] - cx) / focal, (data.pixels[p, 1] - cy) / focal, at.inverse_depth[i, p]
         turned_x, turned_y, turned_z = R[0, 0] * x + R[0, 1] * y, R[1, 0] * x + R[1, 1] * y, R[2, 0] * x + R[2, 1] * y
         Z = turned_z + R[2, 2] + d * t[2]
         ahead = Z > MIN_DEPTH_RATIO
         f_z = focal / Z if ahead else 0.0
         u, v = (turned_x + R[0, 2] + d * t[0]) * f_z / focal, (turned_y + R[1, 2] + d * t[1]) * f_z / focal
-        a, b = matches[p, 0] - (focal * u + cx), matches[p, 1] - (focal * v + cy)
-        s = np.sqrt(weights[p]) / (1.0 + (a * a + b * b) / (sigma * sigma)) if ahead else 0.0
+        a, b = data.matches[e, p, 0] - (focal * u + cx), data.matches[e, p, 1] - (focal * v + cy)
+        s = np.sqrt(data.weights[e, p]) / (1.0 + (a * a + b * b) / (sigma * sigma)) if ahead else 0.0
         s_f, s_fz = s * focal, s * f_z
         J[0, q], J[0, q2] = s_fz * d, 0.0
         J[1, q], J[1, q2] = 0.0, s_fz * d
@@ -82,37 +96,24 @@ def _add_coupling(J: np.ndarray, D: np.ndarray, edge: int, coupling: np.ndarray,
 
 @njit(parallel=True, **FAST)
 def normal_equations(
-    pointer: np.ndarray,
-    R: np.ndarray,
-    t: np.ndarray,
-    pixels: np.ndarray,
-    matches: np.ndarray,
-    weights: np.ndarray,
-    inverse_depth: np.ndarray,
-    lens: Lens,
-    sigma: float,
-    damping: float,
-    depth_prior: float,
+    data: Observations, at: Geometry, sigma: float, damping: float, depth_prior: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Local normal equations of every edge, and what eliminating the inverse depths subtracts from them.
 
     Args:
-        pointer: [T + 1], edges pointer[i]..pointer[i + 1] leave frame i.
-        R, t: [E, 3, 3], [E, 3], target_from_source.
-        pixels, matches, weights: [P, 2], [E, P, 2] px, [E, P] in 0..1.
-        inverse_depth: [T, P]; a prior of weight `depth_prior` (px^2) draws it to 1.
-        lens: (focal, cx, cy) px; sigma: scale of the robust kernel, px; damping: relative, of Levenberg-Marquardt.
+        sigma: scale of the robust kernel, px; damping: relative, of Levenberg-Marquardt.
+        depth_prior: weight, px^2, that draws every inverse depth to 1.
 
     Returns:
         hessians [E, 8, 8] over (twist 6, log focal, residual), symmetric; schur [T, n, n] with n = 6 k + 2 rows
         (twists of the frame's k edges, log focal, gradient); curvature (damped) and gradient [T, P] of the depths.
     """
-    T, P = inverse_depth.shape
-    size = 6 * np.diff(pointer).max() + 2
-    hessians, schur = np.zeros((R.shape[0], 8, 8)), np.zeros((T, size, size))
+    T, P = at.inverse_depth.shape
+    size = 6 * np.diff(data.pointer).max() + 2
+    hessians, schur = np.zeros((len(data.source), 8, 8)), np.zeros((T, size, size))
     curvatures, gradients = np.ones((T, P)), np.zeros((T, P))
     for i in prange(T):
-        k = pointer[i + 1] - pointer[i]
+        k = data.pointer[i + 1] - data.pointer[i]
         J, D, n = np.zeros((8, 2 * BLOCK)), np.zeros(2 * BLOCK), 6 * k + 2
         coupling = np.zeros((n, BLOCK))
         for first in range(0, P, BLOCK):
@@ -120,16 +121,15 @@ def normal_equations(
             J[:], D[:], coupling[n - 2 :] = 0.0, 0.0, 0.0
             curvature = np.full(BLOCK, depth_prior)
             for edge in range(k):
-                e = pointer[i] + edge
-                _linearise(R[e], t[e], pixels, matches[e], weights[e], inverse_depth[i], lens, sigma, first, J, D)
-                _add_gram(J, hessians[e])
+                _linearise(data, at, sigma, i, data.pointer[i] + edge, first, J, D)
+                _add_gram(J, hessians[data.pointer[i] + edge])
                 _add_coupling(J, D, edge, coupling, curvature)
             curvature *= 1.0 + damping
-            coupling[n - 1, :count] += depth_prior * (1.0 - inverse_depth[i, first : first + count])
+            coupling[n - 1, :count] += depth_prior * (1.0 - at.inverse_depth[i, first : first + count])
             schur[i, :n, :n] += np.dot(coupling / curvature, coupling.T)
             curvatures[i, first : first + count] = curvature[:count]
             gradients[i, first : first + count] = coupling[n - 1, :count]
-        for e in range(pointer[i], pointer[i + 1]):
+        for e in range(data.pointer[i], data.pointer[i + 1]):
             for a in range(8):
                 hessians[e, a, :a] = hessians[e, :a, a]
     return hessians, schur, curvatures, gradients
@@ -137,28 +137,22 @@ def normal_equations(
 
 @njit(parallel=True, **FAST)
 def depth_steps(
-    pointer: np.ndarray,
-    R: np.ndarray,
-    t: np.ndarray,
-    pixels: np.ndarray,
-    matches: np.ndarray,
-    weights: np.ndarray,
-    inverse_depth: np.ndarray,
-    lens: Lens,
+    data: Observations,
+    at: Geometry,
     sigma: float,
     curvatures: np.ndarray,
     gradients: np.ndarray,
     local_steps: np.ndarray,
 ) -> np.ndarray:
     """Steps [T, P] of the inverse depths once the local steps [E, 7] (twist, log focal) of the edges are known."""
-    T, P = inverse_depth.shape
+    T, P = at.inverse_depth.shape
     steps = np.zeros((T, P))
     for i in prange(T):
         J, D = np.zeros((8, 2 * BLOCK)), np.zeros(2 * BLOCK)
         explained = np.zeros(P)
-        for e in range(pointer[i], pointer[i + 1]):
+        for e in range(data.pointer[i], data.pointer[i + 1]):
             for first in range(0, P, BLOCK):
-                _linearise(R[e], t[e], pixels, matches[e], weights[e], inverse_depth[i], lens, sigma, first, J, D)
+                _linearise(data, at, sigma, i, e, first, J, D)
                 for a in range(7):
                     for q in range(min(BLOCK, P - first)):
                         q2 = BLOCK + q
@@ -167,103 +161,76 @@ def depth_steps(
     return steps
 
 
+@njit(**FAST)
+def _residual(data: Observations, at: Geometry, e: int, p: int, d: float) -> tuple[float, ...]:
+    """Residual (a, b) of one pixel at inverse depth d, its derivative by d, and whether it is ahead."""
+    focal, cx, cy = at.lens[0], at.lens[1], at.lens[2]
+    R, t = at.R[e], at.t[e]
+    x, y = (data.pixels[p, 0] - cx) / focal, (data.pixels[p, 1] - cy) / focal
+    Z = R[2, 0] * x + R[2, 1] * y + R[2, 2] + d * t[2]
+    ahead = Z > MIN_DEPTH_RATIO
+    f_z = focal / Z if ahead else 0.0
+    u = (R[0, 0] * x + R[0, 1] * y + R[0, 2] + d * t[0]) * f_z / focal
+    v = (R[1, 0] * x + R[1, 1] * y + R[1, 2] + d * t[1]) * f_z / focal
+    a, b = data.matches[e, p, 0] - (focal * u + cx), data.matches[e, p, 1] - (focal * v + cy)
+    return a, b, f_z * (t[0] - u * t[2]), f_z * (t[1] - v * t[2]), 1.0 if ahead else 0.0
+
+
 @njit(parallel=True, **FAST)
-def errors_px(
-    source: np.ndarray,
-    R: np.ndarray,
-    t: np.ndarray,
-    pixels: np.ndarray,
-    matches: np.ndarray,
-    inverse_depth: np.ndarray,
-    lens: Lens,
-) -> np.ndarray:
-    """Lengths of the residuals [E, P] float32 in px; 1e6 where the point is not ahead of the target camera."""
-    E, P = len(source), len(pixels)
-    focal, cx, cy = lens
+def errors_px(data: Observations, at: Geometry) -> np.ndarray:
+    """Lengths of the residuals [E, P] float32 in px; BEHIND_PX where the point is behind the target camera."""
+    E, P = data.weights.shape
     errors = np.empty((E, P), np.float32)
     for e in prange(E):
+        i = data.source[e]
         for p in range(P):
-            x, y, d = (pixels[p, 0] - cx) / focal, (pixels[p, 1] - cy) / focal, inverse_depth[source[e], p]
-            X = R[e, 0, 0] * x + R[e, 0, 1] * y + R[e, 0, 2] + d * t[e, 0]
-            Y = R[e, 1, 0] * x + R[e, 1, 1] * y + R[e, 1, 2] + d * t[e, 1]
-            Z = R[e, 2, 0] * x + R[e, 2, 1] * y + R[e, 2, 2] + d * t[e, 2]
-            ahead = Z > MIN_DEPTH_RATIO
-            a = matches[e, p, 0] - (focal * X / Z + cx) if ahead else 1e6
-            b = matches[e, p, 1] - (focal * Y / Z + cy) if ahead else 0.0
-            errors[e, p] = np.sqrt(a * a + b * b)
+            a, b, _, _, ahead = _residual(data, at, e, p, at.inverse_depth[i, p])
+            errors[e, p] = np.sqrt(a * a + b * b) if ahead > 0.0 else BEHIND_PX
     return errors
 
 
 @njit(**FAST)
-def _depth_probe(
-    first: int,
-    last: int,
-    R: np.ndarray,
-    t: np.ndarray,
-    x: float,
-    y: float,
-    p: int,
-    d: float,
-    matches: np.ndarray,
-    weights: np.ndarray,
-    lens: Lens,
-    sigma: float,
-) -> tuple[float, float, float]:
+def _depth_probe(data: Observations, at: Geometry, sigma: float, i: int, p: int, d: float) -> tuple[float, ...]:
     """Robust cost of one pixel at inverse depth d over its edges, and the Gauss-Newton terms for the next d."""
-    focal, cx, cy = lens
     cost, curvature, gradient = 0.0, 0.0, 0.0
-    for e in range(first, last):
-        Z = R[e, 2, 0] * x + R[e, 2, 1] * y + R[e, 2, 2] + d * t[e, 2]
-        if Z <= MIN_DEPTH_RATIO:
-            cost += weights[e, p]
-            continue
-        u = (R[e, 0, 0] * x + R[e, 0, 1] * y + R[e, 0, 2] + d * t[e, 0]) / Z
-        v = (R[e, 1, 0] * x + R[e, 1, 1] * y + R[e, 1, 2] + d * t[e, 1]) / Z
-        a, b = matches[e, p, 0] - (focal * u + cx), matches[e, p, 1] - (focal * v + cy)
+    for e in range(data.pointer[i], data.pointer[i + 1]):
+        a, b, D_a, D_b, ahead = _residual(data, at, e, p, d)
         error = (a * a + b * b) / (sigma * sigma)
-        w = weights[e, p] / ((1.0 + error) * (1.0 + error))
-        Du, Dv = focal / Z * (t[e, 0] - u * t[e, 2]), focal / Z * (t[e, 1] - v * t[e, 2])
-        cost += weights[e, p] * error / (1.0 + error)
-        curvature += w * (Du * Du + Dv * Dv)
-        gradient += w * (Du * a + Dv * b)
+        w = ahead * data.weights[e, p] / ((1.0 + error) * (1.0 + error))
+        cost += data.weights[e, p] * (error / (1.0 + error) if ahead > 0.0 else 1.0)
+        curvature += w * (D_a * D_a + D_b * D_b)
+        gradient += w * (D_a * a + D_b * b)
     return cost, curvature, gradient
 
 
 @njit(parallel=True, **FAST)
 def sweep_depth(
-    pointer: np.ndarray,
-    R: np.ndarray,
-    t: np.ndarray,
-    pixels: np.ndarray,
-    matches: np.ndarray,
-    weights: np.ndarray,
-    candidates: np.ndarray,
-    lens: Lens,
+    data: Observations,
+    at: Geometry,
     sigma: float,
+    candidates: np.ndarray,
     refinements: int,
-    bounds: tuple[float, float],
+    lowest: float,
+    highest: float,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Best inverse depth per pixel with the poses fixed: candidates, each refined by Gauss-Newton steps.
 
     Args:
-        candidates: [K, T, P] inverse depths to start from; bounds: (lowest, highest) inverse depth.
+        candidates: [K, T, P] inverse depths to start from; lowest, highest: limits of the inverse depth.
 
     Returns:
         inverse depth [T, P] and its curvature [T, P] in px^2 per unit of inverse depth squared (0: unobserved).
     """
     K, T, P = candidates.shape
-    focal, cx, cy = lens
     best_depth, best_curvature = candidates[0].copy(), np.zeros((T, P))
     for i in prange(T):
         for p in range(P):
-            x, y, best = (pixels[p, 0] - cx) / focal, (pixels[p, 1] - cy) / focal, np.inf
+            best = np.inf
             for k in range(K):
                 d = candidates[k, i, p]
                 for _ in range(refinements + 1):
-                    cost, curvature, gradient = _depth_probe(
-                        pointer[i], pointer[i + 1], R, t, x, y, p, d, matches, weights, lens, sigma
-                    )
+                    cost, curvature, gradient = _depth_probe(data, at, sigma, i, p, d)
                     if cost < best:
                         best, best_depth[i, p], best_curvature[i, p] = cost, d, curvature
-                    d = min(max(d + gradient / (curvature + 1e-9), bounds[0]), bounds[1])
+                    d = min(max(d + gradient / (curvature + 1e-9), lowest), highest)
     return best_depth, best_curvature
