@@ -58,7 +58,7 @@ def test_plain_snakemake_plans_every_stage(repo_copy: Path) -> None:
     ("override", "rerun"),
     [
         ("flow: {max_width_px: 300}", AFTER_FLOW | {"flow"}),
-        ("control: {points: 77}", AFTER_SCENE),
+        ("control: {control_points: 77}", AFTER_SCENE),
         ("gaussians: {steps: 33}", AFTER_SCENE - {"control"}),
         ("holdout_every: 7", AFTER_SCENE),
         ("simulate: {seed: 5}", EVERY_RULE),
