@@ -17,7 +17,7 @@ class ControlOptions(SplitOptions):
         "table", description="motion model: a rigid motion per point and frame with splines, or the paper's network"
     )
     steps: int = Field(400, ge=0, le=20000, description="optimisation steps of stage 1")
-    learning_rate: float = Field(0.01, gt=0, le=1, description="Adam's step for the motion, 1/extent of the movers")
+    learning_rate: float = Field(0.002, gt=0, le=1, description="Adam's step for the motion, 1/extent of the movers")
     track_stride_px: int = Field(2, ge=1, le=16, description="pixels of the flow grid between neighbouring tracks")
     time_frequencies: int = Field(4, ge=0, le=4, description="frequencies of the network's time encoding; more overfit")
     width: int = Field(128, ge=8, le=1024, description="neurons per layer of the network")
