@@ -33,7 +33,8 @@ def score_images(
     frames: list[dict[str, Any]] = []
     for split in SPLITS:
         found = {int(path.stem.removeprefix("frame_")): path for path in sorted((renders / split).glob("frame_*.png"))}
-        pairs = {number: (read_rgb(path), _true_image(sequence, split, number)) for number, path in found.items()}
+        truth = true_images(sequence, split)
+        pairs = {number: (read_rgb(path), read_rgb(truth[number])) for number, path in found.items() if number in truth}
         rows, per_frame = _score(sequence, "ours", split, pairs, masks, mask_source)
         table, frames = table + rows, frames + per_frame
     copies = _nearest_training_frames(sequence, options)
@@ -93,10 +94,11 @@ def score_frame(image: np.ndarray, truth: np.ndarray, mask: np.ndarray | None) -
     return scores
 
 
-def _true_image(sequence: Sequence, split: str, number: int) -> np.ndarray:
+def true_images(sequence: Sequence, split: str) -> dict[int, Path]:
+    """The files that renders of a split are held against, by frame number."""
     if split == "right":
-        return read_rgb(sequence.truth["clean_right"][number])
-    return read_rgb(sequence.frames[sequence.numbers.index(number)])
+        return sequence.truth.get("clean_right", {})
+    return dict(zip(sequence.numbers, sequence.frames, strict=True))
 
 
 def _nearest_training_frames(sequence: Sequence, options: SplitOptions) -> dict[int, tuple[np.ndarray, np.ndarray]]:

@@ -1,6 +1,6 @@
 """What the report shows of one sequence: figures with alternative text, decisions, and what is missing."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from stages.eval import pictures, plots
+from stages.eval.score_images import true_images
 from stages.eval.score_masks import read_masks
 from stages.eval.tables import Row, Table, read_rows
 from stages.eval.truth import true_masks
@@ -166,7 +167,7 @@ def _render_figures(folder: Path, sequence: sequences.Sequence) -> list[Figure]:
     found = []
     for split, words in {"test": "held-out", "right": "right-eye"}.items():
         renders = {int(p.stem.removeprefix("frame_")): p for p in (folder / "renders" / split).glob("frame_*.png")}
-        truth = sequence.truth.get("clean_right", {}) if split == "right" else _frames_by_number(sequence)
+        truth = true_images(sequence, split)
         numbers = [n for n in sorted(renders) if n in truth]
         shown = [numbers[k] for k in spread(len(numbers), 2)] if numbers else []
         if shown:
@@ -180,10 +181,6 @@ def _render_figures(folder: Path, sequence: sequences.Sequence) -> list[Figure]:
         fly = pictures.animation(folder / "figures" / "render.gif")
         found.append(Figure("Fly-through at moving time", fly, "Animation of the reconstructed scene from new views"))
     return found + _frame_chart(folder, "images", "psnr_db", "Image quality per frame", "PSNR (dB)")
-
-
-def _frames_by_number(sequence: sequences.Sequence) -> Mapping[int, Path]:
-    return dict(zip(sequence.numbers, sequence.frames, strict=True))
 
 
 def _convergence_figures(folder: Path) -> list[Figure]:
