@@ -37,7 +37,8 @@ def build(corners: np.ndarray, faces: np.ndarray) -> Tree:
     Each level halves every node's triangles at the median of their centres along the longest axis.
     """
     if len(faces) == 0:
-        return Tree(np.ones((2, 3)), -np.ones((2, 3)), np.zeros(2, np.int8), np.zeros((0, 3, 3)), faces)
+        nowhere = np.full((2, 3), np.inf)  # a slab test with inverted corners would pass: it orders them by the ray
+        return Tree(nowhere, nowhere, np.zeros(2, np.int8), np.zeros((0, 3, 3)), faces)
     levels = max(int(np.ceil(np.log2(len(faces) / LEAF))), 0)
     order = np.resize(np.arange(len(faces)), LEAF << levels)[None]
     centres = corners.mean(axis=1)

@@ -1,0 +1,205 @@
+"""The simulator's truth against cameras, depth, the objects' own motion and a brute-force ray caster."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from stages.shared import cameras
+from stages.shared.cameras import pixel_grid
+from stages.simulate import bvh, frames, raycast, truth
+from stages.simulate.frames import Moment, Stage
+from stages.simulate.motion import camera_path, right_of
+from stages.simulate.scene import Scene
+from stages.simulate.stopwatch import Stopwatch
+from stages.simulate.world import World
+
+CAMERA = {
+    "focal": 1.0,
+    "keys": [
+        {"time": 0, "eye": [-0.3, -4.0, 1.2], "target": [0, 0, 0.8]},
+        {"time": 1, "eye": [0.5, -3.6, 1.4], "target": [0.1, 0, 0.7]},
+    ],
+    "handheld": {"position": 0.01, "rotation_deg": 0.3},
+}
+GROUND = {"name": "ground", "kind": "terrain", "size": [20, 20], "relief": 0.4, "feature": 4}
+MOVE, TURN_DEG = [0.6, 0.3, 0.1], [0, 0, 50]
+BLOCK = {
+    "name": "block",
+    "kind": "box",
+    "size": [0.9, 0.7, 0.8],
+    "position": [-0.2, -0.4, 0.6],
+    "turn_deg": [0, 0, 20],
+    "path": [{"time": 0}, {"time": 1, "move": MOVE, "turn_deg": TURN_DEG}],
+}
+SOFT = [
+    {"name": "jelly", "kind": "jelly", "radii": [0.5, 0.4, 0.4], "position": [-0.6, 0, 0.8], "hz": 3},
+    {"name": "flag", "kind": "cloth", "size": [0.8, 0.8], "position": [0.5, 0, 1.6], "hz": 3},
+    {"name": "hide", "kind": "breather", "size": [6, 3], "position": [0, 2, 1], "amplitude": 0.2, "hz": 2},
+    {"name": "man", "kind": "walker", "height": 1.3, "position": [0.1, -0.8, 0.2]},
+    {"name": "blocks", "kind": "cluster", "size": [0.5, 0.5, 0.5], "position": [1, 0.5, 0.4], "split_time": 0.1},
+]
+
+
+def make_stage(*objects: dict, frames: int = 4, width: int = 120, height: int = 52, **more: object) -> Stage:
+    scene = Scene(description="", frames=frames, width=width, height=height, camera=CAMERA, objects=objects, **more)
+    return Stage(scene, World(scene, 3), camera_path(scene, 3), 3, Stopwatch())
+
+
+def moment(stage: Stage, frame: int) -> Moment:
+    return Moment(stage.world.at(frame), stage.view(frame))
+
+
+def hits_and_motion(stage: Stage, frame: int = 0) -> tuple[np.ndarray, raycast.Hits, truth.Motion]:
+    uv = pixel_grid(stage.scene.height, stage.scene.width).reshape(-1, 2)
+    now, then = moment(stage, frame), moment(stage, frame + 1)
+    hits = raycast.cast(now.snapshot, now.view, uv)
+    return uv, hits, truth.motion(hits, uv, stage.world, then.snapshot, then.view, now.view.K[0, 0])
+
+
+def seen_body(stage: Stage, hits: raycast.Hits) -> np.ndarray:
+    names = np.array([body.name for body in stage.world.bodies] + ["sky"])
+    return names[np.where(hits.face >= 0, stage.world.body[hits.face], -1)]
+
+
+def test_flow_of_static_pixels_is_depth_and_cameras() -> None:
+    stage = make_stage(GROUND, BLOCK)
+    uv, hits, moved = hits_and_motion(stage)
+    now, then = stage.view(0), stage.view(1)
+    points = cameras.unproject(uv, hits.depth.astype(np.float32), now.cam_from_world, now.K)
+    expected = cameras.project(points, then.cam_from_world, then.K)[0] - uv
+    static = ~moved.moving
+    assert {"ground", "sky"} == set(seen_body(stage, hits)[static])
+    assert np.abs(moved.flow - expected)[static].max() < 1e-3
+    assert np.abs(moved.flow - expected)[moved.moving].max() > 1
+
+
+def test_flow_of_a_rigid_mover_is_its_own_motion() -> None:
+    stage = make_stage(GROUND, BLOCK)
+    uv, hits, moved = hits_and_motion(stage, frame=1)
+    on_block = seen_body(stage, hits) == "block"
+    assert on_block.sum() > 200
+    assert np.array_equal(moved.moving, on_block)
+    now, then = stage.view(1), stage.view(2)
+    points = cameras.unproject(uv, hits.depth, now.cam_from_world, now.K)[on_block]
+
+    def pose(time: float) -> tuple[np.ndarray, np.ndarray]:
+        angle = np.deg2rad(20 + 0 * time), np.deg2rad(50 * time)
+        rotations = [np.array([[np.cos(a), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1]]) for a in angle]
+        return rotations[0] @ rotations[1], np.array(BLOCK["position"]) + rotations[0] @ (time * np.array(MOVE))
+
+    (R, t), (R_next, t_next) = pose(1 / 3), pose(2 / 3)
+    carried = (points - t) @ R @ R_next.T + t_next
+    expected = cameras.project(carried, then.cam_from_world, then.K)[0] - uv[on_block]
+    assert np.abs(moved.flow[on_block] - expected).max() < 1e-3
+
+
+def test_flow_of_soft_bodies_follows_their_material() -> None:
+    """Every deforming body: the surface point keeps its place in its triangle (solved here by least squares)."""
+    stage = make_stage(*SOFT)
+    uv, hits, moved = hits_and_motion(stage, frame=1)
+    seen = seen_body(stage, hits)
+    assert {shape["name"] for shape in SOFT} <= set(seen)
+    now, then = moment(stage, 1), moment(stage, 2)
+    for k in np.flatnonzero(seen != "sky")[::7]:
+        corners = stage.world.faces[hits.face[k]]
+        point = cameras.unproject(uv[k], hits.depth[k], now.view.cam_from_world, now.view.K)
+        rows = np.vstack([now.snapshot.vertices[corners].T, np.ones(3)])
+        weights = np.linalg.lstsq(rows, np.append(point, 1.0), rcond=None)[0]
+        carried = weights @ then.snapshot.vertices[corners]
+        expected = cameras.project(carried, then.view.cam_from_world, then.view.K)[0] - uv[k]
+        assert np.abs(moved.flow[k] - expected).max() < 1e-3
+
+
+def test_the_tree_finds_what_brute_force_finds() -> None:
+    stage = make_stage(GROUND | {"feature": 20}, BLOCK, *SOFT, width=48, height=20)
+    now = moment(stage, 2)
+    uv = pixel_grid(20, 48).reshape(-1, 2)
+    hits = raycast.cast(now.snapshot, now.view, uv)
+    a, b, c = (now.snapshot.vertices[stage.world.faces[:, k]] for k in range(3))
+    ends = cameras.unproject(uv, np.ones(len(uv)), now.view.cam_from_world, now.view.K)
+    for k in range(0, len(uv), 3):
+        direction = ends[k] - now.view.centre
+        matrix = np.stack([b - a, c - a, np.broadcast_to(-direction, a.shape)], axis=-1)
+        proper = np.abs(np.linalg.det(matrix)) > 1e-14
+        v, w, t = np.linalg.solve(matrix[proper], (now.view.centre - a[proper])[..., None])[..., 0].T
+        inside = (v > -1e-9) & (w > -1e-9) & (v + w < 1 + 1e-9) & (t > 0)
+        nearest = t[inside].min(initial=np.inf)
+        assert (hits.face[k] == raycast.SKY) == np.isinf(nearest)
+        assert hits.face[k] == raycast.SKY or hits.depth[k] == pytest.approx(nearest, rel=1e-9)
+
+
+def test_an_empty_tree_is_never_entered() -> None:
+    """A scene without movers has one; rays of every direction, from the middle of the world, must pass it by."""
+    tree = bvh.build(np.zeros((0, 3, 3)), np.zeros(0, int))
+    for direction in np.array(list(itertools.product([-1.0, 0.0, 1.0], repeat=3))):
+        assert bvh.walk(tree, 0.0, 0.0, 0.0, *direction, 1e30, False)[1] == -1
+
+
+def test_occlusion_is_visibility_in_the_next_frame() -> None:
+    """Cast again at the place where the flow leads: a visible point is met there, a hidden one is behind something."""
+    stage = make_stage(GROUND, BLOCK, SOFT[3])
+    uv, hits, moved = hits_and_motion(stage, frame=1)
+    then = moment(stage, 2)
+    points = raycast.follow(hits, stage.world, then.snapshot)
+    again = raycast.cast(then.snapshot, then.view, uv + moved.flow)
+    depth = cameras.project(points, then.view.cam_from_world, then.view.K)[1]
+    hidden = again.depth < depth * (1 - truth.SLACK)
+    assert 0.005 < moved.occluded.mean() < 0.3
+    assert np.array_equal(hidden, moved.occluded)
+
+
+def test_right_eye_agrees_with_depth() -> None:
+    stage = make_stage(GROUND, BLOCK)
+    now = moment(stage, 0)
+    uv = pixel_grid(stage.scene.height, stage.scene.width).reshape(-1, 2)
+    hits = raycast.cast(now.snapshot, now.view, uv)
+    right = right_of(now.view, 0.2)
+    disparity = now.view.K[0, 0] * 0.2 / hits.depth
+    there = raycast.cast(now.snapshot, right, uv - np.column_stack([disparity, 0 * disparity]))
+    same = np.abs(there.depth - hits.depth) < 1e-6 * hits.depth
+    assert same.mean() > 0.9
+    assert (there.depth[~same] < hits.depth[~same]).all(), "what differs must be hidden from the right eye"
+
+
+def test_points_behind_the_next_camera_are_invalid() -> None:
+    stage = make_stage(GROUND)
+    keys = stage.scene.camera.keys
+    leap = keys[1].model_copy(update={"eye": (0.0, 6.0, 1.5), "target": (0.0, 9.0, 1.0)})
+    camera = stage.scene.camera.model_copy(update={"keys": [keys[0], leap]})
+    scene = stage.scene.model_copy(update={"frames": 2, "camera": camera})
+    _, _, moved = hits_and_motion(Stage(scene, World(scene, 3), camera_path(scene, 3), 3, Stopwatch()))
+    assert 0.1 < moved.invalid.mean() < 1
+    assert np.isfinite(moved.flow).all()
+    assert (moved.flow[moved.invalid] == 0).all()
+
+
+def test_textures_stick_to_surfaces() -> None:
+    """The next picture, sampled where the flow leads, shows the same albedo on every body, soft ones too."""
+    stage = make_stage(GROUND, *SOFT, width=240, height=104)
+    uv, hits, moved = hits_and_motion(stage, frame=1)
+    now, then = moment(stage, 1), moment(stage, 2)
+    again = raycast.cast(then.snapshot, then.view, uv + moved.flow)
+    visible = ~moved.occluded & (again.face == hits.face)
+    shown = frames._surface(stage, now, hits).albedo
+    later = frames._surface(stage, then, again).albedo
+    unmoved = frames._surface(stage, then, raycast.cast(then.snapshot, then.view, uv)).albedo
+    error, naive = (np.abs(other - shown)[visible].mean() for other in (later, unmoved))
+    assert visible.mean() > 0.6
+    assert error < 0.01
+    assert naive > 5 * error
+
+
+def test_texture_has_detail_at_every_scale() -> None:
+    """Contrast falls by less than a half from one octave of a picture to the next, down to single pixels."""
+    wall = {"name": "wall", "kind": "box", "size": [30, 1, 20], "position": [0, 0, -9]}
+    stage = make_stage(wall, width=256, height=128)
+    now = moment(stage, 0)
+    picture = frames.develop(stage, now, frames.see(stage, now), with_effects=False).mean(axis=2)
+    contrast = []
+    for _ in range(4):
+        halved = picture.reshape(picture.shape[0] // 2, 2, picture.shape[1] // 2, 2).mean(axis=(1, 3))
+        contrast.append((picture - np.kron(halved, np.ones((2, 2)))).std() / picture.mean())
+        picture = halved
+    assert contrast[0] > 0.03
+    assert all(fine > 0.35 * coarse for fine, coarse in itertools.pairwise(contrast))
