@@ -90,18 +90,19 @@ def _pixels(seen: Observations, f: int, positions: np.ndarray) -> tuple[np.ndarr
     return u, v, xyz[:, 2], inside
 
 
-def dynamic_share(seen: Observations, tracks: np.ndarray) -> np.ndarray:
+def dynamic_share(seen: Observations, tracks: np.ndarray, masks: np.ndarray) -> np.ndarray:
     """Share [n] of the frames in which a point is seen (in the image, not behind the depth there) that mask it.
 
     Args:
         tracks: [F, n, 3] positions over time; [1, n, 3] for points at rest. Never seen: share 0.
+        masks: [F, H, W].
     """
     votes, views = np.zeros(tracks.shape[1]), np.zeros(tracks.shape[1])
     for f in range(len(seen.depths)):
         u, v, z, inside = _pixels(seen, f, tracks[f % len(tracks)])
         visible = inside & (z < seen.depths[f, v, u] * (1 + DEPTH_TOLERANCE))
         views += visible
-        votes += visible & seen.masks[f, v, u]
+        votes += visible & masks[f, v, u]
     return votes / np.maximum(views, 1)
 
 
@@ -160,6 +161,23 @@ def make_cloud(points: Points, positions: np.ndarray, dynamic: np.ndarray, sh_de
     )
 
 
+def cloud_within(
+    seen: Observations,
+    deformation: Deformation | None,
+    canonical: int,
+    stride_px: int,
+    K: int,
+    sh_degree: int,
+    max_gaussians: int,
+) -> tuple[Cloud, int]:
+    """`initial_cloud` at the finest stride from `stride_px` on that stays within the cap, and that stride."""
+    while True:
+        cloud = initial_cloud(seen, deformation, canonical, stride_px, K, sh_degree)
+        if len(cloud.means) <= max_gaussians:
+            return cloud, stride_px
+        stride_px += 1
+
+
 def initial_cloud(seen: Observations, deformation: Deformation | None, canonical: int, stride_px: int, K: int,
                   sh_degree: int) -> Cloud:  # fmt: skip
     """Gaussians of the whole scene; without a deformation every pixel is static.
@@ -176,16 +194,16 @@ def initial_cloud(seen: Observations, deformation: Deformation | None, canonical
         return make_cloud(points, points.positions, np.zeros(len(points.frames), bool), sh_degree)
     # Pixels on the outline mix both colours: neither side starts from them.
     kernel = np.ones((3, 3), np.uint8)
-    outside = np.stack([cv2.dilate(mask.astype(np.uint8), kernel) == 0 for mask in seen.masks])
-    static = lift_static(seen, order, stride_px, outside)
-    claimed = dynamic_share(seen, static.positions[None]) > 0.5
+    widened = np.stack([cv2.dilate(mask.astype(np.uint8), kernel) > 0 for mask in seen.masks])
+    static = lift_static(seen, order, stride_px, ~widened)
+    claimed = dynamic_share(seen, static.positions[None], seen.masks) > 0.5
     claimed_times = seen.times[static.frames[claimed]]
     recovered, found = to_canonical(static.positions[claimed], claimed_times, deformation, K)
     dynamic, means = lift_dynamic(seen, order, stride_px, deformation, K)
     with torch.no_grad():
         rest = torch.as_tensor(means, dtype=torch.float32)
         tracks = np.stack([skin(rest, float(time), deformation, K).double().numpy() for time in seen.times])
-    moves = dynamic_share(seen, tracks) > 0.5
+    moves = dynamic_share(seen, tracks, widened) > 0.5
     points = join([static[~claimed], static[claimed][found], dynamic])
     positions = np.concatenate([
         static.positions[~claimed], recovered[found], np.where(moves[:, None], means, dynamic.positions)

@@ -2,16 +2,17 @@
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 import torch
 from scipy.spatial import cKDTree
 
 from stages.control.deformation import Deformation
-from stages.shared.cameras import pixel_grid, project
+from stages.shared.cameras import project
 
-GUIDE_EPS = 1e-3
-"""Regularisation of the guided filter: contrast of the frame (0..1), squared, below which depth is smoothed across."""
+COLOUR_STD = 0.06
+"""Difference of colour (0..1) across which depth is not carried over."""
+UNLIKE_WEIGHT = 1e-4
+"""Weight of a grid pixel of any other colour, so that a pixel unlike all four gets their bilinear mean."""
 FARTHEST = 1e3
 """Depth is at most this many times the median depth: sky has inverse depth 0."""
 
@@ -38,19 +39,34 @@ class Observations:
 def dense_depth(inverse_depth: np.ndarray, image: np.ndarray, stride_px: int) -> np.ndarray:
     """Full-size z-depth [H, W] from inverse depth [h, w] on the pose stage's grid, with edges where the frame has them.
 
-    Grid pixel k lies at frame pixel s k + (s - 1) / 2. The guided filter (He et al. 2010) works on inverse depth,
-    which is linear across planes in the image.
+    Grid pixel k lies at frame pixel s k + (s - 1) / 2. Joint bilateral upsampling (Kopf et al. 2007) over the four
+    surrounding grid pixels: bilinear weights times likeness of colour. Inverse depth is linear across planes in the
+    image. Against rendered truth it leaves a third to a fifth of the pixels wrong that a guided filter does.
 
     Args:
         image: [H, W, 3] float32 in 0..1.
     """
-    uv = (pixel_grid(*image.shape[:2]) - (stride_px - 1) / 2) / stride_px
-    u, v = np.moveaxis(uv.astype(np.float32), -1, 0)
-    coarse = cv2.remap(inverse_depth.astype(np.float32), u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    unit = float(np.median(coarse))  # the filter adds constants: keep it independent of the scene's unit
-    smooth = cv2.ximgproc.guidedFilter(image, coarse / unit, radius=stride_px, eps=GUIDE_EPS)
-    lowest, highest = float(coarse.min()) / unit, float(coarse.max()) / unit
-    return np.asarray(1 / (unit * np.clip(smooth, max(lowest, 1 / FARTHEST), highest)), np.float32)
+    rows, row_weights = _grid_neighbours(image.shape[0], inverse_depth.shape[0], stride_px)
+    columns, column_weights = _grid_neighbours(image.shape[1], inverse_depth.shape[1], stride_px)
+    at_row = np.minimum(np.arange(len(inverse_depth)) * stride_px + stride_px // 2, len(image) - 1)
+    at_column = np.minimum(np.arange(inverse_depth.shape[1]) * stride_px + stride_px // 2, image.shape[1] - 1)
+    grid_image = image[np.ix_(at_row, at_column)]
+    total, weight = np.zeros(image.shape[:2]), np.zeros(image.shape[:2])
+    for v, v_weight in zip(rows, row_weights, strict=True):
+        for u, u_weight in zip(columns, column_weights, strict=True):
+            unlike = np.square(image - grid_image[np.ix_(v, u)]).sum(axis=-1)
+            w = np.outer(v_weight, u_weight) * (np.exp(-unlike / (2 * COLOUR_STD**2)) + UNLIKE_WEIGHT)
+            total += w * inverse_depth[np.ix_(v, u)]
+            weight += w
+    inverse = total / weight
+    return (1 / np.maximum(inverse, np.median(inverse) / FARTHEST)).astype(np.float32)
+
+
+def _grid_neighbours(size: int, grid_size: int, stride_px: int) -> tuple[np.ndarray, np.ndarray]:
+    """The two grid indices [2, size] around each of `size` pixels, clipped, and their linear weights [2, size]."""
+    at = (np.arange(size) - (stride_px - 1) / 2) / stride_px
+    low = np.floor(at).astype(int)
+    return np.stack([low, low + 1]).clip(0, grid_size - 1), np.stack([1 - (at - low), at - low])
 
 
 def with_mover_depth(seen: Observations, deformation: Deformation) -> Observations:

@@ -18,7 +18,7 @@ def write_ply(
     """Write N Gaussians: means [N, 3], quats wxyz [N, 4] of any length, log_scales [N, 3], logits [N], sh [N, K, 3]."""
     N = len(means)
     unit = quats / np.linalg.norm(quats, axis=-1, keepdims=True)
-    rest = sh[:, 1:].transpose(0, 2, 1).reshape(N, -1)
+    rest = sh[:, 1:].transpose(0, 2, 1).reshape(N, 3 * (sh.shape[1] - 1))
     table = np.concatenate([means, sh[:, 0], rest, logits[:, None], log_scales, unit], axis=1, dtype="<f4")
     names = _field_names(rest.shape[1])
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {N}"]

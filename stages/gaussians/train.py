@@ -33,7 +33,7 @@ def main(
     from stages.control.deformation import load_deformation
     from stages.gaussians.checkpoint import Checkpoint
     from stages.gaussians.figure import training_figure, write_figure
-    from stages.gaussians.initialise import initial_cloud, near_plane_of
+    from stages.gaussians.initialise import cloud_within, near_plane_of
     from stages.gaussians.inputs import canonical_row, read_observations
     from stages.gaussians.model import GaussianScene, scene_tensors
     from stages.gaussians.observations import with_mover_depth
@@ -54,7 +54,11 @@ def main(
         seen = with_mover_depth(seen, motion)
         canonical = canonical_row(seen, sequence, deformation)
     sh_degree = needs["view_dependent"]["sh_degree"]
-    cloud = initial_cloud(seen, motion, canonical, options.stride_px, options.neighbours, sh_degree)
+    cloud, stride_px = cloud_within(
+        seen, motion, canonical, options.stride_px, options.neighbours, sh_degree, options.max_gaussians
+    )
+    if stride_px > options.stride_px:
+        logger.warning("one Gaussian per %d px, not %d, to stay within max_gaussians", stride_px, options.stride_px)
     background = torch.as_tensor(seen.images.mean(axis=(0, 1, 2)))
     gaussians = GaussianScene(cloud, motion, background, near_plane_of(seen), options.neighbours).to(device)
     counts = (len(cloud.means), gaussians.n_static, len(cloud.means) - gaussians.n_static)
