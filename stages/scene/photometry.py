@@ -39,13 +39,14 @@ def log_gains(seen: Observed) -> tuple[np.ndarray, np.ndarray, float]:
         here, there = grey[k - 1], warp(grey[k], seen.flow[row])
         good = (seen.confidence[row] >= MIN_CONFIDENCE) & ~seen.dynamic[k - 1] & is_inside(seen.flow[row])
         good &= (np.minimum(here, there) > DARK) & (np.maximum(here, there) < BRIGHT)
-        is_near = seen.depth[k - 1] < np.median(seen.depth[k - 1][good]) if good.any() else good
-        for half, chosen in enumerate((good & is_near, good & ~is_near)):
-            if chosen.any():
-                ratios = np.log(there[chosen] / here[chosen])
-                steps[half, k] = np.median(ratios)
-                spread = 1.4826 * np.median(np.abs(ratios - steps[half, k]))
-                variance[half] += MEDIAN_VARIANCE * spread**2 / len(ratios)
+        if not good.any():
+            continue
+        depth, ratios = seen.depth[k - 1][good], np.log(there[good] / here[good])
+        middle = np.median(depth)
+        for half, chosen in enumerate((depth <= middle, depth >= middle)):  # where all are as deep, both are all
+            steps[half, k] = np.median(ratios[chosen])
+            spread = 1.4826 * np.median(np.abs(ratios[chosen] - steps[half, k]))
+            variance[half] += MEDIAN_VARIANCE * spread**2 / chosen.sum()
     near, far = np.cumsum(steps, axis=1)
     return near, far, float(np.sqrt(variance.max()))
 

@@ -1,0 +1,201 @@
+"""Exact inputs of scene and control: the wall with a moving square, whole or with its held-out frame poisoned."""
+
+import json
+from pathlib import Path
+
+import finished_run as clip
+import numpy as np
+import pytest
+from square_inputs import write_inputs
+
+from stages.scene import decide, motion, photometry, rules
+from stages.scene.observed import Observed, depth_on_grid, rigid_flow
+from stages.scene.options import SceneOptions
+from stages.shared.cameras import pixel_grid, project
+from stages.shared.cli import run
+from stages.shared.errors import InputError
+from stages.shared.options import validate
+
+
+def observe(rgb: np.ndarray | None = None, dynamic: np.ndarray | None = None) -> Observed:
+    """The wall and its square, all frames, exact flow between neighbours, with other colours or masks if given."""
+    T = clip.T
+    pairs = [(i, j) for i in range(T) for j in range(T) if 0 < abs(i - j) <= 2]
+    points = [clip.wall(k)[0] for k in range(T)]
+    colours = np.stack([clip.picture(k) for k in range(T)]).astype(np.float32) / 255
+    masks = np.stack([clip.moving(points[k], k) for k in range(T)])
+    flow = np.stack([clip.flow(i, j) for i, j in pairs]).astype(np.float32)
+    return Observed(
+        rgb=colours if rgb is None else rgb.astype(np.float32),
+        dynamic=masks if dynamic is None else dynamic,
+        depth=np.stack([clip.wall(k)[1] for k in range(T)]),
+        cam_from_world=clip.CAM_FROM_WORLD,
+        Ks=np.broadcast_to(clip.K, (T, 3, 3)),
+        edges=np.array(pairs),
+        flow=flow,
+        confidence=np.ones(flow.shape[:3], np.float32),
+        offsets=np.array([j - i for i, j in pairs]),
+    )
+
+
+def smooth_pictures(gain: np.ndarray, shine: float = 0.0) -> np.ndarray:
+    """Frames [T, H, W, 3] of a softly shaded wall, with a gain per frame, and a shine that depends on the view only."""
+    images = []
+    for k in range(clip.T):
+        points, _ = clip.wall(k)
+        shade = 0.4 + 0.1 * np.sin(2 * points[..., 0]) * np.cos(3 * points[..., 1])
+        rays = points - clip.CENTRES[k]
+        direction = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+        images.append(gain[k] * (shade + shine * direction[..., 0]))
+    return np.repeat(np.stack(images)[..., None], 3, axis=-1)
+
+
+def test_rigid_flow_is_what_projection_says() -> None:
+    points, depth = clip.wall(1)
+    relative = clip.CAM_FROM_WORLD[5] @ np.linalg.inv(clip.CAM_FROM_WORLD[1])
+    expected = project(points, clip.CAM_FROM_WORLD[5], clip.K)[0] - pixel_grid(clip.H, clip.W)
+    np.testing.assert_allclose(rigid_flow(depth, clip.K, clip.K, relative), expected, atol=1e-9)
+
+
+def test_depth_lies_where_the_solver_put_it() -> None:
+    plane = np.exp(0.01 * pixel_grid(60, 80)[..., 0])
+    stride, scale = 4, 0.5
+    grid_u = stride * np.arange(40) + (stride - 1) / 2  # full-frame pixels
+    coarse = np.repeat(np.exp(-0.01 * grid_u)[None], 30, axis=0)[None]
+    full_u = (np.arange(80) + 0.5) / scale - 0.5
+    inner = slice(4, 70)
+    found = depth_on_grid(coarse, stride, scale, 60, 80)[0]
+    np.testing.assert_allclose(found[:, inner], np.exp(0.01 * full_u[None, inner]).repeat(60, 0), rtol=1e-3)
+    assert plane.shape == found.shape
+
+
+def test_a_moving_square_is_dynamic() -> None:
+    evidence = motion.dynamic_evidence(observe())
+    assert evidence["residual_inside_px"] > 2.0  # two frames of 0.08 units at depth 4 with 90 px focal length
+    assert evidence["residual_outside_px"] < 0.05
+    assert rules.decide_dynamic(evidence, "auto")["needed"]
+
+
+def test_masks_on_the_wall_are_a_false_alarm() -> None:
+    masks = np.zeros((clip.T, clip.H, clip.W), bool)
+    masks[:, 50:60, 5:30] = True  # the square never gets here
+    decision = rules.decide_dynamic(motion.dynamic_evidence(observe(dynamic=masks)), "auto")
+    assert not decision["needed"]
+    assert "static scene explains" in decision["why"]
+
+
+def test_empty_masks_say_so() -> None:
+    masks = np.zeros((clip.T, clip.H, clip.W), bool)
+    decision = rules.decide_dynamic(motion.dynamic_evidence(observe(dynamic=masks)), "auto")
+    assert not decision["needed"]
+    assert "cover 0.00%" in decision["why"]
+
+
+def test_parallax_tells_travel_from_turning() -> None:
+    seen = observe()
+    travelled = motion.parallax_evidence(seen)
+    assert travelled["parallax_px"] == pytest.approx(90.0 / 4, rel=0.25)  # one unit of travel at depth 4
+    turning = seen.cam_from_world.copy()
+    turning[:, :3, 3] = 0
+    still = motion.parallax_evidence(Observed(**(vars(seen) | {"cam_from_world": turning})))
+    assert still["parallax_px"] < 1e-6
+    marked = {"frames_marked_share": 0.0}
+    assert rules.decide_rotation_only(still | marked, "auto")["needed"]
+    assert not rules.decide_rotation_only(travelled | marked, "auto")["needed"]
+    assert rules.decide_rotation_only(travelled | {"frames_marked_share": 1.0}, "auto")["needed"]
+
+
+@pytest.mark.parametrize("range_percent", [0.0, 12.0])
+def test_exposure_range_is_measured(range_percent: float) -> None:
+    gain = np.exp(np.linspace(0, np.log1p(range_percent / 100), clip.T))
+    evidence = photometry.exposure_evidence(*photometry.log_gains(observe(smooth_pictures(gain))))
+    assert evidence["gain_range_percent"] == pytest.approx(range_percent, abs=0.5)
+    assert rules.decide_exposure(evidence, "auto")["needed"] == (range_percent > 3)
+
+
+def test_brightness_of_near_pixels_alone_is_no_exposure_change() -> None:
+    images = smooth_pictures(np.ones(clip.T))
+    for k in range(clip.T):
+        depth = clip.wall(k)[1]
+        images[k, depth < np.median(depth)] *= 1 + 0.02 * k  # as when fog thins out in front
+    evidence = photometry.exposure_evidence(*photometry.log_gains(observe(images)))
+    assert evidence["near_range_percent"] > 5
+    assert not rules.decide_exposure(evidence, "auto")["needed"]
+
+
+def test_view_dependence_is_predicted_on_left_out_frames() -> None:
+    gains = np.zeros(clip.T)
+    dull = photometry.view_evidence(observe(smooth_pictures(np.ones(clip.T))), gains)
+    shiny = photometry.view_evidence(observe(smooth_pictures(np.ones(clip.T), shine=0.5)), gains)
+    noise = np.random.default_rng(0).normal(0, 0.03, clip.T)[:, None, None, None]
+    flicker = photometry.view_evidence(observe(smooth_pictures(np.ones(clip.T)) + noise), gains)
+    assert rules.decide_view_dependent(dull, "auto")["sh_degree"] == 0
+    assert rules.decide_view_dependent(shiny, "auto")["sh_degree"] >= 1
+    assert shiny["gain_degree1"] > 0.8
+    assert rules.decide_view_dependent(flicker, "auto")["sh_degree"] == 0
+
+
+def test_planar_residual_is_zero_for_a_rigid_plane_only() -> None:
+    uv = np.argwhere(np.ones((20, 30), bool))[:, ::-1]
+    x, y = (uv - uv.mean(axis=0)).T / 15
+    plane = np.stack(
+        [1 + 0.3 * x - 0.2 * y + 0.1 * x * x + 0.05 * x * y, 0.5 * x + 0.1 * x * y + 0.05 * y * y], axis=-1
+    )
+    assert np.median(motion.planar_residual(uv, plane)) < 1e-6
+    outliers = plane.copy()
+    outliers[:60] += 8.0
+    assert np.median(motion.planar_residual(uv, outliers)) < 0.02  # least squares leaves 1.4
+    bent = plane + np.stack([np.zeros(len(uv)), np.sin(9 * x)], axis=-1)
+    assert np.median(motion.planar_residual(uv, bent)) > 0.3
+
+
+def test_a_sliding_square_is_rigid() -> None:
+    decision = rules.decide_non_rigid(motion.bending_evidence(observe()), "auto")
+    assert not decision["needed"]
+    assert decision["points"] == rules.RIGID_POINTS
+    assert decision["arap_weight"] == rules.RIGID_ARAP
+
+
+def test_the_user_overrules_and_the_evidence_stays() -> None:
+    evidence = motion.dynamic_evidence(observe())
+    decision = rules.decide_dynamic(evidence, "no")
+    assert not decision["needed"]
+    assert decision["source"] == "user"
+    assert decision["evidence"] == evidence
+    assert (
+        rules.decide_view_dependent(
+            {"colour_change": 0.0, "gain_degree1": 0.0, "gain_degree2": 0.0, "view_angle_deg": 1.0}, "yes"
+        )["sh_degree"]
+        == 1
+    )
+
+
+def test_yaml_booleans_are_choices() -> None:
+    options = validate(SceneOptions, {"dynamic": True, "exposure": False}, "config.yaml: scene")
+    assert (options.dynamic, options.exposure) == ("yes", "no")
+    with pytest.raises(InputError, match="dynamic"):
+        validate(SceneOptions, {"dynamic": "maybe"}, "config.yaml: scene")
+
+
+def decide_in(folder: Path, paths: dict[str, Path], *more: str) -> dict[str, dict]:
+    flags = [word for name, path in paths.items() for word in (f"--{name}", str(path))]
+    with pytest.raises(SystemExit) as end:
+        run(decide.main, [*flags, "--output", str(folder / "scene.json"), "--figure", str(folder / "s.png"), *more])
+    assert end.value.code == 0
+    return json.loads((folder / "scene.json").read_text())
+
+
+def test_decisions_of_the_square_and_of_the_bare_wall(tmp_path: Path) -> None:
+    square = decide_in(tmp_path / "square", write_inputs(tmp_path / "square"))
+    wall = decide_in(tmp_path / "wall", write_inputs(tmp_path / "wall", motion=False))
+    assert square["dynamic"]["needed"]
+    assert not wall["dynamic"]["needed"]
+    assert not square["rotation_only"]["needed"]
+    overruled = decide_in(tmp_path / "wall", write_inputs(tmp_path / "wall", motion=False), "--dynamic", "yes")
+    assert overruled["dynamic"] | {"why": ""} == wall["dynamic"] | {"needed": True, "source": "user", "why": ""}
+
+
+def test_held_out_frames_decide_nothing(tmp_path: Path) -> None:
+    clean = decide_in(tmp_path / "a", write_inputs(tmp_path / "a"))
+    poisoned = decide_in(tmp_path / "b", write_inputs(tmp_path / "b", poison=True))
+    assert poisoned == clean
