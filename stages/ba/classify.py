@@ -17,7 +17,8 @@ ROTATION_RATIO = 8.0
 """... and the epipolar geometry explains it hardly better (measured: 3-4 against 13-59)."""
 STILL_PX = 1.0
 """A camera whose rotation-like flow is below this per frame stands nearly still."""
-PLANAR_PX = 0.5
+FLOOR_PX = 0.05
+"""Two-view residuals below this say nothing more about which model fits."""
 ROUGH_PATH = 0.2
 RESIDUAL_RATIO = 3.0
 SAME_COST, SAME_PATH = 0.05, 0.05
@@ -45,7 +46,7 @@ class Statistics:
     @property
     def camera(self) -> str:
         """Class of the camera motion: "moving", "rotating" or "near-still"."""
-        explained = self.rotation_px < ROTATION_PX and self.rotation_px < ROTATION_RATIO * max(self.sampson_px, 1e-3)
+        explained = self.rotation_px < min(ROTATION_PX, ROTATION_RATIO * max(self.sampson_px, FLOOR_PX))
         if not explained:
             return "moving"
         return "rotating" if self.flow_px > STILL_PX else "near-still"
@@ -53,7 +54,7 @@ class Statistics:
     @property
     def planar(self) -> bool:
         """Whether one plane explains what a moving camera sees."""
-        limit = max(PLANAR_PX, RESIDUAL_RATIO * self.sampson_px)
+        limit = RESIDUAL_RATIO * max(self.sampson_px, FLOOR_PX)
         return self.camera == "moving" and self.homography_px < limit
 
 
@@ -79,7 +80,7 @@ def doubts(chosen: Candidate, others: Sequence[Candidate], statistics: Statistic
     found = []
     if statistics.camera == "moving" and chosen.roughness > ROUGH_PATH:
         found.append(f"rough camera path: mean |a| / mean |v| = {chosen.roughness:.2f} > {ROUGH_PATH}")
-    if residual_px > RESIDUAL_RATIO * max(statistics.sampson_px, 0.1):
+    if residual_px > RESIDUAL_RATIO * max(statistics.sampson_px, FLOOR_PX):
         found.append(f"median residual {residual_px:.2f} px against {statistics.sampson_px:.2f} px of two-view fits")
     for other in others:
         difference = path_difference(chosen.state.cam_from_world, other.state.cam_from_world)

@@ -94,7 +94,7 @@ def normalise(state: State) -> State:
 
 def errors_px(graph: FlowGraph, state: State) -> np.ndarray:
     """Reprojection errors of the matches [E, P] float32 in px (1e6 behind the camera)."""
-    data, at = _observations(graph), _geometry(graph, state)
+    data, at = observations(graph), geometry(graph, state)
     return np.asarray(kernel.errors_px(data, at))
 
 
@@ -110,7 +110,7 @@ def linear_system(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Undamped reduced system S [6T + 1, 6T + 1] and right-hand side; depths eliminated, or taken as known."""
     relative = reduced.relative_motions(graph, state.cam_from_world)
-    data, at = _observations(graph), _geometry(graph, state)
+    data, at = observations(graph), geometry(graph, state)
     hessians, schur, _, _ = kernel.normal_equations(data, at, float(sigma_px), 0.0, DEPTH_PRIOR)
     return reduced.assemble(graph, relative, hessians, schur if eliminate else np.zeros_like(schur))
 
@@ -119,7 +119,7 @@ def sweep(
     graph: FlowGraph, state: State, candidates: np.ndarray, sigma_px: float, refinements: int = 2
 ) -> tuple[np.ndarray, np.ndarray]:
     """Best inverse depth [T, P] and its curvature [T, P] (px^2) with the poses fixed, from `candidates` [K, T, P]."""
-    data, at = _observations(graph), _geometry(graph, state)
+    data, at = observations(graph), geometry(graph, state)
     best, curvature = kernel.sweep_depth(data, at, float(sigma_px), candidates, refinements, *INVERSE_DEPTHS)
     return best, curvature
 
@@ -164,7 +164,7 @@ def _propose(
 ) -> tuple[State | None, float]:
     """The state after one damped Gauss-Newton step and the length of the step; None if the system is singular."""
     relative = reduced.relative_motions(graph, state.cam_from_world)
-    data, at = _observations(graph), _geometry(graph, state)
+    data, at = observations(graph), geometry(graph, state)
     hessians, schur, *depths = kernel.normal_equations(data, at, float(sigma_px), damping, DEPTH_PRIOR)
     if not unknowns.translation:
         schur[:] = 0.0
@@ -198,11 +198,13 @@ def _objective(graph: FlowGraph, state: State, sigma_px: float, unknowns: Unknow
     return cost
 
 
-def _observations(graph: FlowGraph) -> kernel.Observations:
+def observations(graph: FlowGraph) -> kernel.Observations:
+    """The graph as the kernels take it."""
     return kernel.Observations(graph.pointer, graph.source, graph.pixels, graph.matches, graph.weights)
 
 
-def _geometry(graph: FlowGraph, state: State) -> kernel.Geometry:
+def geometry(graph: FlowGraph, state: State) -> kernel.Geometry:
+    """The state as the kernels take it."""
     relative = reduced.relative_motions(graph, state.cam_from_world)
     R, t = np.ascontiguousarray(relative[:, :3, :3]), np.ascontiguousarray(relative[:, :3, 3])
     return kernel.Geometry(R, t, state.inverse_depth, np.append(state.focal_px, graph.centre))

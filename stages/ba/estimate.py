@@ -16,9 +16,10 @@ START_FOCALS = (0.8, 1.05, 1.4)
 """Focal lengths to start from, in image widths: from 0.65 to 1.6 all reach the same solution where it is observable."""
 PRIOR_FOCAL = 1.1
 """Centre of the prior of the focal length, in image widths (a horizontal view of 49 degrees)."""
-OVERCONFIDENCE = 5.0
-"""Measured error over predicted standard deviation: errors of neighbouring matches are not independent."""
-WEAK_FOCAL, BLIND_FOCAL = 0.1, 0.2
+CORRELATION = 20.0
+"""Measured error over the one predicted from independent residuals: flow errors are alike over many pixels and edges."""
+MIN_NOISE_PX = 0.01
+WEAK_FOCAL, BLIND_FOCAL = 0.05, 0.15
 """Predicted relative error of the focal length above which it is called weak, and not estimated at all."""
 CONSISTENT_SHARE = 0.85
 """Share of confident matches within 1 px of the static model from which on a scene needs no masks to free the focal."""
@@ -153,10 +154,10 @@ def focal_sigma(graph: FlowGraph, state: State, unknowns: Unknowns | None = None
 
 
 def _covariance(graph: FlowGraph, state: State, unknowns: Unknowns) -> np.ndarray:
-    """Covariance [6T + 1, 6T + 1] of a solution, made honest by the measured overconfidence."""
+    """Covariance [6T + 1, 6T + 1] of a solution for the noise of its residuals, made honest by `CORRELATION`."""
     S, _ = dba.linear_system(graph, state, FINE[-1].sigma_px, eliminate=unknowns.translation)
     full = reduced.covariance(S, state.cam_from_world, unknowns.indices(graph.T))
-    return full * dba.FLOW_VARIANCE * OVERCONFIDENCE**2
+    return full * (CORRELATION * max(median_residual(graph, state), MIN_NOISE_PX)) ** 2
 
 
 def _finish(

@@ -1,0 +1,186 @@
+"""Analytic scenes with exact depth, flow and masks: a room of planes seen by a moving camera, and a moving disc.
+
+The room is axis-aligned: every pixel's depth is the nearest positive intersection of its ray with the planes, in
+closed form. The disc faces the world's z axis and moves by a constant velocity per frame.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from stages.ba.graph import FlowGraph, build_graph, mask_graph, static_areas
+from stages.shared import lie
+from stages.shared.cameras import centred_intrinsics, pixel_grid, project, unproject
+
+OFFSETS = (1, 2, 3)
+ROOM = (
+    ((0.0, 1.0, 0.0), 1.0),
+    ((0.0, -1.0, 0.0), 1.5),
+    ((1.0, 0.0, 0.0), 2.0),
+    ((-1.0, 0.0, 0.0), 2.5),
+    ((0.2, 0.0, 1.0), 6.0),
+    ((-0.5, 0.1, 1.0), 5.0),
+)
+"""Planes n . X = distance: floor, ceiling, walls, and two slanted back walls."""
+PLANE = (((0.3, -0.2, 1.0), 4.0),)
+"""A scene of one slanted plane."""
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Exact truth of T frames of h x w px.
+
+    Attributes:
+        cam_from_world: [T, 4, 4]; K: [3, 3]; depth: [T, h, w]; dynamic: [T, h, w] bool, pixels on the disc.
+        velocity: [3] of the disc per frame.
+    """
+
+    cam_from_world: np.ndarray
+    K: np.ndarray
+    depth: np.ndarray
+    dynamic: np.ndarray
+    velocity: np.ndarray
+
+    @property
+    def T(self) -> int:
+        """Number of frames."""
+        return len(self.cam_from_world)
+
+    @property
+    def focal_px(self) -> float:
+        """Focal length."""
+        return float(self.K[0, 0])
+
+
+def make_scene(
+    T: int = 8,
+    size: tuple[int, int] = (64, 96),
+    motion: str = "curve",
+    planes: tuple = ROOM,
+    disc_radius: float = 0.0,
+    scale: float = 1.0,
+    focal: float = 0.9,
+) -> Scene:
+    """A scene of (h, w) px.
+
+    Args:
+        motion: "curve" (translation and rotation), "rotate", or "still" (3 % of the curve).
+        disc_radius: radius of the moving disc at depth 2.5; 0 for a static scene.
+        scale: unit of length of the world; focal: focal length in image widths.
+    """
+    h, w = size
+    K = centred_intrinsics(focal * w, w, h)
+    cam_from_world = camera_path(T, motion)
+    velocity = np.array([0.12, 0.02, 0.0]) if disc_radius else np.zeros(3)
+    depth, dynamic = np.zeros((T, h, w)), np.zeros((T, h, w), bool)
+    for k in range(T):
+        depth[k] = _plane_depth(cam_from_world[k], K, h, w, planes)
+        if disc_radius:
+            disc = _disc_depth(cam_from_world[k], K, h, w, velocity * k + [-0.4, 0.2, 2.5], disc_radius)
+            dynamic[k] = disc < depth[k]
+            depth[k] = np.minimum(depth[k], disc)
+    cam_from_world = cam_from_world.copy()
+    cam_from_world[:, :3, 3] *= scale
+    return Scene(cam_from_world, K, depth * scale, dynamic, velocity * scale)
+
+
+def camera_path(T: int, motion: str) -> np.ndarray:
+    """Poses [T, 4, 4]; the first is the identity."""
+    time = np.arange(T)[:, None]
+    if motion == "rotate":
+        twists = time * np.array([0, 0, 0, 0.002, 0.02, 0.001]) + np.sin(time * 0.7) * [0, 0, 0, 0.01, 0, 0.002]
+    else:
+        size = 0.03 if motion == "still" else 1.0
+        straight = time * np.array([-0.15, 0.03, -0.1, 0.003, -0.012, 0.002])
+        bend = (1 - np.cos(time * 0.3)) * [0.1, 0.08, 0.05, 0.004, -0.02, -0.004]
+        twists = size * (straight + bend)
+    return lie.exp_se3(twists)
+
+
+def exact_flow(scene: Scene, i: int, j: int) -> tuple[np.ndarray, np.ndarray]:
+    """Flow [h, w, 2] px from frame i to j, and where its target lies in the image and in front [h, w] bool."""
+    h, w = scene.depth.shape[1:]
+    pixels = pixel_grid(h, w)
+    world = unproject(pixels, scene.depth[i], scene.cam_from_world[i], scene.K)
+    world = world + scene.dynamic[i][..., None] * scene.velocity * (j - i)
+    target, z = project(world, scene.cam_from_world[j], scene.K)
+    inside = (target >= 0).all(-1) & (target[..., 0] <= w - 1) & (target[..., 1] <= h - 1) & (z > 0)
+    return target - pixels, inside & _is_visible(scene, j, target, z)
+
+
+def observe(
+    scene: Scene,
+    offsets: tuple[int, ...] = OFFSETS,
+    stride: int = 4,
+    masked: bool = True,
+    noise_px: float = 0.0,
+    seed: int = 0,
+) -> FlowGraph:
+    """The graph of exact flow (float32) with Gaussian noise and confidence 1 where visible, masked by the truth."""
+    rng = np.random.default_rng(seed)
+    source, target, flow, confidence = flow_arrays(scene, offsets)
+    flow = flow + noise_px * rng.standard_normal(flow.shape).astype(np.float32)
+    graph = build_graph(source, target, flow, confidence, scene.T, stride)
+    if not masked:
+        return graph
+    return mask_graph(graph, static_areas(scene.dynamic, graph.width, graph.height, margin_px=1))
+
+
+def flow_arrays(scene: Scene, offsets: tuple[int, ...] = OFFSETS) -> tuple[np.ndarray, ...]:
+    """source [E], target [E], flow [E, h, w, 2] float32 and confidence [E, h, w] float32 of exact flow."""
+    edges = sorted((i, j) for i in range(scene.T) for j in range(scene.T) if abs(i - j) in offsets)
+    flow, visible = zip(*(exact_flow(scene, i, j) for i, j in edges), strict=True)
+    source, target = np.array(edges).T
+    return source, target, np.stack(flow).astype(np.float32), np.stack(visible).astype(np.float32)
+
+
+def trajectory_error(cam_from_world: np.ndarray, truth: np.ndarray) -> float:
+    """RMSE of the camera centres after similarity alignment, over the length of the true path (1 = all of it)."""
+    a, b = lie.inverse(cam_from_world)[:, :3, 3], lie.inverse(truth)[:, :3, 3]
+    length = np.linalg.norm(np.diff(b, axis=0), axis=1).sum()
+    a, b = a - a.mean(axis=0), b - b.mean(axis=0)
+    U, singular, Vt = np.linalg.svd(b.T @ a)
+    signs = np.array([1, 1, np.sign(np.linalg.det(U @ Vt))])
+    aligned = (singular * signs).sum() / (a**2).sum() * a @ (U * signs @ Vt).T
+    return float(np.sqrt(((aligned - b) ** 2).sum(axis=1).mean()) / length)
+
+
+def rotation_error_deg(cam_from_world: np.ndarray, truth: np.ndarray) -> float:
+    """RMS angle between the estimated and the true rotations from frame to frame."""
+    steps = [poses[1:, :3, :3] @ np.swapaxes(poses[:-1, :3, :3], 1, 2) for poses in (cam_from_world, truth)]
+    angles = np.linalg.norm(lie.log_so3(np.swapaxes(steps[0], 1, 2) @ steps[1]), axis=1)
+    return float(np.degrees(np.sqrt((angles**2).mean())))
+
+
+def _rays(cam_from_world: np.ndarray, K: np.ndarray, h: int, w: int) -> tuple[np.ndarray, np.ndarray]:
+    """World directions [h, w, 3] of the pixels, with z-depth 1 in the camera, and the camera centre [3]."""
+    pixels = pixel_grid(h, w)
+    centre = lie.inverse(cam_from_world)[:3, 3]
+    return unproject(pixels, np.ones((h, w)), cam_from_world, K) - centre, centre
+
+
+def _plane_depth(cam_from_world: np.ndarray, K: np.ndarray, h: int, w: int, planes: tuple) -> np.ndarray:
+    directions, centre = _rays(cam_from_world, K, h, w)
+    depth = np.full((h, w), np.inf)
+    for normal, distance in planes:
+        with np.errstate(divide="ignore"):
+            hit = (distance - centre @ normal) / (directions @ normal)
+        depth = np.where((hit > 0) & (hit < depth), hit, depth)
+    return depth
+
+
+def _disc_depth(
+    cam_from_world: np.ndarray, K: np.ndarray, h: int, w: int, middle: np.ndarray, radius: float
+) -> np.ndarray:
+    directions, centre = _rays(cam_from_world, K, h, w)
+    hit = (middle[2] - centre[2]) / directions[..., 2]
+    points = centre + hit[..., None] * directions
+    return np.where((np.linalg.norm(points - middle, axis=-1) < radius) & (hit > 0), hit, np.inf)
+
+
+def _is_visible(scene: Scene, j: int, target: np.ndarray, z: np.ndarray) -> np.ndarray:
+    """Whether no nearer surface hides the points in frame j (nearest pixel, 5 % tolerance)."""
+    h, w = scene.depth.shape[1:]
+    u = np.clip(np.rint(target[..., 0]), 0, w - 1).astype(int)
+    v = np.clip(np.rint(target[..., 1]), 0, h - 1).astype(int)
+    return z < 1.05 * scene.depth[j][v, u]

@@ -1,0 +1,385 @@
+"""Bundle adjustment against exact truth, a plain dense reference, finite differences and its own gauge freedom."""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from stages.ba import dba, kernel, reduced, twoview
+from stages.ba.dba import FocalPrior, Level, State, Unknowns
+from stages.ba.depth import contact_inverse_depth, depth_maps, fill
+from stages.ba.estimate import Problem, estimate
+from stages.ba.graph import FlowGraph, static_areas
+from stages.ba.initialise import Hypothesis, chain, initial_state
+from stages.ba.options import BAOptions
+from stages.ba.solve import main
+from stages.shared import lie
+from stages.shared.artifacts import read_dense, read_metadata, read_table, write_dense, write_json
+from stages.shared.cameras import read_cameras
+from stages.shared.errors import InputError
+from stages.shared.images import write_image
+from stages.shared.sequences import check_sequence, sequence_to_json
+from tests.conftest import write_frames
+from tests.synthetic import Scene, flow_arrays, make_scene, observe, rotation_error_deg, trajectory_error
+
+OPTIONS = BAOptions()
+
+
+def true_state(scene: Scene, graph: FlowGraph) -> State:
+    """The exact solution on a graph."""
+    return State(scene.cam_from_world, graph.resample(1 / scene.depth), scene.focal_px)
+
+
+def disturbed(state: State, size: float = 0.01, seed: int = 0) -> State:
+    """A state off the truth: poses (all but the first), depths and focal length."""
+    rng = np.random.default_rng(seed)
+    twists = size * rng.standard_normal((len(state.cam_from_world), 6))
+    twists[0] = 0
+    inverse_depth = state.inverse_depth * np.exp(size * rng.standard_normal(state.inverse_depth.shape))
+    return State(lie.exp_se3(twists) @ state.cam_from_world, inverse_depth, state.focal_px * (1 + size))
+
+
+def residuals(graph: FlowGraph, state: State) -> np.ndarray:
+    """Reprojection residuals [E, P, 2] in px, written out plainly."""
+    rays = (graph.pixels - graph.centre) / state.focal_px
+    rays = np.concatenate([rays, np.ones((len(rays), 1))], axis=1)
+    result = []
+    for e, (i, j) in enumerate(zip(graph.source, graph.target, strict=True)):
+        relative = state.cam_from_world[j] @ np.linalg.inv(state.cam_from_world[i])
+        points = rays @ relative[:3, :3].T + state.inverse_depth[i][:, None] * relative[:3, 3]
+        projected = state.focal_px * points[:, :2] / points[:, 2:] + graph.centre
+        result.append(graph.matches[e] - projected)
+    return np.stack(result)
+
+
+def numeric_jacobian(graph: FlowGraph, state: State, step: float = 1e-6) -> np.ndarray:
+    """Derivative [2 E P, 6 T + 1 + T P] of the projections by central differences."""
+    T, P = state.inverse_depth.shape
+
+    def shifted(index: int, amount: float) -> np.ndarray:
+        change = np.zeros(6 * T + 1 + T * P)
+        change[index] = amount
+        poses = lie.exp_se3(change[: 6 * T].reshape(T, 6)) @ state.cam_from_world
+        inverse_depth = state.inverse_depth + change[6 * T + 1 :].reshape(T, P)
+        return residuals(graph, State(poses, inverse_depth, state.focal_px * np.exp(change[6 * T]))).ravel()
+
+    columns = [(shifted(k, -step) - shifted(k, step)) / (2 * step) for k in range(6 * T + 1 + T * P)]
+    return np.stack(columns, axis=1)
+
+
+@pytest.fixture(scope="module")
+def tiny() -> tuple[FlowGraph, State]:
+    """Three frames with a dozen pixels each, and a state off the truth."""
+    scene = make_scene(T=3, size=(24, 32))
+    graph = observe(scene, offsets=(1, 2), stride=8, noise_px=0.3)
+    weights = np.random.default_rng(1).uniform(0.1, 1, graph.weights.shape).astype(np.float32)
+    return replace(graph, weights=weights), disturbed(true_state(scene, graph))
+
+
+def test_the_reduced_step_equals_a_dense_reference(tiny: tuple[FlowGraph, State]) -> None:
+    graph, state = tiny
+    sigma, damping = 1.5, 1e-2
+    J, r = numeric_jacobian(graph, state, 1e-5), residuals(graph, state)
+    robust = graph.weights / (1 + (r**2).sum(-1) / sigma**2) ** 2
+    W = np.repeat(robust.ravel(), 2)
+    H, g = J.T @ (J * W[:, None]), J.T @ (W * r.ravel())
+    n, depths = 6 * graph.T + 1, slice(6 * graph.T + 1, None)
+    # The depth prior and the damping of the depths, as the solver has them.
+    H[depths, depths] += dba.DEPTH_PRIOR * np.eye(H.shape[0] - n)
+    H[depths, depths] *= 1 + damping * np.eye(H.shape[0] - n)
+    g[depths] += dba.DEPTH_PRIOR * (1 - state.inverse_depth.ravel())
+    S = H[:n, :n] - H[:n, depths] @ np.linalg.solve(H[depths, depths], H[depths, :n])
+    rhs = g[:n] - H[:n, depths] @ np.linalg.solve(H[depths, depths], g[depths])
+
+    data, at = dba.observations(graph), dba.geometry(graph, state)
+    hessians, schur, curvatures, gradients = kernel.normal_equations(data, at, sigma, damping, dba.DEPTH_PRIOR)
+    relative = reduced.relative_motions(graph, state.cam_from_world)
+    S_ours, rhs_ours = reduced.assemble(graph, relative, hessians, schur)
+
+    # 1e-7 is what central differences leave; the analytic reference below goes to 1e-9.
+    assert_allclose(S_ours, S, atol=1e-7 * np.abs(S).max())
+    assert_allclose(rhs_ours, rhs, atol=1e-7 * np.abs(rhs).max())
+    step = np.random.default_rng(2).standard_normal(n)
+    local = reduced.edge_steps(graph, relative, step)
+    depth_step = kernel.depth_steps(data, at, sigma, curvatures, gradients, local)
+    expected = np.linalg.solve(H[depths, depths], g[depths] - H[depths, :n] @ step).reshape(depth_step.shape)
+    assert_allclose(depth_step, expected, atol=1e-6 * np.abs(expected).max())
+
+
+def analytic_local_system(graph: FlowGraph, state: State, e: int, sigma: float) -> np.ndarray:
+    """The 8 x 8 normal matrix of one edge over (twist, log focal, residual), in plain numpy."""
+    i, j = graph.source[e], graph.target[e]
+    relative = state.cam_from_world[j] @ lie.inverse(state.cam_from_world[i])
+    f, d = state.focal_px, state.inverse_depth[i]
+    rays = np.concatenate([(graph.pixels - graph.centre) / f, np.ones((len(d), 1))], axis=1)
+    X, Y, Z = (rays @ relative[:3, :3].T + d[:, None] * relative[:3, 3]).T
+    by_point = np.zeros((len(d), 2, 3))
+    by_point[:, 0, 0] = by_point[:, 1, 1] = f / Z
+    by_point[:, 0, 2], by_point[:, 1, 2] = -f * X / Z**2, -f * Y / Z**2
+    by_twist = np.zeros((len(d), 3, 6))
+    by_twist[:, :, :3] = d[:, None, None] * np.eye(3)
+    by_twist[:, :, 3:] = -lie.skew(np.stack([X, Y, Z], axis=1))
+    by_focal = by_point @ (-(rays * [1, 1, 0]) @ relative[:3, :3].T)[:, :, None]
+    by_focal[:, :, 0] += f * np.stack([X / Z, Y / Z], axis=1)
+    r = residuals(graph, state)[e]
+    J = np.concatenate([by_point @ by_twist, by_focal, r[:, :, None]], axis=2)
+    robust = graph.weights[e] / (1 + (r**2).sum(-1) / sigma**2) ** 2
+    return np.einsum("pca,p,pcb->ab", J, robust, J)
+
+
+def test_local_systems_equal_a_plain_numpy_reference_to_1e_9() -> None:
+    scene = make_scene(T=4, size=(40, 56))
+    graph = observe(scene, stride=3, noise_px=0.2)
+    state = disturbed(true_state(scene, graph))
+    hessians, *_ = kernel.normal_equations(dba.observations(graph), dba.geometry(graph, state), 0.7, 0.0, 0.0)
+    for e in range(len(graph.source)):
+        expected = analytic_local_system(graph, state, e, 0.7)
+        assert_allclose(hessians[e], expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
+
+
+def test_the_gradient_is_that_of_the_robust_cost(tiny: tuple[FlowGraph, State]) -> None:
+    graph, state = tiny
+    data, at = dba.observations(graph), dba.geometry(graph, state)
+    hessians, schur, *_ = kernel.normal_equations(data, at, 2.0, 0.0, dba.DEPTH_PRIOR)
+    relative = reduced.relative_motions(graph, state.cam_from_world)
+    _, gradient = reduced.assemble(graph, relative, hessians, np.zeros_like(schur))
+    total = float(graph.weights.sum(dtype=float))
+
+    def cost(step: np.ndarray) -> float:
+        poses = lie.exp_se3(step[:-1].reshape(-1, 6)) @ state.cam_from_world
+        moved = State(poses, state.inverse_depth, state.focal_px * float(np.exp(step[-1])))
+        r2 = (residuals(graph, moved) ** 2).sum(-1) / 4.0
+        return 4.0 * float((graph.weights * (r2 / (1 + r2))).sum())
+
+    steps = 1e-5 * np.eye(len(gradient))
+    numeric = np.array([(cost(step) - cost(-step)) / 2e-5 for step in steps])
+    assert_allclose(-2 * gradient, numeric, atol=1e-5 * np.abs(numeric).max())
+    assert dba.robust_cost(graph, dba.errors_px(graph, state), 2.0) == pytest.approx(
+        cost(0 * steps[0]) / total, rel=1e-5
+    )
+
+
+@pytest.mark.parametrize("disc_radius", [0.0, 0.6])
+def test_exact_flow_and_masks_give_the_trajectory_within_a_tenth_of_a_percent(disc_radius: float) -> None:
+    scene = make_scene(size=(96, 160), disc_radius=disc_radius)
+    solution = estimate(Problem(observe(scene), masked=True), OPTIONS)
+    assert solution.camera == "moving"
+    assert solution.focal["decision"] == "estimated"
+    assert solution.flags == []
+    assert trajectory_error(solution.state.cam_from_world, scene.cam_from_world) < 1e-3
+    assert rotation_error_deg(solution.state.cam_from_world, scene.cam_from_world) < 0.01
+    assert solution.state.focal_px == pytest.approx(scene.focal_px, rel=0.005)
+
+
+def test_masks_lower_the_error_of_a_scene_with_a_mover() -> None:
+    scene = make_scene(size=(96, 160), disc_radius=1.2)
+    errors = {}
+    for masked in (True, False):
+        graph = observe(scene, masked=masked, noise_px=0.1)
+        solution = estimate(Problem(graph, masked, known_focal_px=scene.focal_px), OPTIONS)
+        errors[masked] = trajectory_error(solution.state.cam_from_world, scene.cam_from_world)
+    assert errors[True] < 0.5 * errors[False]
+    assert errors[True] < 2e-3
+
+
+def test_the_result_does_not_depend_on_the_gauge_of_the_start() -> None:
+    scene = make_scene()
+    graph = observe(scene, noise_px=0.1)
+    start = disturbed(true_state(scene, graph), 0.02)
+    moved = start.cam_from_world @ lie.exp_se3(np.array([3.0, -2.0, 1.0, 0.5, -1.0, 2.0]))
+    moved[:, :3, 3] *= 50.0
+    other = State(moved, start.inverse_depth / 50.0, start.focal_px)
+    prior = FocalPrior(1.1 * graph.width)
+    levels = (Level(2.0, 20), Level(0.5, 60))
+    solutions = [dba.solve(graph, s, levels, Unknowns(focal=True), prior, "test")[0] for s in (start, other)]
+    assert_allclose(solutions[0].cam_from_world, solutions[1].cam_from_world, atol=1e-8)
+    assert solutions[0].focal_px == pytest.approx(solutions[1].focal_px, rel=1e-8)
+    assert_allclose(solutions[0].cam_from_world[0], np.eye(4), atol=1e-12)
+    assert np.median(solutions[0].inverse_depth) == pytest.approx(1.0)
+
+
+def test_accepted_steps_never_raise_the_cost() -> None:
+    scene = make_scene(disc_radius=0.8)
+    graph = observe(scene, masked=False, noise_px=0.2)
+    start = disturbed(true_state(scene, graph), 0.1)
+    _, steps = dba.solve(graph, start, (Level(1.0, 30),), Unknowns(focal=True), FocalPrior(100.0), "test")
+    costs = [step.cost for step in steps]
+    assert any(step.accepted for step in steps)
+    assert all(after <= before for before, after in zip(costs, costs[1:], strict=False))
+
+
+def test_covariance_predicts_the_scatter_of_noisy_solutions() -> None:
+    scene = make_scene(T=5, size=(48, 72))
+    prior, unknowns, noise_px = FocalPrior(scene.focal_px, 1e6), Unknowns(focal=True), 0.05
+    solutions = []
+    for seed in range(24):
+        # An odd stride samples single pixels, so that their noise is not averaged.
+        graph = observe(scene, stride=3, noise_px=noise_px, seed=seed)
+        start = true_state(scene, graph)
+        state, _ = dba.solve(graph, start, (Level(5.0, 20),), unknowns, prior, "test")
+        size = np.linalg.norm(state.cam_from_world[:, :3, 3])
+        state.cam_from_world[:, :3, 3] /= size
+        solutions.append(np.append(lie.log_se3(state.cam_from_world)[1:].ravel(), np.log(state.focal_px)))
+    graph = observe(scene, stride=3)
+    S, _ = dba.linear_system(graph, dba.normalise(true_state(scene, graph)), 5.0)
+    poses = dba.normalise(true_state(scene, graph)).cam_from_world
+    predicted = reduced.covariance(S, poses, unknowns.indices(graph.T))
+    rotation = [6 * k + a for k in range(1, graph.T) for a in (3, 4, 5)]
+    sigma = noise_px * np.sqrt(np.diag(predicted)[[*rotation, -1]])
+    scatter = np.std(np.stack(solutions), axis=0)[[*(index - 6 for index in rotation), -1]]
+    assert_allclose(scatter / sigma, 1.0, atol=0.5)
+
+
+def test_sampson_jacobian_equals_finite_differences() -> None:
+    rng = np.random.default_rng(0)
+    x, y = rng.normal(0, 0.3, (20, 2)), rng.normal(0, 0.3, (20, 2))
+    R, t = lie.exp_so3(np.array([0.1, -0.2, 0.05])), np.array([0.6, 0.0, 0.8])
+    _, J = twoview._sampson_jacobian(R, t, x, y)
+    basis, h = twoview._tangent_basis(t), 1e-6
+    for k in range(5):
+        step = h * np.eye(5)[k]
+        ends = [twoview.sampson_errors(lie.exp_so3(s * step[:3]) @ R, t + s * step[3:] @ basis, x, y) for s in (1, -1)]
+        assert_allclose(J[:, k], (ends[0] - ends[1]) / (2 * h), atol=1e-7)
+
+
+def test_two_view_motion_survives_outliers_and_the_twisted_pair() -> None:
+    rng = np.random.default_rng(0)
+    R, t = lie.exp_so3(np.array([0.02, -0.05, 0.01])), np.array([0.9, 0.1, 0.42])
+    t = t / np.linalg.norm(t)
+    points = np.concatenate([rng.uniform(-2, 2, (400, 2)), rng.uniform(3, 9, (400, 1))], axis=1)
+    moved = points @ R.T + 0.3 * t
+    x, y = points[:, :2] / points[:, 2:], moved[:, :2] / moved[:, 2:]
+    y[:120] += rng.normal(0, 0.05, (120, 2))
+    fit = twoview.estimate_motion(x, y, np.ones(400), 400.0, 0.3, seed=0)
+    assert fit is not None
+    assert np.degrees(np.linalg.norm(lie.log_so3(fit.R.T @ R))) < 0.02
+    assert np.degrees(np.arccos(fit.t @ t)) < 0.2
+    d, _ = twoview.triangulate(fit.R, 0.3 * fit.t, x[120:], y[120:])
+    assert_allclose(d * points[120:, 2], 1.0, rtol=0.02)
+
+
+def test_a_chain_of_exact_pairs_is_the_trajectory_up_to_scale() -> None:
+    scene = make_scene(size=(96, 160))
+    graph = observe(scene)
+    poses, lost = chain(graph, Hypothesis(scene.focal_px, 0.2, 0), seed=0)
+    assert lost == 0
+    assert trajectory_error(poses, scene.cam_from_world) < 0.02
+    state = initial_state(graph, poses, scene.focal_px)
+    truth = graph.resample(1 / scene.depth)
+    ratio = state.inverse_depth / truth
+    seen = np.array([graph.weights[graph.source == i].sum(axis=0) for i in range(graph.T)]) > 1
+    assert np.percentile(np.abs(ratio[seen] / np.median(ratio[seen]) - 1), 80) < 0.1
+
+
+def test_a_rotating_camera_is_recognised_and_solved_without_translation() -> None:
+    scene = make_scene(motion="rotate", size=(96, 160))
+    solution = estimate(Problem(observe(scene, noise_px=0.1), masked=True), OPTIONS)
+    assert solution.camera == "rotating"
+    assert rotation_error_deg(solution.state.cam_from_world, scene.cam_from_world) < 0.01
+    assert solution.state.focal_px == pytest.approx(scene.focal_px, rel=0.01)
+    assert np.all(solution.state.cam_from_world[:, :3, 3] == 0)
+
+
+def test_a_nearly_still_camera_keeps_the_focal_length_of_the_prior() -> None:
+    scene = make_scene(motion="still", size=(96, 160))
+    solution = estimate(Problem(observe(scene, noise_px=0.02), masked=True), OPTIONS)
+    assert solution.camera == "near-still"
+    assert solution.focal["decision"] == "held at prior"
+    assert solution.state.focal_px == pytest.approx(1.1 * 160)
+    assert trajectory_error(solution.state.cam_from_world, scene.cam_from_world) < 0.05
+
+
+def test_measured_depth_is_true_and_its_variance_covers_the_error() -> None:
+    scene = make_scene(size=(96, 160), disc_radius=0.6)
+    graph, fine = observe(scene, noise_px=0.2), observe(scene, stride=2, noise_px=0.2)
+    state = true_state(scene, graph)
+    static = static_areas(scene.dynamic, fine.width, fine.height)
+    maps = depth_maps(fine, graph, dba.normalise(state), static, observable=True)
+    truth = fine.resample(1 / scene.depth).reshape(maps.inverse_depth.shape) / np.median(state.inverse_depth)
+    known = ~maps.filled
+    error = np.abs(maps.inverse_depth - truth)[known]
+    assert np.median(error / truth[known]) < 0.05
+    assert np.mean(error < 3 * np.sqrt(maps.variance[known])) > 0.95
+    dynamic = np.stack(
+        [cv2.resize(frame.astype(np.float32), (80, 48), interpolation=cv2.INTER_AREA) for frame in scene.dynamic]
+    )
+    assert maps.filled[dynamic > 0.9].all()
+    assert (maps.variance[maps.filled] == 1.0).all()
+
+
+def test_a_moving_object_stands_where_it_touches_the_ground() -> None:
+    # Ground whose inverse depth grows downwards; far wall above; an object whose feet are at row 14.
+    inverse_depth = np.where(np.arange(20) < 10, 0.1, 0.1 * (np.arange(20) - 8))[:, None] * np.ones((1, 24))
+    region = np.zeros((20, 24), bool)
+    region[4:15, 8:14] = True
+    assert contact_inverse_depth(region, inverse_depth, ~region) == pytest.approx(0.7)
+    filled = fill(inverse_depth, region, region)
+    assert_allclose(filled[region], 0.7)
+    assert_allclose(filled[~region], inverse_depth[~region])
+
+
+@pytest.fixture
+def artifacts(tmp_path: Path) -> dict[str, Path]:
+    """Input files of the script for a small exact scene with a mover."""
+    scene = make_scene(T=6, size=(64, 96), disc_radius=0.6)
+    frames = write_frames(tmp_path / "clip", count=6, size=(64, 96))
+    write_json(tmp_path / "sequence.json", sequence_to_json(check_sequence("clip", frames)))
+    source, target, flow, confidence = flow_arrays(scene)
+    columns = {"source": source, "target": target, "flow": flow.astype(np.float16)}
+    columns["confidence"] = confidence.astype(np.float16)
+    write_dense(tmp_path / "pairs.arrow", columns, {"width": 96, "height": 64, "scale": 1.0})
+    for k, mask in enumerate(scene.dynamic, start=1):
+        write_image(tmp_path / "masks" / f"frame_{k:04d}.png", mask)
+    return {"sequence": tmp_path / "sequence.json", "flow": tmp_path / "pairs.arrow", "masks": tmp_path / "masks"}
+
+
+def outputs(folder: Path) -> dict[str, Path]:
+    """Where a run of the script writes."""
+    names = {"poses": "poses.parquet", "trajectory": "trajectory.tum", "depth": "depth.arrow"}
+    names |= {"convergence": "convergence.parquet", "figure": "ba.png"}
+    return {key: folder / name for key, name in names.items()}
+
+
+def test_the_script_writes_every_artifact_and_continues_a_round(artifacts: dict[str, Path], tmp_path: Path) -> None:
+    options = BAOptions(stride_px=4, depth_stride_px=2)
+    first, second = outputs(tmp_path / "one"), outputs(tmp_path / "two")
+    main(**artifacts, **first, options=options)
+    previous = {"previous_poses": first["poses"], "previous_depth": first["depth"]}
+    main(**artifacts, **second, options=options, **previous)
+    scene = make_scene(T=6, size=(64, 96), disc_radius=0.6)
+    for paths in (first, second):
+        cameras = read_cameras(paths["poses"])
+        assert trajectory_error(cameras.cam_from_world, scene.cam_from_world) < 5e-3
+        assert list(cameras.status) == ["estimated"] * 6
+        assert (np.linalg.eigvalsh(cameras.covariance[1:]) > 0).all()
+        assert len(paths["trajectory"].read_text().splitlines()) == 6
+        depth = read_dense(paths["depth"])
+        assert depth["inverse_depth"].shape == (6, 32, 48)
+        assert read_metadata(paths["depth"])["stride_px"] == 2
+        assert set(read_table(paths["convergence"])) > {"iteration", "cost", "damping", "seconds"}
+        assert cv2.imread(str(paths["figure"])).shape[1] == 1200
+    metadata = read_metadata(second["poses"])
+    assert metadata["focal"]["decision"] in ("estimated", "weakly observed")
+    assert metadata["camera"] == "moving"
+
+
+def test_a_missing_mask_is_named(artifacts: dict[str, Path], tmp_path: Path) -> None:
+    (artifacts["masks"] / "frame_0003.png").unlink()
+    with pytest.raises(InputError, match="frame_0003.png"):
+        main(**artifacts, **outputs(tmp_path / "out"), options=OPTIONS)
+
+
+def test_true_intrinsics_without_truth_are_refused(artifacts: dict[str, Path], tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="intrinsics"):
+        main(**artifacts, **outputs(tmp_path / "out"), options=BAOptions(intrinsics="truth"))
+
+
+def test_options_stay_light() -> None:
+    import subprocess
+
+    code = "import sys, stages.ba.options; assert not {'numba', 'cv2', 'scipy', 'torch'} & set(sys.modules)"
+    subprocess.run([sys.executable, "-c", code], check=True)
