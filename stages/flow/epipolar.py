@@ -12,25 +12,26 @@ RANSAC_MATCHES = 3000
 """MAGSAC++ gains nothing from more."""
 NO_PARALLAX_PX = 0.5
 """Median residual of homographies over the longest edges below which a fundamental matrix is undetermined."""
-SIGMA_RANGE_PX = (0.5, 3.0)
+SIGMA_RANGE_PX = (1.0, 3.0)
+"""Robust scale: three times the median residual, within these bounds."""
 
 Fit = Callable[[np.ndarray, np.ndarray, cv2.UsacParams], np.ndarray | None]
 Errors = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 
 
 class Evidence(NamedTuple):
-    """Misfit of the flow to rigid motion [T, h, w] in 0..1, and the confidence summed over the edges, [T, h, w]."""
+    """Misfit of the flow to rigid motion [T, h, w] in 0..1, and its weight summed over the edges, [T, h, w]."""
 
     misfit: np.ndarray
     weight: np.ndarray
 
 
 class PairMatches(NamedTuple):
-    """Pixels of the flow grid [h, w, 2], where each edge takes them [E, h, w, 2], and the confidence [E, h, w]."""
+    """Pixels of the flow grid [h, w, 2], where each edge takes them [E, h, w, 2], and the weights [E, h, w]."""
 
     pixels: np.ndarray
     matches: np.ndarray
-    confidence: np.ndarray
+    weights: np.ndarray
 
 
 def has_parallax(edges: dict[tuple[int, int], int], pairs: PairMatches, seed: int) -> tuple[bool, float]:
@@ -58,7 +59,7 @@ def two_view_evidence(
         edges: (source, target) -> row; every edge has its reverse.
     """
     fit, errors = (fit_fundamental, sampson_errors) if parallax else (fit_homography, homography_errors)
-    misfit = np.zeros((T, *pairs.confidence.shape[1:]), np.float32)
+    misfit = np.zeros((T, *pairs.weights.shape[1:]), np.float32)
     weight = np.zeros_like(misfit)
     threshold_px = ransac_threshold_px(edges, pairs)
     for (i, j), e in edges.items():
@@ -71,8 +72,8 @@ def two_view_evidence(
         reverse = model.T if parallax else np.linalg.inv(model)
         for frame, edge, its_model in ((i, e, model), (j, back, reverse)):
             squared = (errors(its_model, pairs.pixels, pairs.matches[edge]) / sigma_px) ** 2
-            misfit[frame] += pairs.confidence[edge] * squared / (1 + squared)
-            weight[frame] += pairs.confidence[edge]
+            misfit[frame] += pairs.weights[edge] * squared / (1 + squared)
+            weight[frame] += pairs.weights[edge]
     return Evidence(misfit / np.maximum(weight, 1e-6), weight)
 
 
@@ -121,7 +122,7 @@ def homography_errors(H: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray
 
 def _confident(pairs: PairMatches, edge: int, back: int) -> tuple[np.ndarray, np.ndarray]:
     """Confident matches x [n, 2] and y [n, 2] of an edge and its reverse, pooled."""
-    there, here = pairs.confidence[edge] > MIN_CONFIDENCE, pairs.confidence[back] > MIN_CONFIDENCE
+    there, here = pairs.weights[edge] > MIN_CONFIDENCE, pairs.weights[back] > MIN_CONFIDENCE
     x = np.concatenate([pairs.pixels[there], pairs.matches[back][here]])
     return x, np.concatenate([pairs.matches[edge][there], pairs.pixels[here]])
 

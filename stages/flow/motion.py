@@ -9,7 +9,7 @@ import numpy as np
 from stages.flow import epipolar, resweep
 from stages.flow.epipolar import Evidence, PairMatches
 from stages.flow.options import MotionOptions
-from stages.flow.pooling import pool
+from stages.flow.pooling import evidence_weights, pool
 from stages.shared import cli, figures
 from stages.shared.artifacts import read_dense, read_metadata, write_dense
 from stages.shared.cameras import Cameras, pixel_grid, read_cameras, scale_intrinsics
@@ -19,9 +19,12 @@ from stages.shared.images import read_rgb, write_image
 from stages.shared.log import logger
 from stages.shared.sequences import Sequence, read_sequence
 
-MIDWAY = 0.35
-"""Pooled misfit at which a pixel moves as likely as not."""
-SPREAD = 0.07
+FLOW_CURVE = (0.17, 0.04)
+CAMERA_CURVE = (0.4, 0.1)
+"""Pooled misfit at which a pixel moves as likely as not, and the width of the transition, with and without cameras.
+
+Two-view geometry absorbs part of every motion, so that less misfit means more.
+"""
 
 
 def main(
@@ -41,6 +44,7 @@ def main(
     """
     frames = read_sequence(sequence)
     pairs, scale = read_dense(flow), float(read_metadata(flow)["scale"])
+    pairs["weights"] = evidence_weights(pairs["flow"], pairs["confidence"])
     edges = {(int(i), int(j)): e for e, (i, j) in enumerate(zip(pairs["source"], pairs["target"], strict=True))}
     cameras = _usable_cameras(previous_poses, previous_depth)
     if cameras is None or previous_depth is None:
@@ -48,8 +52,8 @@ def main(
     else:
         stride_px = float(read_metadata(previous_depth)["stride_px"])
         evidence, facts = _from_cameras(pairs, cameras, read_dense(previous_depth), scale, stride_px)
-    misfit = pool(evidence, edges, pairs["flow"].astype(np.float32), pairs["confidence"].astype(np.float32))
-    probability = to_probability(misfit)
+    misfit = pool(evidence, edges, pairs["flow"], pairs["weights"])
+    probability = to_probability(misfit, *(FLOW_CURVE if cameras is None else CAMERA_CURVE))
     facts |= {"moving_share": float((probability > 0.5).mean())}
     logger.info("%s: %s", frames.name, facts)
     columns = {"frame": np.array(frames.numbers), "probability": probability.astype(np.float16)}
@@ -57,9 +61,9 @@ def main(
     write_image(figure, _picture(frames, probability))
 
 
-def to_probability(misfit: np.ndarray) -> np.ndarray:
-    """Probability of motion of a pooled misfit [...] in 0..1: a logistic curve through the scatter of static pixels."""
-    return np.asarray(1 / (1 + np.exp((MIDWAY - misfit) / SPREAD)))
+def to_probability(misfit: np.ndarray, midway: float, spread: float) -> np.ndarray:
+    """Probability of motion of a pooled misfit [...] in 0..1: a logistic curve."""
+    return np.asarray(1 / (1 + np.exp((midway - misfit) / spread)))
 
 
 def _usable_cameras(poses: Path | None, depth: Path | None) -> Cameras | None:
@@ -77,8 +81,8 @@ def _from_flow(
     pairs: dict[str, np.ndarray], edges: dict[tuple[int, int], int], T: int, seed: int
 ) -> tuple[Evidence, dict[str, Any]]:
     """Evidence from two-view geometry, and what was used."""
-    pixels = pixel_grid(*pairs["confidence"].shape[1:])
-    matches = PairMatches(pixels, pixels + pairs["flow"], pairs["confidence"].astype(np.float32))
+    pixels = pixel_grid(*pairs["weights"].shape[1:]).astype(np.float32)
+    matches = PairMatches(pixels, pixels + pairs["flow"], pairs["weights"])
     parallax, residual_px = epipolar.has_parallax(edges, matches, seed)
     evidence = epipolar.two_view_evidence(edges, matches, T, parallax, seed)
     model = "fundamental matrices" if parallax else "homographies: too little parallax for epipolar geometry"

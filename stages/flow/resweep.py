@@ -11,7 +11,7 @@ import cv2
 import numba
 import numpy as np
 
-from stages.flow.epipolar import SIGMA_RANGE_PX, Evidence
+from stages.flow.epipolar import Evidence
 from stages.shared import lie
 from stages.shared.cameras import pixel_grid
 
@@ -21,6 +21,7 @@ RIDGE_PX2 = 0.01
 """Parallax below a tenth of a pixel says nothing about depth: the start is kept."""
 Z_MIN = 0.05
 REFINEMENTS = 2
+SIGMA_RANGE_PX = (0.5, 3.0)
 COARSE = 8
 """Every eighth pixel is enough to measure the noise."""
 
@@ -33,7 +34,7 @@ def camera_evidence(
     The scale is three times the median residual within 0.5..3 px: a fixed one lets masks run away on noisy flow.
 
     Args:
-        pairs: source, target [E], flow [E, h, w, 2] px, confidence [E, h, w].
+        pairs: source, target [E], flow [E, h, w, 2] px, weights [E, h, w].
         cam_from_world: [T, 4, 4]; Ks: [T, 3, 3] on the flow grid; start: [T, h, w] inverse depth.
     """
     i, j = pairs["source"], pairs["target"]
@@ -42,11 +43,11 @@ def camera_evidence(
     A = Ks[j] @ relative[:, :3, :3] @ np.linalg.inv(Ks[i])
     b = unit * (Ks[j] @ relative[:, :3, 3:])[..., 0]
     pointer = np.searchsorted(i, np.arange(len(start) + 1))
-    inputs = (pairs["flow"], pairs["confidence"], (start / unit).astype(np.float32))
+    inputs = (pairs["flow"], pairs["weights"], (start / unit).astype(np.float32))
     _, inverse_depth = sweep(pointer, A, b, *inputs, 1.0, COARSE)
     sigma_px = float(np.clip(3 * _median_residual(A, b, pairs, inverse_depth), *SIGMA_RANGE_PX))
     misfit, _ = sweep(pointer, A, b, *inputs, sigma_px, 1)
-    weight = np.add.reduceat(pairs["confidence"].astype(np.float32), pointer[:-1], axis=0)
+    weight = np.add.reduceat(pairs["weights"], pointer[:-1], axis=0)
     return Evidence(misfit, weight), sigma_px
 
 
@@ -64,12 +65,12 @@ def resample(inverse_depth: np.ndarray, cell_px: float, h: int, w: int) -> np.nd
 def _median_residual(A: np.ndarray, b: np.ndarray, pairs: Mapping[str, np.ndarray], inverse_depth: np.ndarray) -> float:
     """Median residual in px of confident flow at the coarse inverse depths."""
     grid = slice((COARSE - 1) // 2, None, COARSE)
-    pixels = pixel_grid(*pairs["confidence"].shape[1:])[grid, grid]
+    pixels = pixel_grid(*pairs["weights"].shape[1:])[grid, grid]
     homogeneous = np.concatenate([pixels, np.ones_like(pixels[..., :1])], axis=-1)
     residuals = []
     for e, i in enumerate(pairs["source"]):
         there = homogeneous @ A[e].T + inverse_depth[i][..., None] * b[e]
-        confident = (pairs["confidence"][e, grid, grid] > 0.5) & (there[..., 2] > Z_MIN)
+        confident = (pairs["weights"][e, grid, grid] > 0.5) & (there[..., 2] > Z_MIN)
         offset = pixels + pairs["flow"][e, grid, grid] - there[..., :2] / there[..., 2:]
         residuals.append(np.linalg.norm(offset[confident], axis=-1))
     pooled = np.concatenate(residuals)

@@ -9,14 +9,14 @@ class SegmentOptions(Options):
     """Motion prior to refined dynamic masks."""
 
     high: float = Field(
-        0.6, ge=0.05, le=0.95, description="probability that a region must reach somewhere to be dynamic"
+        0.7, ge=0.05, le=0.95, description="probability that a region must reach somewhere to be dynamic"
     )
-    low: float = Field(0.45, ge=0.05, le=0.95, description="probability down to which such a region extends")
+    low: float = Field(0.4, ge=0.05, le=0.95, description="probability down to which such a region extends")
     smoothness: float = Field(
         1000.0, ge=0, le=1e5, description="weight of edge-aware smoothing against the prior, for frames 512 px wide"
     )
     colour_sigma: float = Field(
-        4.0, gt=0, le=100, description="colour step (0..255) that stops the smoothing; smaller follows finer edges"
+        3.0, gt=0, le=100, description="colour step (0..255) that stops the smoothing; smaller follows finer edges"
     )
     min_area: float = Field(
         5e-4, ge=0, le=0.1, description="regions smaller than this share of the frame are dropped, holes filled"
