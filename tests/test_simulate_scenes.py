@@ -93,7 +93,7 @@ def test_scenes_have_the_difficulty_that_their_names_promise(library: Any) -> No
         return float(np.ptp(centres(name), axis=0).max() / np.median(library[name][1][1].depth))
 
     assert moving("static_flight").max() == moving("rotation_static").max() == moving("planar_wall").max() == 0
-    assert np.ptp(centres("pure_rotation"), axis=0).max() == np.ptp(centres("rotation_static"), axis=0).max() == 0
+    assert max(baseline("pure_rotation"), baseline("rotation_static")) < 1e-12
     assert moving("pure_rotation").max() > 0.03
     assert moving("large_object").max() > 0.4
     assert moving("all_moving").min() > 0.95
@@ -101,7 +101,7 @@ def test_scenes_have_the_difficulty_that_their_names_promise(library: Any) -> No
     assert 0.04 < moving("demo").mean() < 0.12
     assert baseline("demo") > 0.05
     assert baseline("breathing_wall") < 0.05
-    assert np.abs(library["fast_chase"][2][1].flow).max() > 20
+    assert np.abs(library["fast_chase"][2][1].flow).max() > 0.04 * 96, "pixels of a 96 pixel wide picture"
     assert library["long_take"][0].scene.frames == 200
 
 
