@@ -110,7 +110,7 @@ def test_a_gap_between_registered_frames_is_no_pair() -> None:
 
 
 def _candidate(cameras: Cameras | None, failure: str | None = None) -> score_poses.Candidate:
-    return score_poses.Candidate("ours", "test", run.T, cameras, failure, 1.0)
+    return score_poses.Candidate("ours", "test", run.T, cameras, failure, 1.0, 1.0)
 
 
 def test_degenerate_truth_is_labelled_and_keeps_its_rotation_error() -> None:

@@ -1,7 +1,6 @@
 """Structure from motion by COLMAP (pycolmap), each step in a process of its own that can be stopped."""
 
 import multiprocessing
-import os
 from collections.abc import Callable
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -14,6 +13,7 @@ from stages.shared import lie
 from stages.shared.cameras import intrinsics
 
 MIN_MODEL_FRAMES = 3
+THREADS = 1  # with two, images are numbered and samples drawn in another order every time, whatever the seed
 MIN_TRIANGULATION_DEG = 4.0  # of the first pair; COLMAP's 16 can retry for minutes on the short baselines of video
 
 
@@ -65,8 +65,7 @@ def find_matches(images: Path, database: Path, options: ColmapOptions) -> None:
     matching, verification = pycolmap.FeatureMatchingOptions(), pycolmap.TwoViewGeometryOptions()
     verification.ransac.random_seed = options.seed
     extraction.use_gpu = matching.use_gpu = False
-    extraction.num_threads = int(os.environ["OMP_NUM_THREADS"])
-    matching.num_threads = 1  # two threads draw different samples in every run, whatever the seed
+    extraction.num_threads = matching.num_threads = THREADS
     pycolmap.extract_features(
         database,
         images,
@@ -98,14 +97,14 @@ def reconstruct(images: Path, database: Path, mapper: str, seed: int) -> tuple[n
     output.mkdir()
     if mapper == "global":
         options = pycolmap.GlobalPipelineOptions()
-        options.mapper.random_seed, options.mapper.num_threads = seed, 1
+        options.mapper.random_seed, options.mapper.num_threads = seed, THREADS
         models = pycolmap.global_mapping
     else:
         options = pycolmap.IncrementalPipelineOptions()
         options.mapper.init_min_tri_angle = MIN_TRIANGULATION_DEG
         options.extract_colors = False
         models = pycolmap.incremental_mapping
-    options.min_model_size, options.random_seed, options.num_threads = MIN_MODEL_FRAMES, seed, 1  # 1: as for matching
+    options.min_model_size, options.random_seed, options.num_threads = MIN_MODEL_FRAMES, seed, THREADS
     found = models(database, images, output, options)
     if not found:
         raise StepFailed("no model")

@@ -73,7 +73,7 @@ def run_variants(frames: Sequence, factor: int, options: ColmapOptions, scratch:
             arguments = (images, database, mapper, options.seed)
             found, failure, wall_s, cpu_s = _timed(reconstruct, arguments, options, shared_wall_s)
             rows = _rows(_method(mapper, factor), factor, *found) if found else []
-        names = _method(mapper, factor), _protocol(mapper, factor, options)
+        names = _method(mapper, factor), _protocol(factor, options)
         variants.append(Variant(*names, rows, failure, shared_wall_s + wall_s, shared_cpu_s + cpu_s))
     return variants
 
@@ -100,11 +100,11 @@ def _method(mapper: str, factor: int) -> str:
     return f"COLMAP {mapper}" + (f", frames x{factor}" if factor > 1 else "")
 
 
-def _protocol(mapper: str, factor: int, options: ColmapOptions) -> str:
-    pairs = f"next {options.window} frames" if options.matching == "sequential" else "all pairs"
+def _protocol(factor: int, options: ColmapOptions) -> str:
+    pairs = f"the next {options.window} frames" if options.matching == "sequential" else "all others"
     size = "frames as they are" if factor == 1 else f"frames enlarged {factor} times (cubic)"
     return (
-        f"pycolmap, {mapper} mapping, {size}, matching {pairs}, one shared unknown focal, no masks, seed {options.seed}"
+        f"pycolmap, {size}, matched with {pairs}, one shared unknown focal, no masks, one thread, seed {options.seed}"
     )
 
 

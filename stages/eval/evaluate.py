@@ -20,7 +20,7 @@ from stages.shared.sequences import read_sequence
 
 POSES = (
     *("sequence", "method", "registered", "total", "ate", "ate_percent", "rpe_trans", "rpe_rot_deg"),
-    *("focal_error_percent", "path", "wall_s", "status", "note", "protocol"),
+    *("focal_error_percent", "path", "wall_s", "cpu_s", "status", "note", "protocol"),
 )
 IMAGES = (
     *(
@@ -139,11 +139,12 @@ def _stage_order(row: Row) -> tuple[int, ...]:
     return 0 if before else 2, (BEFORE if before else AFTER).index(stage)
 
 
-def _seconds_to_poses(times: Rows[Row], rounds: int) -> list[float]:
-    """Wall seconds from the frames to the poses of each round."""
-    once = sum(row["wall_s"] for row in times if row["stage"] == "flow")
-    repeated = [row for row in times if row["stage"] in REPEATED]
-    return [once + sum(row["wall_s"] for row in repeated if row["round"] <= k) for k in range(1, rounds + 1)]
+def _seconds_to_poses(times: Rows[Row], rounds: int) -> list[tuple[float, float]]:
+    """Wall and CPU seconds from the frames to the poses of each round."""
+    until = [
+        [row for row in times if row["stage"] == "flow" or (row["round"] or rounds + 1) <= k + 1] for k in range(rounds)
+    ]
+    return [(sum(row["wall_s"] for row in part), sum(row["cpu_s"] for row in part)) for part in until]
 
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ ERRORS = (
     Column("rpe_trans", "RPE", "scene units", 4),
     Column("rpe_rot_deg", "RPE", "degrees", 3),
 )
-SECONDS = Column("wall_s", "time", "s", 1)
+SECONDS = Column("wall_s", "wall", "s", 1), Column("cpu_s", "CPU", "s", 1)
 IMAGE_SCORES = (Column("psnr_db", "PSNR", "dB", 2), Column("ssim", "SSIM", "0..1", 3))
 MASK_SCORES = (
     Column("iou", "IoU", "0..1", 3),
@@ -44,13 +44,13 @@ def pose_tables(rows: list[Row], protocol: str) -> tuple[Table, Table]:
         "poses_mean",
         "Poses, mean over sequences",
         f"{note} Unweighted mean over the scored sequences; partial: some frames without a pose, not in the mean.",
-        (METHOD, *ERRORS, focal, SECONDS, *counts),
+        (METHOD, *ERRORS, focal, *SECONDS, *counts),
         summaries.pose_means(rows),
     )
     signed = Column("focal_error_percent", "focal error", "%", 1)
     frames = Column("registered", "registered", "frames"), Column("total", "of", "frames")
     about = Column("status", "status"), Column("note", "note", long=True), Column("path", "true path", "scene units", 2)
-    columns = (SEQUENCE, METHOD, *ERRORS, signed, SECONDS, *frames, *about, HOW)
+    columns = (SEQUENCE, METHOD, *ERRORS, signed, *SECONDS, *frames, *about, HOW)
     return mean, Table("poses", "Poses of every sequence", f"{note} {statements(rows, 'method')}", columns, rows)
 
 

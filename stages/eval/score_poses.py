@@ -25,7 +25,7 @@ class Candidate:
     Attributes:
         cameras: the k <= total registered frames, ascending; None if there is none.
         failure: why there is none.
-        wall_s: seconds of the whole method.
+        wall_s, cpu_s: seconds of the whole method.
     """
 
     method: str
@@ -34,12 +34,13 @@ class Candidate:
     cameras: Cameras | None
     failure: str | None
     wall_s: float
+    cpu_s: float
 
 
-def own_candidates(tables: Sequence[Path], seconds: Sequence[float]) -> list[Candidate]:
-    """Our poses after each round, with the seconds until then, in order; the last round is called "ours"."""
+def own_candidates(tables: Sequence[Path], seconds: Sequence[tuple[float, float]]) -> list[Candidate]:
+    """Our poses after each round, with the wall and CPU seconds until then; the last round is called "ours"."""
     candidates = []
-    for k, (path, wall_s) in enumerate(zip(tables, seconds, strict=True), start=1):
+    for k, (path, spent) in enumerate(zip(tables, seconds, strict=True), start=1):
         cameras = read_cameras(path)
         good = ~np.isin(cameras.status.astype(str), WITHOUT_POSE)
         method = "ours" if k == len(tables) else f"ours, round {k}"
@@ -48,7 +49,7 @@ def own_candidates(tables: Sequence[Path], seconds: Sequence[float]) -> list[Can
             protocol = protocol.replace("no intrinsics given", "true intrinsics given")
         registered = select(cameras, good) if good.any() else None
         failure = None if good.any() else str(cameras.status[0])
-        candidates.append(Candidate(method, protocol, len(good), registered, failure, wall_s))
+        candidates.append(Candidate(method, protocol, len(good), registered, failure, *spent))
     return candidates
 
 
@@ -65,7 +66,7 @@ def colmap_candidates(table: Path) -> list[Candidate]:
             Ks = intrinsics(chosen["fx"], chosen["fy"], chosen["cx"], chosen["cy"])
             cameras = make_cameras(lie.from_parts(R, t), Ks, chosen["frame"])
         names = variant["method"], variant["protocol"], variant["total"]
-        candidates.append(Candidate(*names, cameras, variant["failure"], variant["wall_s"]))
+        candidates.append(Candidate(*names, cameras, variant["failure"], variant["wall_s"], variant["cpu_s"]))
     return candidates
 
 
@@ -104,6 +105,7 @@ def _empty_row(name: str, candidate: Candidate) -> dict[str, Any]:
         "total": candidate.total,
         **dict.fromkeys(errors),
         "wall_s": candidate.wall_s,
+        "cpu_s": candidate.cpu_s,
     }
 
 

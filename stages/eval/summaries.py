@@ -31,7 +31,7 @@ def pose_means(rows: Sequence[Row]) -> list[Row]:
     """Means per method; focal errors by their size (`focal_abs_percent`), since signs would cancel."""
     signed = "focal_error_percent"
     sized = [row | {"focal_abs_percent": None if row[signed] is None else abs(row[signed])} for row in rows]
-    metrics = ("ate", "ate_percent", "rpe_trans", "rpe_rot_deg", "focal_abs_percent", "wall_s")
+    metrics = ("ate", "ate_percent", "rpe_trans", "rpe_rot_deg", "focal_abs_percent", "wall_s", "cpu_s")
     return mean_rows(sized, ("method",), metrics)
 
 

@@ -11,7 +11,6 @@ rule colmap:
         "<logs>/{dataset}/{seq}/colmap.log",
     conda:
         "../envs/motionsplat.yaml"
-    threads: 2
     resources:
         mem_mb=megabytes(800, 60),
     params:

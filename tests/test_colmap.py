@@ -1,0 +1,128 @@
+"""The baseline: right on an easy scene, and failures that stay in the table."""
+
+import shutil
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from conftest import write_frames
+
+from stages.eval import baseline, colmap, trajectory
+from stages.eval.options import ColmapOptions
+from stages.eval.score_poses import colmap_candidates
+from stages.eval.truth import true_cameras
+from stages.inspect import check
+from stages.shared.artifacts import read_metadata, read_table
+from stages.shared.cameras import centred_intrinsics
+from stages.shared.sequences import read_sequence
+
+
+def _inspect(frames: Path, folder: Path) -> Path:
+    check.main(frames, folder / "sequence.json", folder / "inspect.png")
+    return folder / "sequence.json"
+
+
+@pytest.fixture(scope="module")
+def sequence(rendered: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Ten frames of a sequence without moving parts, with their cameras."""
+    folder = tmp_path_factory.mktemp("mountain")
+    for kind in ("final", "camdata_left"):
+        target = folder / "training" / kind / "mountain"
+        target.mkdir(parents=True)
+        for path in sorted((rendered / "training" / kind / "mountain_static").iterdir())[:10]:
+            shutil.copy2(path, target)
+    return _inspect(folder / "training" / "final" / "mountain", folder)
+
+
+def test_both_mappers_find_the_cameras_and_repeat_themselves(sequence: Path, tmp_path: Path) -> None:
+    options = ColmapOptions(window=5)
+    first, second = tmp_path / "first.parquet", tmp_path / "second.parquet"
+    colmap.main(sequence, first, options)
+    frames = read_sequence(sequence)
+    truth = true_cameras(frames)
+    assert truth is not None
+    for candidate in colmap_candidates(first):
+        assert candidate.failure is None
+        assert candidate.cameras is not None
+        assert len(candidate.cameras.numbers) == candidate.total == len(frames.frames)
+        assert candidate.wall_s > 0
+        errors = trajectory.pose_errors(candidate.cameras.cam_from_world, truth.cam_from_world, truth.numbers)
+        assert errors.ate_percent < 1
+        assert abs(trajectory.focal_error_percent(candidate.cameras.Ks, truth.Ks)) < 10
+    colmap.main(sequence, second, options.model_copy(update={"mappers": ("global",)}))
+    kept = read_table(first)["method"] == "COLMAP global"
+    for name, column in read_table(second).items():
+        np.testing.assert_array_equal(read_table(first)[name][kept], column)
+
+
+def test_enlarged_frames_give_intrinsics_of_the_original_frames(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A camera with f = 200 and its principal point at the centre of 160 x 120 has f = 100 at 80 x 60."""
+    seen = []
+
+    def stand_in(step: Callable, arguments: tuple, _seconds: float) -> Any:
+        if step is not baseline.reconstruct:
+            return None
+        seen.append(cv2.imread(str(arguments[0] / "frame_0001.png")).shape)
+        return np.tile(np.eye(4), (1, 1, 1)), centred_intrinsics(200, 160, 120)[None], ["frame_0001.png"]
+
+    monkeypatch.setattr(colmap, "run_limited", stand_in)
+    sequence = _inspect(write_frames(tmp_path / "clip", size=(60, 80)), tmp_path)
+    colmap.main(sequence, tmp_path / "poses.parquet", ColmapOptions(mappers=("global",), upsample=(2,)))
+    (candidate,) = colmap_candidates(tmp_path / "poses.parquet")
+    assert seen == [(120, 160, 3)]
+    assert candidate.method == "COLMAP global, frames x2"
+    assert candidate.cameras is not None
+    np.testing.assert_allclose(candidate.cameras.Ks[0], centred_intrinsics(100, 80, 60), atol=1e-12)
+
+
+def test_frames_without_texture_are_a_failed_row_with_a_reason(tmp_path: Path) -> None:
+    frames = tmp_path / "grey"
+    frames.mkdir()
+    for number in range(1, 5):
+        cv2.imwrite(str(frames / f"frame_{number:04d}.png"), np.full((60, 80, 3), 128, np.uint8))
+    output = tmp_path / "poses.parquet"
+    colmap.main(_inspect(frames, tmp_path), output, ColmapOptions())
+    outcomes = read_metadata(output)["variants"]
+    assert [outcome["method"] for outcome in outcomes] == ["COLMAP global", "COLMAP incremental"]
+    assert all(outcome["registered"] == 0 and outcome["failure"] for outcome in outcomes)
+    assert all(candidate.cameras is None for candidate in colmap_candidates(output))
+
+
+def test_a_variant_that_hangs_is_stopped(sequence: Path, tmp_path: Path) -> None:
+    output = tmp_path / "poses.parquet"
+    colmap.main(sequence, output, ColmapOptions(time_limit_s=1))
+    for outcome in read_metadata(output)["variants"]:
+        assert "stopped after 1 s" in outcome["failure"]
+    assert not list(tmp_path.glob(".colmap-*"))
+
+
+def test_a_step_that_raises_or_crashes_gives_its_reason() -> None:
+    with pytest.raises(baseline.StepFailed, match="ValueError: no"):
+        baseline.run_limited(_raise, ("no",), 30)
+    with pytest.raises(baseline.StepFailed, match="exit code 7"):
+        baseline.run_limited(_exit, (7,), 30)
+    start = time.perf_counter()
+    with pytest.raises(baseline.StepFailed, match="stopped after 1 s"):
+        baseline.run_limited(time.sleep, (60,), 1.0)
+    assert time.perf_counter() - start < 30
+    assert baseline.run_limited(_add, (2, 3), 30) == 5
+
+
+def _raise(message: str) -> None:
+    raise ValueError(message)
+
+
+def _exit(code: int) -> None:
+    import os
+
+    os._exit(code)
+
+
+def _add(a: int, b: int) -> int:
+    return a + b
