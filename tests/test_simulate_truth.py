@@ -8,11 +8,9 @@ import pytest
 from stages.shared import cameras
 from stages.shared.cameras import pixel_grid
 from stages.simulate import bvh, frames, raycast, truth
-from stages.simulate.frames import Moment, Stage
-from stages.simulate.motion import camera_path, right_of
+from stages.simulate.frames import Stage, set_stage
+from stages.simulate.motion import right_of
 from stages.simulate.scene import Scene
-from stages.simulate.stopwatch import Stopwatch
-from stages.simulate.world import World
 
 CAMERA = {
     "focal": 1.0,
@@ -43,16 +41,12 @@ SOFT = [
 
 def make_stage(*objects: dict, frames: int = 4, width: int = 120, height: int = 52, **more: object) -> Stage:
     scene = Scene(description="", frames=frames, width=width, height=height, camera=CAMERA, objects=objects, **more)
-    return Stage(scene, World(scene, 3), camera_path(scene, 3), 3, Stopwatch())
-
-
-def moment(stage: Stage, frame: int) -> Moment:
-    return Moment(stage.world.at(frame), stage.view(frame))
+    return set_stage(scene, seed=3)
 
 
 def hits_and_motion(stage: Stage, frame: int = 0) -> tuple[np.ndarray, raycast.Hits, truth.Motion]:
     uv = pixel_grid(stage.scene.height, stage.scene.width).reshape(-1, 2)
-    now, then = moment(stage, frame), moment(stage, frame + 1)
+    now, then = stage.moment(frame), stage.moment(frame + 1)
     hits = raycast.cast(now.snapshot, now.view, uv)
     return uv, hits, truth.motion(hits, uv, stage.world, then.snapshot, then.view, now.view.K[0, 0])
 
@@ -100,7 +94,7 @@ def test_flow_of_soft_bodies_follows_their_material() -> None:
     uv, hits, moved = hits_and_motion(stage, frame=1)
     seen = seen_body(stage, hits)
     assert {shape["name"] for shape in SOFT} <= set(seen)
-    now, then = moment(stage, 1), moment(stage, 2)
+    now, then = stage.moment(1), stage.moment(2)
     for k in np.flatnonzero(seen != "sky")[::7]:
         corners = stage.world.faces[hits.face[k]]
         point = cameras.unproject(uv[k], hits.depth[k], now.view.cam_from_world, now.view.K)
@@ -113,7 +107,7 @@ def test_flow_of_soft_bodies_follows_their_material() -> None:
 
 def test_the_tree_finds_what_brute_force_finds() -> None:
     stage = make_stage(GROUND | {"feature": 20}, BLOCK, *SOFT, width=48, height=20)
-    now = moment(stage, 2)
+    now = stage.moment(2)
     uv = pixel_grid(20, 48).reshape(-1, 2)
     hits = raycast.cast(now.snapshot, now.view, uv)
     a, b, c = (now.snapshot.vertices[stage.world.faces[:, k]] for k in range(3))
@@ -140,7 +134,7 @@ def test_occlusion_is_visibility_in_the_next_frame() -> None:
     """Cast again at the place where the flow leads: a visible point is met there, a hidden one is behind something."""
     stage = make_stage(GROUND, BLOCK, SOFT[3])
     uv, hits, moved = hits_and_motion(stage, frame=1)
-    then = moment(stage, 2)
+    then = stage.moment(2)
     points = raycast.follow(hits, stage.world, then.snapshot)
     again = raycast.cast(then.snapshot, then.view, uv + moved.flow)
     depth = cameras.project(points, then.view.cam_from_world, then.view.K)[1]
@@ -151,7 +145,7 @@ def test_occlusion_is_visibility_in_the_next_frame() -> None:
 
 def test_right_eye_agrees_with_depth() -> None:
     stage = make_stage(GROUND, BLOCK)
-    now = moment(stage, 0)
+    now = stage.moment(0)
     uv = pixel_grid(stage.scene.height, stage.scene.width).reshape(-1, 2)
     hits = raycast.cast(now.snapshot, now.view, uv)
     right = right_of(now.view, 0.2)
@@ -168,7 +162,7 @@ def test_points_behind_the_next_camera_are_invalid() -> None:
     leap = keys[1].model_copy(update={"eye": (0.0, 6.0, 1.5), "target": (0.0, 9.0, 1.0)})
     camera = stage.scene.camera.model_copy(update={"keys": [keys[0], leap]})
     scene = stage.scene.model_copy(update={"frames": 2, "camera": camera})
-    _, _, moved = hits_and_motion(Stage(scene, World(scene, 3), camera_path(scene, 3), 3, Stopwatch()))
+    _, _, moved = hits_and_motion(set_stage(scene, seed=3))
     assert 0.1 < moved.invalid.mean() < 1
     assert np.isfinite(moved.flow).all()
     assert (moved.flow[moved.invalid] == 0).all()
@@ -178,7 +172,7 @@ def test_textures_stick_to_surfaces() -> None:
     """The next picture, sampled where the flow leads, shows the same albedo on every body, soft ones too."""
     stage = make_stage(GROUND, *SOFT, width=240, height=104)
     uv, hits, moved = hits_and_motion(stage, frame=1)
-    now, then = moment(stage, 1), moment(stage, 2)
+    now, then = stage.moment(1), stage.moment(2)
     again = raycast.cast(then.snapshot, then.view, uv + moved.flow)
     visible = ~moved.occluded & (again.face == hits.face)
     shown = frames._surface(stage, now, hits).albedo
@@ -194,7 +188,7 @@ def test_texture_has_detail_at_every_scale() -> None:
     """Contrast falls by less than a half from one octave of a picture to the next, down to single pixels."""
     wall = {"name": "wall", "kind": "box", "size": [30, 1, 20], "position": [0, 0, -9]}
     stage = make_stage(wall, width=256, height=128)
-    now = moment(stage, 0)
+    now = stage.moment(0)
     picture = frames.develop(stage, now, frames.see(stage, now), with_effects=False).mean(axis=2)
     contrast = []
     for _ in range(4):

@@ -7,7 +7,7 @@ import numpy as np
 
 from stages.shared.cameras import pixel_grid
 from stages.simulate import effects
-from stages.simulate.motion import View
+from stages.simulate.motion import View, camera_path
 from stages.simulate.raycast import Hits, cast
 from stages.simulate.scene import Scene
 from stages.simulate.shading import Surface, lit, surfaces
@@ -21,6 +21,13 @@ PLASTIC = (0.7548776662466927, 0.5698402909980532)
 OF_LIGHT = ("shadows", "specular", "fog")
 
 
+class Moment(NamedTuple):
+    """The scene and a camera at one frame index."""
+
+    snapshot: Snapshot
+    view: View
+
+
 class Stage(NamedTuple):
     """What every picture of a scene needs: the scene, its triangles, its left camera, its seed, and a clock."""
 
@@ -30,12 +37,17 @@ class Stage(NamedTuple):
     seed: int
     watch: Stopwatch
 
+    def moment(self, frame: float) -> Moment:
+        """The scene and the left camera at a frame index, which may be fractional."""
+        with self.watch.measure("geometry"):
+            return Moment(self.world.at(frame), self.view(frame))
 
-class Moment(NamedTuple):
-    """The scene and a camera at one frame index."""
 
-    snapshot: Snapshot
-    view: View
+def set_stage(scene: Scene, seed: int) -> Stage:
+    """Build the scene."""
+    watch = Stopwatch()
+    with watch.measure("scene"):
+        return Stage(scene, World(scene, seed), camera_path(scene, seed), seed, watch)
 
 
 class Seen(NamedTuple):
@@ -124,7 +136,7 @@ def _motion_blur(stage: Stage, frame: int) -> np.ndarray:
     total = np.zeros((len(uv), 3))
     for k in range(blur.samples):
         time = frame + blur.shutter * ((k + 0.5) / blur.samples - 0.5)
-        moment = Moment(stage.world.at(time), stage.view(time))
+        moment = stage.moment(time)
         hits = cast(moment.snapshot, moment.view, uv + (np.array(PLASTIC) * (k + 1) % 1 - 0.5))
         total += _radiance(stage, moment, hits, _surface(stage, moment, hits), with_effects=True)
     return total.reshape(shape) / blur.samples

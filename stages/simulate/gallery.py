@@ -14,11 +14,7 @@ from stages.shared.images import write_image
 from stages.shared.log import progress
 from stages.shared.options import Options
 from stages.simulate import frames
-from stages.simulate.frames import Moment, Stage
-from stages.simulate.motion import camera_path
 from stages.simulate.scene import load_scene
-from stages.simulate.stopwatch import Stopwatch
-from stages.simulate.world import World
 
 
 class GalleryOptions(Options):
@@ -43,9 +39,8 @@ def _cell(path: Path, seed: int) -> np.ndarray:
     """A 512 pixel wide picture of a scene over a caption."""
     scene = load_scene(path)
     scene = scene.model_copy(update={"height": round(scene.height * 512 / scene.width), "width": 512})
-    stage = Stage(scene, World(scene, seed), camera_path(scene, seed), seed, Stopwatch())
-    middle = scene.frames // 2
-    now = Moment(stage.world.at(middle), stage.view(middle))
+    stage, middle = frames.set_stage(scene, seed), scene.frames // 2
+    now = stage.moment(middle)
     seen = frames.see(stage, now)
     clean = frames.develop(stage, now, seen, with_effects=False)
     final = frames.to_srgb(frames.final(stage, middle, now, seen, clean))

@@ -18,13 +18,12 @@ from stages.shared.log import logger, progress
 from stages.simulate import frames
 from stages.simulate.effect_models import Effects
 from stages.simulate.frames import Moment, Stage
-from stages.simulate.motion import View, camera_path, right_of
+from stages.simulate.motion import View, right_of
 from stages.simulate.options import SimulateOptions
 from stages.simulate.raycast import enclosing
 from stages.simulate.scene import Scene, load_scene
 from stages.simulate.stopwatch import Stopwatch
 from stages.simulate.truth import Motion, motion
-from stages.simulate.world import World
 
 KINDS = (
     "clean",
@@ -57,46 +56,48 @@ def main(
         shutil.rmtree(output / "training" / kind / name, ignore_errors=True)
     manifest = output / f"{name}.json"
     manifest.unlink(missing_ok=True)
-    watch = Stopwatch()
-    with watch.measure("scene"):
-        stage = Stage(drawn, World(drawn, options.seed), camera_path(drawn, options.seed), options.seed, watch)
-        check_cameras(stage, scene)
+    stage = frames.set_stage(drawn, options.seed)
     with contextlib.ExitStack() as stack:
         folders = {kind: stack.enter_context(atomic_folder(output / "training" / kind / name)) for kind in KINDS}
+        before = now = stage.moment(0)
         for frame in progress(range(drawn.frames), name):
-            draw_frame(stage, frame, folders)
-    content = explanation(drawn, name, options.seed, watch)
+            refuse_blocked_camera(stage, now, frame, scene)
+            last = frame == drawn.frames - 1
+            other = before if last else stage.moment(frame + 1)
+            draw_frame(stage, frame, now, other, folders)
+            before, now = now, other
+    content = explanation(drawn, name, options.seed, stage.watch)
     write_json(manifest, content)
     logger.info("simulated: %s", content)
     if options.explain:
         print(explain(content))
 
 
-def check_cameras(stage: Stage, scene: Path) -> None:
-    """Refuse a camera that is inside an object or under the ground at any frame.
+def refuse_blocked_camera(stage: Stage, now: Moment, frame: int, scene: Path) -> None:
+    """Refuse a camera that is inside an object or under the ground.
 
     Raises:
         InputError: names the object and the frame.
     """
-    for frame in range(stage.scene.frames):
-        inside = enclosing(stage.world, stage.world.at(frame), stage.view(frame).centre)
-        if inside is not None:
-            found = f"the camera inside '{inside}' at frame {frame + 1}"
-            raise InputError(f"{scene}: camera.keys", "free space around every camera", found, "move the keyframes")
+    inside = enclosing(stage.world, now.snapshot, now.view.centre)
+    if inside is not None:
+        found = f"the camera inside '{inside}' at frame {frame + 1}"
+        raise InputError(f"{scene}: camera.keys", "free space around every camera", found, "move the keyframes")
 
 
-def draw_frame(stage: Stage, frame: int, folders: dict[str, Path]) -> None:
-    """Draw and write one frame of every kind; flow is written for all but the last."""
-    scene, world, watch = stage.scene, stage.world, stage.watch
-    last = frame == scene.frames - 1
+def draw_frame(stage: Stage, frame: int, now: Moment, other: Moment, folders: dict[str, Path]) -> None:
+    """Draw and write one frame of every kind.
+
+    Args:
+        other: the next frame; for the last one the frame before, which gives its motion mask but no flow.
+    """
+    scene, watch = stage.scene, stage.watch
     with watch.measure("clean"):
-        now = Moment(world.at(frame), stage.view(frame))
         seen = frames.see(stage, now)
         clean = frames.develop(stage, now, seen, with_effects=False)
     with watch.measure("truth"):
-        other = frame - 1 if last else frame + 1
         uv = pixel_grid(scene.height, scene.width).reshape(-1, 2)
-        moved = motion(seen.hits, uv, world, world.at(other), stage.view(other), now.view.K[0, 0])
+        moved = motion(seen.hits, uv, stage.world, other.snapshot, other.view, now.view.K[0, 0])
     final = frames.final(stage, frame, now, seen, clean)
     with watch.measure("right eye"):
         right = right_of(now.view, scene.camera.baseline)
@@ -109,7 +110,7 @@ def draw_frame(stage: Stage, frame: int, folders: dict[str, Path]) -> None:
         sintel.write_dpt(folders["depth"] / f"{stem}.dpt", seen.hits.depth.reshape(clean.shape[:2]))
         for kind, view in (("camdata_left", now.view), ("camdata_right", right)):
             _write_view(folders[kind] / f"{stem}.cam", view)
-        _write_motion(folders, stem, moved, clean.shape[:2], last)
+        _write_motion(folders, stem, moved, clean.shape[:2], last=frame == scene.frames - 1)
 
 
 def explanation(scene: Scene, name: str, seed: int, watch: Stopwatch) -> dict[str, object]:

@@ -19,11 +19,11 @@ def walker(shape: Walker) -> tuple[Deforming, Deforming, Deforming]:
     """Shirt, trousers (with shoes and hair) and skin of a walking figure; each with how its vertices move."""
     torso = meshes.join([_ellipsoid((0, 0, 0.68), (0.125, 0.078, 0.165)), _ellipsoid((0, 0, 0.53), (0.1, 0.075, 0.09))])
     head = meshes.join(
-        [_ellipsoid((0, 0.01, 0.925), (0.052, 0.06, 0.075)), _ellipsoid((0, 0, 0.85), (0.03, 0.03, 0.06))]
+        [_ellipsoid((0, 0.01, 0.925), (0.052, 0.06, 0.075)), _ellipsoid((0, 0, 0.85), (0.03, 0.03, 0.06), segments=12)]
     )
     shoe = meshes.box((0.055, 0.15, 0.03))
     shoe = Mesh(shoe.vertices + np.array([0, 0.035, -SHIN[0] - 0.015]), shoe.faces)
-    hand = _ellipsoid((0, 0, -FOREARM[0] - 0.03), (0.018, 0.028, 0.045))
+    hand = _ellipsoid((0, 0, -FOREARM[0] - 0.03), (0.018, 0.028, 0.045), segments=10)
     hair = _ellipsoid((0, -0.008, 0.948), (0.055, 0.06, 0.062))
     thigh, shin = _segment(*THIGH), meshes.join([_segment(*SHIN), shoe])
     upper_arm, forearm = _segment(*UPPER_ARM), _segment(*FOREARM)
@@ -93,14 +93,14 @@ def _risen(shape: Walker, seconds: float, parts: list[np.ndarray]) -> np.ndarray
     return np.asarray(shape.height * (np.concatenate(parts) + np.array([0, 0, bob])))
 
 
-def _ellipsoid(centre: tuple[float, float, float], radii: tuple[float, float, float]) -> Mesh:
-    mesh = meshes.sphere(radii, segments=24)
+def _ellipsoid(centre: tuple[float, float, float], radii: tuple[float, float, float], segments: int = 20) -> Mesh:
+    mesh = meshes.sphere(radii, segments)
     return Mesh(mesh.vertices + np.array(centre), mesh.faces)
 
 
 def _segment(length: float, radius: float) -> Mesh:
     """A limb segment from its joint at the origin down to -`length`, thicker at the joint and round at both ends."""
-    mesh = meshes.sphere((radius, radius, length / 2 + 0.5 * radius), segments=18)
+    mesh = meshes.sphere((radius, radius, length / 2 + 0.5 * radius), segments=14)
     z = mesh.vertices[:, 2] / (length / 2 + 0.5 * radius)
     fuller = np.sqrt(np.sqrt(1 - z**8) / np.sqrt(np.maximum(1 - z**2, 1e-9))) * (1 + 0.18 * z)
     fuller[np.abs(z) > 1 - 1e-9] = 1.0
