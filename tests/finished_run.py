@@ -5,6 +5,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from stages.eval import evaluate
+from stages.eval.options import EvaluateOptions
+from stages.inspect import check
 from stages.shared import lie, sintel
 from stages.shared.artifacts import write_dense, write_json, write_table
 from stages.shared.cameras import centred_intrinsics, make_cameras, pixel_grid, project, unproject, write_cameras
@@ -17,6 +20,7 @@ CENTRES = np.stack([STEPS, 0.2 * np.sin(3 * STEPS), 0.3 * STEPS**2], axis=1)
 TURNS = lie.exp_so3(np.outer(STEPS, [0.02, -0.05, 0.03]))
 CAM_FROM_WORLD = lie.inverse(lie.from_parts(TURNS, CENTRES))
 SHIFT = 0.08  # the square moves this far to the right per frame, scene units
+TABLES = ("poses", "images", "masks", "checks", "time", "trajectory", "frames")
 _RNG = np.random.default_rng(7)
 TEXTURE = cv2.resize(_RNG.integers(0, 255, (60, 80, 3), dtype=np.uint8), (800, 600), interpolation=cv2.INTER_CUBIC)
 
@@ -124,6 +128,30 @@ def stats_files(folder: Path) -> list[Path]:
     return once + [
         folder / part / f"stats/{name}.json" for part in ("round1", "") for name in ("motion", "segment", "ba")
     ]
+
+
+def finish(root: Path, name: str = "wall", truth: bool = True) -> Path:
+    """Dataset, results of all stages and their evaluation; returns the result folder."""
+    frames = write_dataset(root, name, truth)
+    folder = root / "results" / name
+    check.main(frames, folder / "sequence.json", folder / "figures" / "inspect.png")
+    write_results(folder)
+    parts = [folder / "round1", folder]
+    evaluate.main(
+        sequence=folder / "sequence.json",
+        flow=folder / "flow/pairs.arrow",
+        priors=[part / "motion/prior.arrow" for part in parts],
+        masks=[part / "masks" for part in parts],
+        poses=[part / "ba/poses.parquet" for part in parts],
+        depth=folder / "ba/depth.arrow",
+        colmap=folder / "colmap/poses.parquet",
+        renders=folder / "renders",
+        stage_stats=stats_files(folder),
+        **{f"{kind}_table": folder / f"eval/{kind}.parquet" for kind in TABLES},
+        figure=folder / "figures/trajectory.png",
+        options=EvaluateOptions(),
+    )
+    return folder
 
 
 def _write_baseline(path: Path, cam_from_world: np.ndarray) -> None:

@@ -10,12 +10,10 @@ from evo.core import metrics as evo_metrics
 from evo.core.geometry import GeometryException
 from evo.core.trajectory import PosePath3D
 
-from stages.eval import evaluate, image_metrics, mask_metrics, score_poses, trajectory, truthfree
-from stages.eval.options import EvaluateOptions
+from stages.eval import image_metrics, mask_metrics, score_poses, trajectory, truthfree
 from stages.eval.score_images import score_frame
 from stages.eval.tables import read_rows
 from stages.eval.truth import moving_pixels
-from stages.inspect import check
 from stages.shared import lie, sintel
 from stages.shared.alignment import DegenerateError
 from stages.shared.cameras import Cameras, make_cameras, pixel_grid
@@ -223,36 +221,9 @@ def test_motion_masks_follow_from_true_flow_depth_and_cameras() -> None:
     np.testing.assert_array_equal(found, run.moving(points, 1))
 
 
-def _evaluate(root: Path, truth: bool) -> Path:
-    """The tables of the finished run, with or without truth; returns the result folder."""
-    frames = run.write_dataset(root, truth=truth)
-    folder = root / "results" / "wall"
-    check.main(frames, folder / "sequence.json", folder / "figures" / "inspect.png")
-    run.write_results(folder)
-    parts = [folder / "round1", folder]
-    evaluate.main(
-        sequence=folder / "sequence.json",
-        flow=folder / "flow/pairs.arrow",
-        priors=[part / "motion/prior.arrow" for part in parts],
-        masks=[part / "masks" for part in parts],
-        poses=[part / "ba/poses.parquet" for part in parts],
-        depth=folder / "ba/depth.arrow",
-        colmap=folder / "colmap/poses.parquet",
-        renders=folder / "renders",
-        stage_stats=run.stats_files(folder),
-        **{f"{kind}_table": folder / f"eval/{kind}.parquet" for kind in KINDS},
-        figure=folder / "figures/trajectory.png",
-        options=EvaluateOptions(),
-    )
-    return folder
-
-
-KINDS = ("poses", "images", "masks", "checks", "time", "trajectory", "frames")
-
-
 @pytest.fixture(scope="module")
 def scored(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return _evaluate(tmp_path_factory.mktemp("scored"), truth=True)
+    return run.finish(tmp_path_factory.mktemp("scored"), truth=True)
 
 
 def _row(rows: list[dict], **wanted: object) -> dict:
@@ -306,7 +277,7 @@ def test_time_rows_follow_the_order_of_the_stages(scored: Path) -> None:
 
 
 def test_without_truth_the_tables_say_what_is_missing(tmp_path: Path) -> None:
-    folder = _evaluate(tmp_path, truth=False)
+    folder = run.finish(tmp_path, truth=False)
     poses = read_rows(folder / "eval/poses.parquet")
     assert _row(poses, method="ours")["status"] == "no truth"
     assert all(row["iou"] is None for row in read_rows(folder / "eval/masks.parquet"))

@@ -71,8 +71,8 @@ def build_section(folder: Path) -> Section:
     for name, draw in parts.items():
         try:
             section.figures += draw()
-        except FileNotFoundError as error:
-            section.missing.append(f"{name}: {error.filename} is not there")
+        except MissingPart as missing:
+            section.missing.append(f"{name}: no {missing}")
     section.figures.sort(key=lambda figure: figure.wide)  # the charts side by side, then the pictures
     section.stage_figures = _stage_figures(folder)
     return section
@@ -87,14 +87,18 @@ def _svg(title: str, content: bytes, alt: str) -> Figure:
     return Figure(title, pictures.data_uri(content, "image/svg+xml"), alt)
 
 
-def _existing(path: Path) -> Path:
-    if not path.exists():
-        raise FileNotFoundError(2, "missing", str(path))
-    return path
+class MissingPart(Exception):
+    """A file of the results that is not there; the message is its name within the folder of the sequence."""
+
+
+def _existing(folder: Path, name: str) -> Path:
+    if not (folder / name).exists():
+        raise MissingPart(name)
+    return folder / name
 
 
 def _trajectory_figures(folder: Path) -> list[Figure]:
-    rows = read_rows(_existing(folder / "eval" / "trajectory.parquet"))
+    rows = read_rows(_existing(folder, "eval/trajectory.parquet"))
     paths = plots.paths_of(rows)
     listed = ", ".join(paths) or "no method"
     found = [
@@ -123,7 +127,7 @@ def _series(rows: Sequence[Row], key: str) -> dict[str, tuple[list[float], list[
 
 
 def _mask_figures(folder: Path, sequence: sequences.Sequence) -> list[Figure]:
-    masks = read_masks(_existing(folder / "masks"))
+    masks = read_masks(_existing(folder, "masks"))
     truth, _ = true_masks(sequence)
     shown = [sequence.numbers[k] for k in spread(len(sequence.numbers), SHOWN_FRAMES)]
     images = [read_rgb(sequence.frames[sequence.numbers.index(n)]) for n in shown]
@@ -138,7 +142,7 @@ def _mask_figures(folder: Path, sequence: sequences.Sequence) -> list[Figure]:
 
 
 def _frame_chart(folder: Path, kind: str, metric: str, title: str, label: str) -> list[Figure]:
-    rows = read_rows(_existing(folder / "eval" / "frames.parquet"))
+    rows = read_rows(_existing(folder, "eval/frames.parquet"))
     chosen = [row for row in rows if row["kind"] == kind and row["metric"] == metric]
     for row in chosen:
         row["method"] = row["method"] if row["split"] is None else f"{row['method']}, {row['split']}"
@@ -151,7 +155,7 @@ def _frame_chart(folder: Path, kind: str, metric: str, title: str, label: str) -
 
 
 def _depth_figures(folder: Path, sequence: sequences.Sequence) -> list[Figure]:
-    depth = read_dense(_existing(folder / "ba" / "depth.arrow"))
+    depth = read_dense(_existing(folder, "ba/depth.arrow"))
     shown = spread(len(sequence.numbers), 3)
     has_truth = sequence.has_truth("depth")
     files = [sequence.truth["depth"][sequence.numbers[k]] if has_truth else None for k in shown]
@@ -176,7 +180,7 @@ def _render_figures(folder: Path, sequence: sequences.Sequence) -> list[Figure]:
             alt = f"True {words} frames beside our renders and their difference"
             found.append(Figure(title, pictures.webp(pictures.comparison_sheet(pairs)), alt, True))
     if not found:
-        raise FileNotFoundError(2, "missing", f"renders of held-out frames in {folder / 'renders'}")
+        raise MissingPart("renders/test")
     if (folder / "figures" / "render.gif").exists():
         fly = pictures.animation(folder / "figures" / "render.gif")
         found.append(Figure("Fly-through at moving time", fly, "Animation of the reconstructed scene from new views"))
@@ -185,12 +189,12 @@ def _render_figures(folder: Path, sequence: sequences.Sequence) -> list[Figure]:
 
 def _convergence_figures(folder: Path) -> list[Figure]:
     found = []
-    steps = read_table(_existing(folder / "ba" / "convergence.parquet"))
+    steps = read_table(_existing(folder, "ba/convergence.parquet"))
     line = {"ours": (steps["iteration"].tolist(), steps["cost"].tolist())}
     alt = f"Cost of bundle adjustment over {len(steps['cost'])} iterations, from {steps['cost'][0]:.4g}"
     chart = plots.draw_lines(line, ("iteration (all phases)", "cost"), ["ours"], log=True)
     found.append(_svg("Bundle adjustment", chart, f"{alt} to {steps['cost'][-1]:.4g}"))
-    training = read_table(_existing(folder / "gaussians" / "convergence.parquet"))
+    training = read_table(_existing(folder, "gaussians/convergence.parquet"))
     line = {"ours": (training["step"].tolist(), training["loss"].tolist())}
     alt = f"Training loss over {len(training['loss'])} entries, from {training['loss'][0]:.3g}"
     chart = plots.draw_lines(line, ("training step", "loss"), ["ours"], log=True)

@@ -1,0 +1,213 @@
+"""The report: complete, self-contained, honest about what is missing, and sound in a real browser."""
+
+import csv
+import html.parser
+import json
+import re
+import shutil
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import pyarrow.parquet as pq
+import pytest
+import yaml
+from conftest import REPO
+
+from stages.eval import overview, published, report, summaries
+from stages.eval.options import ReportOptions
+from stages.shared.artifacts import write_json
+from tests import finished_run as run
+
+PUBLISHED = REPO / "workflow" / "resources" / "published.yaml"
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+
+
+class _Elements(html.parser.HTMLParser):
+    """Every start tag with its attributes."""
+
+    def __init__(self, page: str) -> None:
+        super().__init__()
+        self.found: list[tuple[str, dict[str, str | None]]] = []
+        self.feed(page)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.found.append((tag, dict(attrs)))
+
+    def of(self, tag: str) -> list[dict[str, str | None]]:
+        return [attributes for name, attributes in self.found if name == tag]
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A report over one sequence with truth, one without, and one that was never evaluated."""
+    root = tmp_path_factory.mktemp("report")
+    folders = [run.finish(root, "wall"), run.finish(root / "blind", "blind_wall", truth=False)]
+    unfinished = root / "results" / "unfinished"
+    shutil.copytree(folders[0], unfinished, ignore=shutil.ignore_patterns("eval", "renders", "masks"))
+    content = json.loads((unfinished / "sequence.json").read_text())
+    (unfinished / "sequence.json").write_text(json.dumps(content | {"name": "unfinished"}))
+    effects = {"effects": {"fog": {"density": 0.1}}, "not_simulated": ["defocus"], "seconds": {"fog": 1.5}}
+    write_json(root / "simulated" / "wall.json", {**effects, "calls": {"fog": 8}})
+    report.main(
+        sequences=[*folders, unfinished],
+        published_numbers=PUBLISHED,
+        output=root / "index.html",
+        tables=root / "tables",
+        options=ReportOptions(title="a <title> & more"),
+        manifests=root / "simulated",
+    )
+    return root
+
+
+@pytest.fixture(scope="module")
+def page(results: Path) -> str:
+    return (results / "index.html").read_text()
+
+
+def test_page_is_one_self_contained_file(page: str) -> None:
+    elements = _Elements(page)
+    sources = [a.get("src") for a in elements.of("img")] + [a.get("href") for a in elements.of("a")]
+    assert all(str(source).startswith(("data:", "#")) for source in sources)
+    assert all(str(a.get("href")).startswith("data:") for a in elements.of("link"))
+    assert not any(a.get("src") for a in elements.of("script"))
+    assert "a &lt;title&gt; &amp; more" in page
+    assert len(page) < 5e6
+
+
+def test_every_figure_has_words_and_every_link_a_target(page: str) -> None:
+    elements = _Elements(page)
+    images = elements.of("img")
+    assert len(images) > 15
+    assert all(len(str(image.get("alt"))) > 10 for image in images)
+    targets = {attributes["id"] for _, attributes in elements.found if "id" in attributes}
+    links = {str(a["href"])[1:] for a in elements.of("a") if str(a["href"]).startswith("#")}
+    assert links <= targets
+
+
+def test_every_table_is_also_csv_and_parquet(results: Path, page: str) -> None:
+    names = {path.stem for path in (results / "tables").glob("*.csv")}
+    assert {"poses", "poses_mean", "images", "masks", "checks", "time", "decisions", "options", "hashes"} <= names
+    assert names == {path.stem for path in (results / "tables").glob("*.parquet")}
+    shown = set(re.findall(r'<h3 id="(\w+)">', page))
+    assert names <= shown
+    with (results / "tables" / "poses.csv").open() as file:
+        header, *rows = list(csv.reader(file))
+    assert "ate [scene units]" in header
+    table = pq.read_table(results / "tables" / "poses.parquet")
+    assert len(rows) == table.num_rows == 8
+    assert b"Sim(3)" in table.schema.metadata[b"protocol"]
+
+
+def test_failures_and_missing_parts_are_told(page: str) -> None:
+    text = re.sub(r"<[^>]+>", " ", re.sub(r"data:[^\"]+", "", page))
+    assert "wall, COLMAP incremental: failed (reconstruct: no model)" in text
+    assert "wall, COLMAP global: partial (only 4 of 8 frames: errors over these)" in text
+    assert "unfinished: not evaluated; it counts as failed" in text
+    assert "No camera truth, hence no ATE or RPE: blind_wall" in text
+    assert "no camera truth: no ATE, RPE or focal error" in text
+    assert "poses: a doubt" in text
+    assert "trajectories: no eval/trajectory.parquet; masks: no masks" in text
+    assert "renders: no renders/test" in text
+
+
+def test_effects_say_what_ran_and_what_it_cost(results: Path) -> None:
+    rows = pq.read_table(results / "tables" / "simulation.parquet").to_pylist()
+    assert [(row["effect"], row["simulated"], row["seconds"]) for row in rows] == [
+        ("fog", "yes", 1.5),
+        ("defocus", "no", 0.0),
+    ]
+    decisions = pq.read_table(results / "tables" / "decisions.parquet").to_pylist()
+    assert decisions[0]["evidence"] == "share 0.1"
+    assert {row["modelled"] for row in decisions} == {"yes", "no"}
+
+
+def _pose_row(sequence: str, status: str = "ok", **errors: float | None) -> dict[str, Any]:
+    keys = ("ate", "ate_percent", "rpe_trans", "rpe_rot_deg", "focal_error_percent", "wall_s", "cpu_s")
+    return {"sequence": sequence, "method": "ours", "status": status, **dict.fromkeys(keys), **errors}
+
+
+def test_means_leave_out_failures_but_count_them() -> None:
+    rows = [
+        _pose_row("a", ate=1.0, focal_error_percent=-4.0),
+        _pose_row("b", ate=3.0, focal_error_percent=2.0),
+        _pose_row("c", "partial", ate=100.0),
+        _pose_row("d", "failed"),
+    ]
+    (mean,) = summaries.pose_means(rows)
+    assert (mean["ate"], mean["focal_abs_percent"]) == (2.0, 3.0)
+    assert (mean["n"], mean["sequences"], mean["partial"], mean["failed"]) == (2, 4, 1, 1)
+
+
+def test_our_mean_joins_published_rows_only_on_all_14_sequences() -> None:
+    numbers = yaml.safe_load(PUBLISHED.read_text())
+    names = numbers["sintel_sequences"]
+    rows = [_pose_row(name, ate=0.08, rpe_trans=0.03, rpe_rot_deg=0.5) for name in names]
+    complete = published.pose_table(numbers, rows)
+    ours = next(row for row in complete.rows if row["method"] == "ours")
+    assert ours["ate"] == pytest.approx(0.08)
+    assert [row["ate"] for row in complete.rows] == sorted(row["ate"] for row in complete.rows)
+    incomplete = published.pose_table(numbers, [*rows[:-1], _pose_row(names[-1], "failed")])
+    assert "not the same data" in incomplete.title
+    assert "scored 13 of these 14" in incomplete.note
+    assert all(row["method"] != "ours" for row in incomplete.rows)
+
+
+def test_published_numbers_carry_their_source() -> None:
+    numbers = yaml.safe_load(PUBLISHED.read_text())
+    assert len(numbers["sintel_sequences"]) == 14
+    for part in ("poses", "images"):
+        assert numbers[part]["protocol"]
+        assert all(row["source"] for row in numbers[part]["rows"])
+    paper = next(row for row in numbers["poses"]["rows"] if row["method"] == "4D3R")
+    assert (paper["ate"], paper["rpe_trans"], paper["rpe_rot_deg"]) == (0.086, 0.035, 0.639)
+
+
+def test_headline_without_any_result_says_so() -> None:
+    rows: dict[str, list] = {kind: [] for kind in ("poses", "images", "masks", "checks", "time")}
+    assert {tile.value for tile in overview.tiles(rows)} == {"n/a"}
+    assert overview.problems(rows, ["lost"]) == ["lost: not evaluated; it counts as failed."]
+
+
+PROBE = """<script>
+addEventListener("load", () => {
+  const heading = document.querySelector("#poses + .scroll th:nth-child(3) button");
+  const column = () => [...heading.closest("table").tBodies[0].rows].map((row) => row.children[2].textContent.trim());
+  heading.click(); const ascending = column(); heading.click();
+  const outside = [...document.querySelectorAll("main *")].filter((element) =>
+    !element.closest(".scroll") && element.getBoundingClientRect().right > innerWidth + 1);
+  const loaded = performance.getEntriesByType("resource").map((entry) => entry.name);
+  const broken = [...document.images].filter((image) => image.complete && !image.naturalWidth);
+  parent.postMessage(JSON.stringify({ascending, descending: column(), width: innerWidth,
+    scroll: document.documentElement.scrollWidth, outside: outside.map((element) => element.outerHTML.slice(0, 80)),
+    loaded: loaded.filter((name) => !name.startsWith("data:")), broken: broken.length}), "*");
+});
+</script></body>"""
+FRAME = """<body><script>addEventListener("message", (event) => { document.body.dataset.found = event.data; });</script>
+<iframe src="probed.html" style="width: WIDTHpx; height: 900px; border: 0"></iframe></body>"""
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium found to look at the page with")
+@pytest.mark.parametrize("width", [390, 1280])
+def test_in_a_browser(results: Path, page: str, width: int) -> None:
+    """Silent console, no request, tables that sort, and nothing wider than the screen."""
+    (results / "probed.html").write_text(page.replace("</body>", PROBE).replace('loading="lazy"', ""))
+    (results / f"frame{width}.html").write_text(FRAME.replace("WIDTH", str(width)))
+    flags = ["--headless", "--no-sandbox", "--disable-gpu", "--enable-logging=stderr", "--virtual-time-budget=20000"]
+    command = [str(CHROMIUM), *flags, "--window-size=1400,1000", "--dump-dom", str(results / f"frame{width}.html")]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=True)
+    assert [line for line in done.stderr.splitlines() if "CONSOLE" in line] == []
+    body = next(attributes for tag, attributes in _Elements(done.stdout).found if tag == "body")
+    found = json.loads(str(body["data-found"]))
+    assert found["width"] == width
+    assert found["scroll"] <= width
+    assert found["outside"] == []
+    assert found["loaded"] == []
+    assert found["broken"] == 0
+    numbers = [float(value) for value in found["ascending"] if value != "n/a"]
+    assert numbers == sorted(numbers)
+    assert len(numbers) == 3
+    assert [value for value in found["descending"] if value != "n/a"] == [
+        value for value in reversed(found["ascending"]) if value != "n/a"
+    ]
+    assert found["descending"][-1] == found["ascending"][-1] == "n/a"
