@@ -1,5 +1,9 @@
 """Fixtures that several test files share."""
 
+# First of all imports: it tells OpenMP not to spin, which is read once, when numpy or torch loads libgomp. Without it,
+# tests of torch and numba take 15 times the CPU time on a busy machine.
+import stages  # noqa: F401, I001
+
 import shutil
 import subprocess
 import sys

@@ -28,7 +28,7 @@ from tests import gaussian_scene as truth
 
 TRAIN = [k for k in range(truth.T) if k != 4]
 CANONICAL = TRAIN.index(truth.T // 2)
-OPTIONS = GaussiansOptions(steps=120)
+OPTIONS = GaussiansOptions(steps=40)
 
 
 def new_scene(seen: Observations, moving: bool = True) -> GaussianScene:
@@ -293,9 +293,9 @@ def outputs(folder: Path) -> dict[str, Path]:
 
 def test_the_scripts_train_and_render(tmp_path: Path) -> None:
     inputs, results = write_inputs(tmp_path), outputs(tmp_path / "out")
-    train.main(**inputs, **results, options=GaussiansOptions(steps=60))
+    train.main(**inputs, **results, options=GaussiansOptions(steps=40))
     history = read_table(results["convergence"])
-    assert history["step"].tolist() == list(range(1, 61))
+    assert history["step"].tolist() == list(range(1, 41))
     assert history["psnr"][-9:].mean() > history["psnr"][:9].mean() + 2
     assert results["figure"].stat().st_size < 300_000
     assert not list((tmp_path / "out").glob(".*"))  # no checkpoint is left
