@@ -2,6 +2,7 @@
 
 import sys
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import cv2
@@ -209,7 +210,7 @@ def test_accepted_steps_never_raise_the_cost() -> None:
     _, steps = dba.solve(graph, start, (Level(1.0, 30),), Unknowns(focal=True), FocalPrior(100.0), "test")
     costs = [step.cost for step in steps]
     assert any(step.accepted for step in steps)
-    assert all(after <= before for before, after in zip(costs, costs[1:], strict=False))
+    assert all(after <= before for before, after in pairwise(costs))
 
 
 def test_covariance_predicts_the_scatter_of_noisy_solutions() -> None:
@@ -369,7 +370,7 @@ def test_the_script_writes_every_artifact_and_continues_a_round(artifacts: dict[
 
 def test_a_missing_mask_is_named(artifacts: dict[str, Path], tmp_path: Path) -> None:
     (artifacts["masks"] / "frame_0003.png").unlink()
-    with pytest.raises(InputError, match="frame_0003.png"):
+    with pytest.raises(InputError, match=r"frame_0003\.png"):
         main(**artifacts, **outputs(tmp_path / "out"), options=OPTIONS)
 
 

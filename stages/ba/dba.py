@@ -165,7 +165,7 @@ def _propose(
     """The state after one damped Gauss-Newton step and the length of the step; None if the system is singular."""
     relative = reduced.relative_motions(graph, state.cam_from_world)
     data, at = observations(graph), geometry(graph, state)
-    hessians, schur, *depths = kernel.normal_equations(data, at, float(sigma_px), damping, DEPTH_PRIOR)
+    hessians, schur, curvatures, gradients = kernel.normal_equations(data, at, float(sigma_px), damping, DEPTH_PRIOR)
     if not unknowns.translation:
         schur[:] = 0.0
     S, rhs = reduced.assemble(graph, relative, hessians, schur)
@@ -180,7 +180,9 @@ def _propose(
     inverse_depth = state.inverse_depth
     if unknowns.translation:
         local_steps = reduced.edge_steps(graph, relative, step)
-        inverse_depth = inverse_depth + kernel.depth_steps(data, at, float(sigma_px), *depths, local_steps)
+        inverse_depth = inverse_depth + kernel.depth_steps(
+            data, at, float(sigma_px), curvatures, gradients, local_steps
+        )
         inverse_depth = np.clip(inverse_depth, *INVERSE_DEPTHS)
     twists = step[:-1].reshape(-1, 6)
     moved = State(lie.exp_se3(twists) @ state.cam_from_world, inverse_depth, float(state.focal_px * np.exp(step[-1])))

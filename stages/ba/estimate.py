@@ -17,7 +17,7 @@ START_FOCALS = (0.8, 1.05, 1.4)
 PRIOR_FOCAL = 1.1
 """Centre of the prior of the focal length, in image widths (a horizontal view of 49 degrees)."""
 CORRELATION = 20.0
-"""Measured error over the one predicted from independent residuals: flow errors are alike over many pixels and edges."""
+"""Measured error over that predicted from independent residuals: flow errors are alike over many pixels and edges."""
 MIN_NOISE_PX = 0.01
 WEAK_FOCAL, BLIND_FOCAL = 0.05, 0.15
 """Predicted relative error of the focal length above which it is called weak, and not estimated at all."""

@@ -85,6 +85,7 @@ def build_graph(
     The centre of an even cell lies between four pixels: their mean is taken. The principal point [2] is the centre of
     the image unless given.
     """
+    source, target = np.ascontiguousarray(source), np.ascontiguousarray(target)
     h, w = flow.shape[1:3]
     rows, columns = h // stride, w // stride
     centre = (stride - 1) / 2

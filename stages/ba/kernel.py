@@ -94,7 +94,67 @@ def _add_coupling(J: np.ndarray, D: np.ndarray, edge: int, coupling: np.ndarray,
         curvature[q] += D[q] * D[q] + D[q2] * D[q2]
 
 
+@njit(**FAST)
+def _eliminate(coupling: np.ndarray, curvature: np.ndarray, scaled: np.ndarray, schur: np.ndarray) -> None:
+    """Add coupling diag(1 / curvature) coupling^T [n, n] to `schur`; `scaled` is scratch of the shape of coupling."""
+    n = coupling.shape[0]
+    for a in range(n):
+        for q in range(BLOCK):
+            scaled[a, q] = coupling[a, q] / curvature[q]
+    product = np.dot(scaled, coupling.T)
+    for a in range(n):
+        for b in range(n):
+            schur[a, b] += product[a, b]
+
+
+@njit(**FAST)
+def _add_frame(
+    data: Observations,
+    at: Geometry,
+    i: int,
+    scales: np.ndarray,
+    hessians: np.ndarray,
+    schur: np.ndarray,
+    curvatures: np.ndarray,
+    gradients: np.ndarray,
+) -> None:
+    """The part of `normal_equations` that belongs to source frame i; scales are (sigma, damping, depth prior)."""
+    sigma, damping, depth_prior = scales[0], scales[1], scales[2]
+    P, k = len(data.pixels), data.pointer[i + 1] - data.pointer[i]
+    J, D, n = np.zeros((8, 2 * BLOCK)), np.zeros(2 * BLOCK), 6 * k + 2
+    coupling, scaled, curvature = np.zeros((n, BLOCK)), np.zeros((n, BLOCK)), np.zeros(BLOCK)
+    for first in range(0, P, BLOCK):
+        count = min(BLOCK, P - first)
+        if count < BLOCK:
+            J[:], D[:], coupling[:] = 0.0, 0.0, 0.0
+        coupling[n - 2 :] = 0.0
+        curvature[:] = depth_prior
+        for edge in range(k):
+            _linearise(data, at, sigma, i, data.pointer[i] + edge, first, J, D)
+            _add_gram(J, hessians[data.pointer[i] + edge])
+            _add_coupling(J, D, edge, coupling, curvature)
+        for q in range(count):
+            coupling[n - 1, q] += depth_prior * (1.0 - at.inverse_depth[i, first + q])
+            gradients[i, first + q] = coupling[n - 1, q]
+            curvature[q] *= 1.0 + damping
+            curvatures[i, first + q] = curvature[q]
+        _eliminate(coupling, curvature, scaled, schur[i])
+
+
 @njit(parallel=True, **FAST)
+def _add_frames(
+    data: Observations,
+    at: Geometry,
+    scales: np.ndarray,
+    hessians: np.ndarray,
+    schur: np.ndarray,
+    curvatures: np.ndarray,
+    gradients: np.ndarray,
+) -> None:
+    for i in prange(len(data.pointer) - 1):
+        _add_frame(data, at, i, scales, hessians, schur, curvatures, gradients)
+
+
 def normal_equations(
     data: Observations, at: Geometry, sigma: float, damping: float, depth_prior: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -109,33 +169,35 @@ def normal_equations(
         (twists of the frame's k edges, log focal, gradient); curvature (damped) and gradient [T, P] of the depths.
     """
     T, P = at.inverse_depth.shape
-    size = 6 * np.diff(data.pointer).max() + 2
+    size = 6 * int(np.diff(data.pointer).max()) + 2
     hessians, schur = np.zeros((len(data.source), 8, 8)), np.zeros((T, size, size))
     curvatures, gradients = np.ones((T, P)), np.zeros((T, P))
-    for i in prange(T):
-        k = data.pointer[i + 1] - data.pointer[i]
-        J, D, n = np.zeros((8, 2 * BLOCK)), np.zeros(2 * BLOCK), 6 * k + 2
-        coupling = np.zeros((n, BLOCK))
-        for first in range(0, P, BLOCK):
-            count = min(BLOCK, P - first)
-            J[:], D[:], coupling[n - 2 :] = 0.0, 0.0, 0.0
-            curvature = np.full(BLOCK, depth_prior)
-            for edge in range(k):
-                _linearise(data, at, sigma, i, data.pointer[i] + edge, first, J, D)
-                _add_gram(J, hessians[data.pointer[i] + edge])
-                _add_coupling(J, D, edge, coupling, curvature)
-            curvature *= 1.0 + damping
-            coupling[n - 1, :count] += depth_prior * (1.0 - at.inverse_depth[i, first : first + count])
-            schur[i, :n, :n] += np.dot(coupling / curvature, coupling.T)
-            curvatures[i, first : first + count] = curvature[:count]
-            gradients[i, first : first + count] = coupling[n - 1, :count]
-        for e in range(data.pointer[i], data.pointer[i + 1]):
-            for a in range(8):
-                hessians[e, a, :a] = hessians[e, :a, a]
+    # Allocated here and not in the kernel: array expressions inside a parallel function take seconds to compile.
+    scales = np.array([sigma, damping, depth_prior])
+    _add_frames(data, at, scales, hessians, schur, curvatures, gradients)
+    hessians += np.triu(hessians, 1).swapaxes(1, 2)
     return hessians, schur, curvatures, gradients
 
 
+@njit(**FAST)
+def _add_explained(data: Observations, at: Geometry, i: int, sigma: float, step: np.ndarray, out: np.ndarray) -> None:
+    """Add to `out` [P] what the local steps [E, 7] explain of the depth gradients of frame i."""
+    P = len(data.pixels)
+    J, D = np.zeros((8, 2 * BLOCK)), np.zeros(2 * BLOCK)
+    for e in range(data.pointer[i], data.pointer[i + 1]):
+        for first in range(0, P, BLOCK):
+            _linearise(data, at, sigma, i, e, first, J, D)
+            for a in range(7):
+                for q in range(min(BLOCK, P - first)):
+                    out[first + q] += step[e, a] * (J[a, q] * D[q] + J[a, BLOCK + q] * D[BLOCK + q])
+
+
 @njit(parallel=True, **FAST)
+def _explain(data: Observations, at: Geometry, sigma: float, step: np.ndarray, out: np.ndarray) -> None:
+    for i in prange(len(data.pointer) - 1):
+        _add_explained(data, at, i, sigma, step, out[i])
+
+
 def depth_steps(
     data: Observations,
     at: Geometry,
@@ -145,20 +207,9 @@ def depth_steps(
     local_steps: np.ndarray,
 ) -> np.ndarray:
     """Steps [T, P] of the inverse depths once the local steps [E, 7] (twist, log focal) of the edges are known."""
-    T, P = at.inverse_depth.shape
-    steps = np.zeros((T, P))
-    for i in prange(T):
-        J, D = np.zeros((8, 2 * BLOCK)), np.zeros(2 * BLOCK)
-        explained = np.zeros(P)
-        for e in range(data.pointer[i], data.pointer[i + 1]):
-            for first in range(0, P, BLOCK):
-                _linearise(data, at, sigma, i, e, first, J, D)
-                for a in range(7):
-                    for q in range(min(BLOCK, P - first)):
-                        q2 = BLOCK + q
-                        explained[first + q] += local_steps[e, a] * (J[a, q] * D[q] + J[a, q2] * D[q2])
-        steps[i] = (gradients[i] - explained) / curvatures[i]
-    return steps
+    explained = np.zeros(at.inverse_depth.shape)
+    _explain(data, at, sigma, local_steps, explained)
+    return np.asarray((gradients - explained) / curvatures)
 
 
 @njit(**FAST)
