@@ -282,7 +282,7 @@ def test_without_truth_the_tables_say_what_is_missing(tmp_path: Path) -> None:
     assert _row(poses, method="ours")["status"] == "no truth"
     assert all(row["iou"] is None for row in read_rows(folder / "eval/masks.parquet"))
     sources = {row["mask_source"] for row in read_rows(folder / "eval/images.parquet")}
-    assert sources == {None, "static pixels by our own masks", "dynamic pixels by our own masks"}
+    assert sources == {None, "our own masks"}
     quantities = {row["quantity"] for row in read_rows(folder / "eval/checks.parquet")}
     assert "flow residual, median" in quantities
     assert not any("depth" in quantity for quantity in quantities)

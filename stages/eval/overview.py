@@ -54,7 +54,7 @@ def build_groups(rows: Rows, protocols: Mapping[str, str], numbers: Mapping[str,
     images_mean, images = report_tables.image_tables(rows["images"], protocols["images"])
     masks_mean, masks = report_tables.mask_tables(rows["masks"], protocols["masks"])
     time_mean, time = report_tables.time_tables(rows["time"])
-    checks = report_tables.check_table(rows["checks"])
+    checks_mean, checks = report_tables.check_tables(rows["checks"])
     effects = [report_tables.decision_table(rows["decisions"]), report_tables.simulation_table(rows["simulation"])]
     other_poses, other_images = published.pose_table(numbers, rows["poses"]), published.image_table(numbers)
     many = len({row["sequence"] for row in rows["time"]}) > 1
@@ -62,7 +62,7 @@ def build_groups(rows: Rows, protocols: Mapping[str, str], numbers: Mapping[str,
         Group("poses", "Camera poses", [poses_mean, poses] if many else [poses], [other_poses]),
         Group("images", "Images", [images_mean] if many else [images], [*([images] if many else []), other_images]),
         Group("masks", "Masks", [masks_mean] if many else [masks], [masks] if many else []),
-        Group("checks", "Flow and depth", [] if many else [checks], [checks] if many else []),
+        Group("checks", "Flow and depth", [checks_mean] if many else [checks], [checks] if many else []),
         Group("time", "Time and memory", [time_mean], [time] if many else []),
         Group("effects", "Effects", [] if many else effects, effects if many else []),
     ]

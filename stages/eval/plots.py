@@ -11,6 +11,7 @@ from stages.eval.tables import Row
 
 COLOURS = {"truth": "#1a1a1a", "ours": "#c2410c"}
 OTHERS = ("#2563eb", "#0f766e", "#7c3aed", "#a16207", "#be185d", "#475569")
+LEGEND: Any = {"fontsize": 9, "loc": "lower left", "bbox_to_anchor": (0, 1), "ncols": 2, "columnspacing": 1.2}
 STYLE: Any = {
     "font.family": "sans-serif",
     "font.size": 10,
@@ -79,7 +80,7 @@ def draw_lines(
         if zero:
             axes.set_ylim(bottom=0)
         if len(series) > 1:
-            axes.legend(fontsize=9)
+            axes.legend(**LEGEND)
     return done.getvalue()
 
 
@@ -105,7 +106,7 @@ def _plot_top(axes: Any, paths: Mapping[str, np.ndarray]) -> None:
     axes.set(xlabel="x, right (scene units)", ylabel="z, forward (scene units)")
     axes.axis("equal")
     if paths:
-        axes.legend(fontsize=9)
+        axes.legend(**LEGEND)
 
 
 def _plot_space(axes: Any, paths: Mapping[str, np.ndarray]) -> None:

@@ -58,7 +58,8 @@ def image_tables(rows: list[Row], protocol: str) -> tuple[Table, Table]:
     """Means per split and region, and every sequence."""
     what = Column("split", "split"), Column("region", "pixels"), METHOD
     masks = "; ".join(dict.fromkeys(row["mask_source"] for row in rows if row["mask_source"]))
-    note = f"{protocol}. LPIPS: n/a (no weights). {statements(rows, 'split')} Regions: {masks or 'none'}."
+    regions = f"Static and dynamic pixels by: {masks or 'none'}."
+    note = f"{protocol}. LPIPS: n/a (no weights). {statements(rows, 'split')} {regions}"
     means = summaries.image_means(rows)
     mean = Table("images_mean", "Images, mean over sequences", note, (*what, *IMAGE_SCORES, N), means)
     size = Column("width", "width", "px"), Column("height", "height", "px")
@@ -86,11 +87,14 @@ def time_tables(rows: list[Row]) -> tuple[Table, Table]:
     return mean, Table("time", "Cost of every stage and sequence", note, (SEQUENCE, *what, *COSTS), rows)
 
 
-def check_table(rows: list[Row]) -> Table:
-    """What can be said without truth, and flow and depth where there is truth."""
-    value = Column("value", "value", "", 3), Column("unit", "unit"), Column("n", "n")
-    columns = (SEQUENCE, Column("quantity", "quantity"), *value, HOW)
-    return Table("checks", "Flow, depth and checks without truth", statements(rows, "quantity"), columns, rows)
+def check_tables(rows: list[Row]) -> tuple[Table, Table]:
+    """What can be said without truth, and flow and depth where there is truth: means, and every sequence."""
+    what, value, unit = Column("quantity", "quantity"), Column("value", "value", "", 3), Column("unit", "unit")
+    note = statements(rows, "quantity")
+    means = summaries.mean_rows(rows, ("quantity", "unit"), ("value",))
+    mean = Table("checks_mean", "Flow and depth, mean over sequences", note, (what, value, unit, N), means)
+    columns = (SEQUENCE, what, value, unit, Column("n", "n"), HOW)
+    return mean, Table("checks", "Flow and depth of every sequence", note, columns, rows)
 
 
 def decision_table(rows: list[Row]) -> Table:

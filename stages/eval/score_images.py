@@ -66,8 +66,7 @@ def _score(
             height, width = next(iter(pairs.values()))[0].shape[:2]
             row: dict[str, Any] = {"sequence": sequence.name, "method": method, "split": split, "region": region}
             row |= {"psnr_db": psnr, "ssim": ssim, "frames": len(values), "width": width, "height": height}
-            regions = None if region == "whole" else f"{region} pixels by {mask_source}"
-            rows.append(row | {"protocol": SPLITS[split], "mask_source": regions})
+            rows.append(row | {"protocol": SPLITS[split], "mask_source": None if region == "whole" else mask_source})
     return rows, frames
 
 

@@ -109,7 +109,7 @@ def _trajectory_figures(folder: Path) -> list[Figure]:
     if errors:
         worst = {method: max(values[1]) for method, values in errors.items()}
         words = ", ".join(f"{method} at most {value:.3g}" for method, value in worst.items())
-        chart = plots.draw_lines(errors, ("frame", "distance to truth (scene units)"), list(paths))
+        chart = plots.draw_lines(errors, ("frame", "distance to truth (scene units)"), list(paths), zero=True)
         found.append(
             _svg("Error of every camera", chart, f"Distance to the true camera per frame: {words} scene units")
         )

@@ -52,6 +52,7 @@ def time_means(rows: Sequence[Row]) -> list[Row]:
     means = mean_rows(rows, ("stage", "round"), keys)
     ours = [row for row in means if row["stage"] != "colmap"]
     total: Row = {"stage": "total without COLMAP", "round": None, "n": max((row["n"] for row in ours), default=0)}
+    total["is_total"] = True
     for key in keys:
         values = [row[key] for row in ours if row[key] is not None]
         combine = max if key.endswith("peak_mb") else sum

@@ -45,10 +45,15 @@ class Column:
             return f"{value:g}" if isinstance(value, float) else str(value)
         return f"{value:.{self.digits}f}"
 
-    def style(self, row: Row) -> str:
-        """The class of the cell."""
-        is_number = self.digits is not None or isinstance(row.get(self.key), int | float)
+    def style(self, rows: Sequence[Row]) -> str:
+        """The class of the cells in these rows."""
+        is_number = self.digits is not None or any(isinstance(row.get(self.key), int | float) for row in rows)
         return "number" if is_number else "long" if self.long else "text"
+
+    def share(self, row: Row, highest: float) -> float | None:
+        """Length of the bar in percent of the highest; none for totals and unknown values."""
+        value = row.get(self.key)
+        return 100 * value / highest if value is not None and highest > 0 and not row.get("is_total") else None
 
     def sort_key(self, row: Row) -> str:
         """What the page sorts by: the unrounded number, or the text."""
@@ -69,13 +74,16 @@ class Table:
     @property
     def shown(self) -> tuple[Column, ...]:
         """The columns of the page: those that say something in at least one row."""
-        return tuple(c for c in self.columns if not c.file_only and any(c.show(row) for row in self.rows))
+        return tuple(
+            column
+            for column in self.columns
+            if not column.file_only and any(row.get(column.key) not in (None, "") for row in self.rows)
+        )
 
-    @property
-    def highest(self) -> dict[str, float]:
-        """Greatest value of every column that is drawn with bars."""
-        values = {c.key: [row[c.key] for row in self.rows if row.get(c.key) is not None] for c in self.columns if c.bar}
-        return {key: max(found, default=0.0) for key, found in values.items()}
+    def highest(self, column: Column) -> float:
+        """Greatest value of a column, totals aside."""
+        values = [row.get(column.key) for row in self.rows if not row.get("is_total")]
+        return max((value for value in values if value is not None), default=0.0)
 
     def csv(self) -> str:
         """All digits, a header of keys with units."""
