@@ -11,8 +11,8 @@ from stages.shared.sequences import Sequence
 
 SHOWN_POINTS = 120
 TRAIL_FRAMES = 4
-PANEL_PX = 720
-GREY_LEVELS = 20
+PANEL_PX = 600
+GREY_LEVELS = 12
 """Few levels of grey keep the file small and the colours in front legible."""
 
 

@@ -14,6 +14,7 @@ from stages.shared.cameras import Cameras
 
 CARRIERS = 256
 ALONE_RADII = 4.0
+TRACKS_PER_POINT = 8
 
 
 def fit_sightings(
@@ -128,24 +129,22 @@ def rest_positions(moved: np.ndarray, visible: np.ndarray, frame: int, times: np
 def seed_from_tracks(
     deformation: TableDeformation, canonical: np.ndarray, moved: np.ndarray, visible: np.ndarray
 ) -> None:
-    """Start the table where the tracks near each control point go on average, in place.
+    """Start the table with the median shift of the tracks nearest to each control point, in place.
 
-    From rest the photometric gradient never finds the motion, and this fit takes far longer.
+    From rest the photometric gradient never finds the motion, and the fit to tracks takes far longer. Rotations start
+    at none: those of the Procrustes problem amplify errors of depth, and seed worse than none.
 
     Args:
         canonical: [n, 3] tracked points. moved: [n, F, 3] where they are in each training frame. visible: [n, F].
     """
-    nearest, _ = lbs.neighbours(torch.from_numpy(canonical), deformation.points, 2 * NEIGHBOURS)
-    seen = visible[nearest.numpy()]  # [P, 2K, F]
-    offsets = (moved - canonical[:, None])[nearest.numpy()]
-    counts = seen.sum(axis=1)
-    sums = np.where(seen[..., None], offsets, 0.0).sum(axis=1)
+    nearest, _ = lbs.neighbours(torch.from_numpy(canonical), deformation.points, TRACKS_PER_POINT)
+    shifts = (moved - canonical[:, None])[nearest.numpy()]  # [P, K, F, 3]
+    seen = visible[nearest.numpy()]
+    known = seen.any(axis=1)
     times = deformation.knots.numpy()
-    translations = np.zeros((len(counts), len(times), 3))
-    for k, known in enumerate(counts > 0):  # frames without a sighting: between those with one
-        means = sums[k, known] / counts[k, known, None]
-        for axis in range(3):
-            translations[k, :, axis] = np.interp(times, times[known], means[:, axis])
+    motion = np.empty((len(times), len(known), 3))
+    for p, frames in enumerate(known):  # frames without a sighting lie between those with one
+        medians = np.stack([np.median(shifts[p, seen[p, :, f], f], axis=0) for f in np.flatnonzero(frames)])
+        motion[:, p] = np.stack([np.interp(times, times[frames], medians[:, axis]) for axis in range(3)], axis=-1)
     with torch.no_grad():
-        deformation.table[..., 4:] = torch.from_numpy(translations.swapaxes(0, 1)).to(deformation.table)
-        deformation.table[..., 4:] /= deformation.extent
+        deformation.table[..., 4:] = torch.from_numpy(motion) / deformation.extent

@@ -1,0 +1,355 @@
+"""The control stage: tracks through training frames only, rest positions, fitted motion, files, the whole script."""
+
+import json
+from pathlib import Path
+
+import finished_run as clip
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+from square_inputs import HELD_OUT, write_inputs
+
+from stages.control import arap, canonical, fit, fitting, lbs, stage1, tracks
+from stages.control.deformation import (
+    Deformation,
+    MLPDeformation,
+    TableDeformation,
+    deformation_from_tensors,
+    deformation_tensors,
+    load_deformation,
+    save_deformation,
+    save_points,
+)
+from stages.control.options import ControlOptions
+from stages.control.tracks import Sightings
+from stages.shared.artifacts import read_metadata, read_model, read_table
+from stages.shared.cameras import centred_intrinsics, make_cameras, project, unproject
+from stages.shared.cli import run
+from stages.shared.split import SplitOptions, held_out
+
+F, H, W = 9, 48, 64
+STEP = np.array([2.0, 1.0])  # pixels per frame of the moving block
+
+
+def block_masks(T: int = F) -> np.ndarray:
+    """A block of 16 x 12 px that moves by STEP from (6, 8)."""
+    masks = np.zeros((T, H, W), bool)
+    for k in range(T):
+        u, v = (np.array([6, 8]) + k * STEP).astype(int)
+        masks[k, v : v + 12, u : u + 16] = True
+    return masks
+
+
+def block_edges(T: int = F, reach: int = 2) -> dict[str, np.ndarray]:
+    """Exact flow of the block on a still background, over all edges up to `reach` frames long."""
+    pairs = [(i, j) for i in range(T) for j in range(T) if 0 < abs(i - j) <= reach]
+    masks = block_masks(T)
+    flow = np.stack([masks[i][..., None] * STEP * (j - i) for i, j in pairs]).astype(np.float16)
+    source, target = np.array(pairs).T
+    return {"source": source, "target": target, "flow": flow, "confidence": np.ones(flow.shape[:3], np.float16)}
+
+
+def training(T: int = F) -> np.ndarray:
+    return ~held_out(T, SplitOptions())
+
+
+def test_tracks_follow_the_block_over_the_held_out_frame() -> None:
+    links = tracks.training_links(**block_edges(), is_training=training())
+    assert HELD_OUT not in links.frames
+    assert links.missing == []
+    found = tracks.track_dynamic_pixels(links, block_masks()[links.frames], stride_px=2)
+    full = found.visible.all(axis=1)
+    assert full.sum() > 20
+    moved = found.uv[full] - found.uv[full][:, :1]
+    np.testing.assert_allclose(moved, np.broadcast_to((links.frames[:, None]) * STEP, moved.shape), atol=1e-3)
+
+
+def test_no_edge_that_touches_a_held_out_frame_is_read() -> None:
+    edges = block_edges()
+    touched = (edges["source"] == HELD_OUT) | (edges["target"] == HELD_OUT)
+    edges["flow"][touched], edges["confidence"][touched] = np.nan, np.nan
+    links = tracks.training_links(**edges, is_training=training())
+    assert np.isfinite(links.flow).all()
+    assert np.isfinite(links.confidence).all()
+
+
+def test_a_missing_skip_edge_is_named_and_ends_the_tracks() -> None:
+    links = tracks.training_links(**block_edges(reach=1), is_training=training())
+    assert sorted(links.missing) == [(3, 5), (5, 3)]
+    found = tracks.track_dynamic_pixels(links, block_masks()[links.frames], stride_px=2)
+    before, after = links.frames < HELD_OUT, links.frames > HELD_OUT
+    assert not (found.visible[:, before].any(axis=1) & found.visible[:, after].any(axis=1)).any()
+
+
+def test_tracks_end_where_flow_is_not_trusted() -> None:
+    edges = block_edges()
+    step = np.isin(edges["source"], (6, 7)) & np.isin(edges["target"], (6, 7))
+    edges["confidence"][step] = 0.0
+    links = tracks.training_links(**edges, is_training=training())
+    found = tracks.track_dynamic_pixels(links, block_masks()[links.frames], stride_px=2)
+    started_before = found.visible[:, links.frames == 1].any(axis=1)
+    assert started_before.any()
+    assert not found.visible[started_before][:, links.frames >= 7].any()
+
+
+def test_a_part_that_shows_up_late_gets_tracks() -> None:
+    masks = block_masks()
+    masks[6:, 38:46, 44:60] = True
+    links = tracks.training_links(**block_edges(), is_training=training())
+    found = tracks.track_dynamic_pixels(links, masks[links.frames], stride_px=2)
+    late = found.visible & (found.uv[..., 1] > 36) & (found.uv[..., 0] > 42)
+    assert late.any()
+    assert not late[:, links.frames < 6].any()
+
+
+def test_depth_is_smoothed_as_far_as_it_is_uncertain() -> None:
+    rng = np.random.default_rng(0)
+    truth = np.linspace(1.0, 1.3, 12)
+    std = np.full((2, 12), 0.5)
+    std[1] = 0.01
+    measured = truth + rng.normal(0, 1, (2, 12)) * [[0.2], [0.01]]
+    visible = np.ones((2, 12), bool)
+    visible[:, 5] = False
+    measured[:, 5] = 99.0
+    smoothed = tracks.smooth_log_depth(measured, std, visible)
+    assert np.abs(np.diff(smoothed[0], n=2)).max() < 0.02 < np.abs(np.diff(measured[0], n=2)).max()
+    np.testing.assert_allclose(smoothed[1], truth, atol=0.03)
+
+
+@pytest.mark.parametrize("frames", [1, 2, 3])
+def test_depth_of_short_clips_is_smoothed_too(frames: int) -> None:
+    visible = np.zeros((2, frames), bool)
+    visible[:, 0] = True
+    smoothed = tracks.smooth_log_depth(np.full((2, frames), 0.7), np.full((2, frames), 0.1), visible)
+    np.testing.assert_allclose(smoothed, 0.7, atol=1e-9)
+
+
+def test_the_canonical_frame_sees_most_of_the_tracks() -> None:
+    visible = np.zeros((10, 6), bool)
+    visible[:5, :4] = True
+    visible[5:, 3:] = True
+    assert canonical.choose_frame(visible) == 3
+
+
+def test_farthest_points_are_spread_and_denser_where_it_matters() -> None:
+    line = np.stack([np.linspace(0, 1, 401), np.zeros(401), np.zeros(401)], axis=-1)
+    even = line[canonical.farthest_points(line, np.ones(401), 21), 0]
+    assert np.diff(np.sort(even)).max() < 3 * np.diff(np.sort(even)).min()
+    importance = np.where(line[:, 0] > 0.5, 3.0, 1.0)
+    chosen = line[canonical.farthest_points(line, importance, 40), 0]
+    assert (chosen > 0.5).sum() > 2 * (chosen <= 0.5).sum()
+
+
+def turning_body(times: np.ndarray, count: int = 400) -> tuple[np.ndarray, np.ndarray]:
+    """A box of points [n, 3] that turns by 40 degrees and travels: positions [n, T, 3], and its shape at time 0.5."""
+    rng = np.random.default_rng(1)
+    shape = rng.uniform(-0.5, 0.5, (count, 3))
+    turns = Rotation.from_rotvec(np.outer(times - 0.5, [0, np.radians(40), 0])).as_matrix()
+    travel = np.outer(times - 0.5, [1.0, 0.2, 0.3]) + np.array([0, 0, 4.0])
+    return np.einsum("tab,nb->nta", turns, shape) + travel, shape
+
+
+def sightings_of(moved: np.ndarray, frames: np.ndarray, T: int, depth_error: np.ndarray | float = 1.0) -> Sightings:
+    """What the body's exact tracks look like to a fixed camera; `depth_error` multiplies the depth [n, F]."""
+    K = centred_intrinsics(200.0, 256, 192)
+    uv, depth = project(moved, np.eye(4), K)
+    depth = depth * depth_error
+    lifted = unproject(uv, depth, np.eye(4), K)
+    std = np.full(depth.shape, 0.02 if np.isscalar(depth_error) else 0.5)
+    return Sightings(frames, frames / (T - 1), uv, np.ones(depth.shape, bool), depth, std, lifted)
+
+
+def fit_body(
+    depth_error: np.ndarray | float = 1.0, **changes: object
+) -> tuple[Deformation, dict, Sightings, np.ndarray]:
+    T = 17
+    frames = np.flatnonzero(training(T))
+    all_moved, _ = turning_body(np.arange(T) / (T - 1))
+    seen = sightings_of(all_moved[:, frames], frames, T, depth_error)
+    cameras = make_cameras(np.tile(np.eye(4), (T, 1, 1)), centred_intrinsics(200.0, 256, 192), np.arange(1, T + 1))
+    options = ControlOptions(**{"control_points": 60, "steps": 120, **changes})
+    model, report = stage1.fit_sightings(seen, cameras, {"points": 60, "arap_weight": 0.05}, options)
+    assert model is not None
+    return model, report, seen, all_moved
+
+
+def carried(model: Deformation, rest: np.ndarray, time: float) -> np.ndarray:
+    """Where `model` takes points [n, 3] of the canonical frame."""
+    means = torch.from_numpy(rest.astype(np.float32))
+    index, sq_dist = lbs.neighbours(model.points, means, fitting.NEIGHBOURS)
+    with torch.no_grad():
+        quats, translations = model(torch.tensor([time]))
+        weights = lbs.lbs_weights(sq_dist, model.log_radii, index)
+        unit = torch.tensor([1.0, 0, 0, 0]).repeat(len(means), 1)
+        return lbs.blend(means, unit, model.points, quats[0], translations[0], weights, index)[0].numpy()
+
+
+def test_the_table_follows_a_turning_body_and_the_frames_left_out() -> None:
+    model, report, seen, moved = fit_body()
+    assert report["status"] == "fitted"
+    assert report["median_px"] < 0.3
+    assert report["at_rest_px"] > 5
+    K = centred_intrinsics(200.0, 256, 192)
+    rest = seen.moved[:, list(seen.frames).index(report["canonical_frame"] - 1)]
+    for frame in (4, 12):
+        uv, _ = project(carried(model, rest, frame / 16), np.eye(4), K)
+        truth, _ = project(moved[:, frame], np.eye(4), K)
+        assert np.median(np.linalg.norm(uv - truth, axis=1)) < 1.0
+
+
+def test_poor_depth_of_the_movers_does_not_spoil_their_image() -> None:
+    _, shape = turning_body(np.zeros(1))
+    jumps = np.random.default_rng(2).normal(0, 0.1, 15)  # the border that the depth is filled from changes by frame
+    error = np.exp(0.5 * shape[:, :1] + 0.5 + jumps)
+    _, report, _, _ = fit_body(error)
+    assert report["status"] == "fitted"
+    assert report["median_px"] < 1.0
+
+
+def test_the_network_follows_the_body_too() -> None:
+    _, report, _, _ = fit_body(model="mlp", steps=300, learning_rate=4e-3, width=64)
+    assert report["median_px"] < 0.2 * report["at_rest_px"]
+
+
+def test_motion_that_never_started_is_reported() -> None:
+    _, report, _, _ = fit_body(model="mlp", steps=0)
+    assert report["status"] == "stuck"
+    assert report["median_px"] == pytest.approx(report["at_rest_px"], rel=0.1)
+
+
+def test_the_same_seed_gives_the_same_motion() -> None:
+    one, two = fit_body(steps=20)[0], fit_body(steps=20)[0]
+    for name, tensor in one.state_dict().items():
+        assert torch.equal(tensor, two.state_dict()[name]), name
+
+
+def test_a_mover_that_enters_late_rests_at_its_own_moment() -> None:
+    times = np.linspace(0, 1, 8)
+    body, _ = turning_body(times)
+    visitor = body + np.array([6.0, 0, 0])
+    moved = np.concatenate([body, visitor])
+    visible = np.ones(moved.shape[:2], bool)
+    visible[400:, :6] = False
+    rest, own = stage1.rest_positions(moved, visible, 3, times)
+    assert own == 400
+    np.testing.assert_allclose(rest[:400], body[:, 3], atol=1e-5)
+    np.testing.assert_allclose(rest[400:], visitor[:, 6], atol=1e-5)
+
+
+def test_a_part_hidden_in_the_canonical_frame_is_carried_there() -> None:
+    times = np.linspace(0, 1, 8)
+    moved, _ = turning_body(times)
+    visible = np.ones(moved.shape[:2], bool)
+    visible[:100, :6] = False
+    rest, own = stage1.rest_positions(moved, visible, 3, times)
+    assert own == 0
+    error = np.linalg.norm(rest[:100] - moved[:100, 3], axis=1)
+    travelled = np.linalg.norm(moved[:100, 6] - moved[:100, 3], axis=1)
+    assert np.median(error) < 0.2 * np.median(travelled)
+
+
+def models() -> list[Deformation]:
+    generator = torch.Generator().manual_seed(0)
+    points = torch.randn(12, 3, generator=generator)
+    log_radii = torch.full((12,), -1.0)
+    table = TableDeformation(points, log_radii, torch.tensor([0.0, 0.2, 0.5, 1.0]))
+    network = MLPDeformation(points, log_radii, width=16, depth=2, position_frequencies=2, time_frequencies=3)
+    with torch.no_grad():
+        for parameter in [*table.parameters(), *network.parameters()]:
+            parameter += 0.3 * torch.randn(parameter.shape, generator=generator)
+    return [table, network]
+
+
+@pytest.mark.parametrize("model", models(), ids=["table", "mlp"])
+def test_a_model_survives_its_files(model: Deformation, tmp_path: Path) -> None:
+    save_points(tmp_path / "points.parquet", model, {})
+    save_deformation(tmp_path / "deformation.safetensors", model, {"kind": "any"})
+    read = load_deformation(tmp_path / "deformation.safetensors", tmp_path / "points.parquet")
+    embedded = deformation_from_tensors(deformation_tensors(model))
+    times = torch.tensor([0.0, 0.31, 1.0])
+    assert read is not None
+    for copy in (read, embedded):
+        assert type(copy) is type(model)
+        for mine, its in zip(model(times), copy(times), strict=True):
+            torch.testing.assert_close(mine, its)
+        torch.testing.assert_close(copy.log_radii, model.log_radii)
+    quats, _ = model(times)
+    torch.testing.assert_close(quats.norm(dim=-1), torch.ones(3, 12))
+
+
+def test_a_scene_without_motion_has_files_without_points(tmp_path: Path) -> None:
+    save_points(tmp_path / "points.parquet", None, {"status": "static"})
+    save_deformation(tmp_path / "deformation.safetensors", None, {"status": "static"})
+    assert load_deformation(tmp_path / "deformation.safetensors", tmp_path / "points.parquet") is None
+
+
+def test_the_table_is_exact_at_its_frames_and_smooth_between() -> None:
+    times = torch.linspace(0, 1, 9)
+    knots = times[[0, 1, 2, 3, 5, 6, 7, 8]]
+    model = TableDeformation(torch.randn(5, 3), torch.zeros(5), knots)
+    path = torch.sin(3 * times)
+    with torch.no_grad():
+        model.table[..., 4] = path[[0, 1, 2, 3, 5, 6, 7, 8], None] / model.extent
+    _, translations = model(times)
+    np.testing.assert_allclose(
+        translations[[0, 1, 2, 3, 5, 6, 7, 8], :, 0].detach(),
+        path[[0, 1, 2, 3, 5, 6, 7, 8], None].expand(-1, 5),
+        atol=1e-6,
+    )
+    linear_error = abs(path[4] - 0.5 * (path[3] + path[5]))
+    assert abs(float(translations[4, 0, 0]) - path[4]) < 0.2 * linear_error
+
+
+def test_arap_is_zero_for_rigid_motion_and_not_for_stretching() -> None:
+    torch.manual_seed(0)
+    points = torch.randn(40, 3, dtype=torch.float64)
+    graph = arap.arap_graph(points)
+    turn = torch.from_numpy(Rotation.from_rotvec([0.4, -1.0, 2.0]).as_matrix())
+    rigid = torch.stack([points, points @ turn.T + 3.0])
+    assert float(arap.arap_energy(rigid, *graph)) < 1e-20
+    assert float(arap.arap_energy(torch.stack([points, 1.5 * points]), *graph)) > 0.01
+
+
+def run_fit(folder: Path, paths: dict[str, Path], needed: bool = True) -> tuple[dict, dict[str, np.ndarray]]:
+    scene = folder / "scene.json"
+    decision = {"dynamic": {"needed": needed}, "non_rigid": {"points": 64, "arap_weight": 0.05}}
+    scene.write_text(json.dumps(decision))
+    outputs = {"points": "points.parquet", "deformation": "deformation.safetensors", "figure": "control.png"}
+    flags = paths | {"scene": scene} | {flag: folder / name for flag, name in outputs.items()}
+    words = [word for flag, path in flags.items() for word in (f"--{flag}", str(path))]
+    with pytest.raises(SystemExit) as end:
+        run(fit.main, [*words, "--steps", "40"])
+    assert end.value.code == 0
+    return read_metadata(folder / "deformation.safetensors"), read_table(folder / "points.parquet")
+
+
+def test_the_script_finds_the_sliding_square(tmp_path: Path) -> None:
+    report, points = run_fit(tmp_path, write_inputs(tmp_path))
+    assert report["status"] == "fitted"
+    assert report["training_frames"] == [1, 2, 3, 4, 6, 7, 8]
+    assert report["median_px"] < 0.3
+    assert 0 < len(points["x"]) <= 64
+    model = load_deformation(tmp_path / "deformation.safetensors", tmp_path / "points.parquet")
+    assert model is not None
+    with torch.no_grad():
+        _, translations = model(torch.tensor([0.0, 1.0]))
+    travelled = (translations[1] - translations[0]).median(dim=0).values
+    assert float(travelled[0]) == pytest.approx(clip.SHIFT * (clip.T - 1), rel=0.2)
+
+
+def test_held_out_frames_move_nothing(tmp_path: Path) -> None:
+    for name, poison in (("clean", False), ("poisoned", True)):
+        run_fit(tmp_path / name, write_inputs(tmp_path / name, poison=poison))
+    clean, poisoned = (read_model(tmp_path / name / "deformation.safetensors") for name in ("clean", "poisoned"))
+    assert clean.keys() == poisoned.keys()
+    for name, values in clean.items():
+        np.testing.assert_array_equal(values, poisoned[name], err_msg=name)
+
+
+@pytest.mark.parametrize("needed", [True, False])
+def test_without_motion_the_script_says_why(tmp_path: Path, needed: bool) -> None:
+    report, points = run_fit(tmp_path, write_inputs(tmp_path, motion=False), needed)
+    assert len(points["x"]) == 0
+    assert report["status"] == ("no dynamic pixel could be tracked" if needed else "the scene has no moving parts")
+    assert (tmp_path / "control.png").stat().st_size < 300_000
