@@ -10,7 +10,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from stages.eval.tables import Column, Table
+from stages.eval.tables import Column, Row, Table
 from stages.shared.artifacts import read_json
 from stages.shared.digest import ROOT
 
@@ -27,19 +27,45 @@ PACKAGES = (
 PREDICTIONS = ("ba/poses.parquet", "masks", "gaussians/gaussians.ply", "gaussians/model.safetensors", "renders")
 
 
-def tables(folders: Sequence[tuple[str, Path]]) -> list[Table]:
-    """Everything about where the numbers come from, for sequences given by name and result folder."""
+def tables(folders: Sequence[Path]) -> list[Table]:
+    """Everything about where the numbers come from, for the result folders of the sequences."""
     run = [{"what": what, "value": value} for what, value in about_run().items()]
-    options = [{"sequence": name} | row for name, folder in folders for row in options_of(folder)]
-    hashes = [{"sequence": name} | row for name, folder in folders for row in hashes_of(folder)]
-    name = Column("sequence", "sequence")
-    columns = Column("what", "what"), Column("value", "value", long=True)
-    option_columns = name, Column("stage", "stage"), Column("options", "options", long=True)
-    hash_columns = name, Column("what", "what"), Column("sha256", "SHA-256 (first 16 digits)")
+    hashes = [{"sequence": folder.name} | row for folder in folders for row in hashes_of(folder)]
+    options = Column("stage", "stage"), Column("sequences", "sequences"), Column("options", "options", long=True)
+    what, sequence = Column("what", "what"), Column("sequence", "sequence")
+    digits = Column("sha256", "SHA-256 (first 16 digits)")
     return [
-        Table("run", "This report", "Versions and machine as found when this page was written.", columns, run),
-        Table("options", "Options", "Of the last round where a stage ran in rounds.", option_columns, options),
-        Table("hashes", "Inputs and predictions", "Over file contents, in order of names.", hash_columns, hashes),
+        Table(
+            "run",
+            "This report",
+            "As found when this page was written.",
+            (what, Column("value", "value", long=True)),
+            run,
+        ),
+        Table(
+            "options", "Options of every stage", "Of the last round of repeated stages.", options, option_rows(folders)
+        ),
+        Table(
+            "hashes",
+            "Inputs and predictions",
+            "Over file contents, in order of names.",
+            (sequence, what, digits),
+            hashes,
+        ),
+    ]
+
+
+def option_rows(folders: Sequence[Path]) -> list[Row]:
+    """The options of every stage, from the time files, once for all sequences that ran with the same."""
+    found: dict[tuple[str, str], list[str]] = {}
+    for folder in folders:
+        for path in sorted((folder / "stats").glob("*.json")):
+            options = read_json(path).get("options", {})
+            text = ", ".join(f"{name} = {value}" for name, value in options.items())
+            found.setdefault((path.stem, text or "none"), []).append(folder.name)
+    return [
+        {"stage": stage, "sequences": "all" if len(names) == len(folders) else ", ".join(names), "options": text}
+        for (stage, text), names in sorted(found.items())
     ]
 
 
@@ -68,17 +94,7 @@ def commit() -> str:
         return "unknown (not a git checkout)"
 
 
-def options_of(folder: Path) -> list[dict[str, str]]:
-    """The options of every stage of a sequence, as its time files hold them."""
-    rows = []
-    for path in sorted((folder / "stats").glob("*.json")):
-        options = read_json(path).get("options", {})
-        text = ", ".join(f"{name} = {value}" for name, value in options.items())
-        rows.append({"stage": path.stem, "options": text or "none"})
-    return rows
-
-
-def hashes_of(folder: Path) -> list[dict[str, str]]:
+def hashes_of(folder: Path) -> list[Row]:
     """SHA-256 (16 digits) of the input frames and of every prediction of a sequence that is there."""
     frames: Any = read_json(folder / "sequence.json").get("frames_sha256")
     rows = [{"what": "input frames (pixels)", "sha256": str(frames)[:16]}] if frames else []

@@ -45,7 +45,7 @@ def main(
             own = [every[name].of(section.name) for name in SECTION_TABLES if name in every]
             section.tables = [table for table in own if table.rows]
         shown.append(section)
-    about = provenance.tables([(folder.name, folder) for folder in sequences])
+    about = provenance.tables(sequences)
     with atomic_folder(tables) as target:
         for table in [*every.values(), *about]:
             table.write(target)

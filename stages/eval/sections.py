@@ -20,7 +20,6 @@ from stages.shared.images import read_rgb
 SHOWN_FRAMES = 4
 STAGE_FIGURES = {
     "inspect": "Input frames, with true motion where it is known",
-    "flow": "Optical flow: hue is direction, saturation is length",
     "motion": "Motion prior: how likely each pixel moves in the world",
     "segment": "Mask refinement",
     "ba": "Bundle adjustment",
@@ -64,6 +63,7 @@ def build_section(folder: Path) -> Section:
     parts: dict[str, Callable[[], list[Figure]]] = {
         "trajectories": partial(_trajectory_figures, folder),
         "masks": partial(_mask_figures, folder, sequence),
+        "flow": partial(_flow_figures, folder),
         "depth": partial(_depth_figures, folder, sequence),
         "renders": partial(_render_figures, folder, sequence),
         "convergence": partial(_convergence_figures, folder),
@@ -152,6 +152,12 @@ def _frame_chart(folder: Path, kind: str, metric: str, title: str, label: str) -
     words = ", ".join(f"{name} {np.mean(values[1]):.3g} on average" for name, values in series.items())
     chart = plots.draw_lines(series, ("frame", label), list(series), zero=metric == "iou")
     return [_svg(title, chart, f"{label} per frame: {words}")]
+
+
+def _flow_figures(folder: Path) -> list[Figure]:
+    image = read_rgb(_existing(folder, "figures/flow.png"))
+    title = "Optical flow: hue is direction, saturation is length"
+    return [Figure(title, pictures.webp(image), f"Picture of the flow stage. {title}", True)]
 
 
 def _depth_figures(folder: Path, sequence: sequences.Sequence) -> list[Figure]:

@@ -70,9 +70,6 @@ rule evaluate:
 rule report:
     input:
         tables=expand(rules.evaluate.output, seq=SEQUENCES, dataset=DATASET),
-        convergence=expand(
-            rules.train.output.convergence, seq=SEQUENCES, dataset=DATASET
-        ),
         published=workflow.source_path("../resources/published.yaml"),
         page=expand(
             str(REPO / "stages/eval/templates/{file}"),
