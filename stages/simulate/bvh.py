@@ -32,16 +32,17 @@ class Tree(NamedTuple):
 
 
 def build(corners: np.ndarray, faces: np.ndarray) -> Tree:
-    """A tree over triangles `corners` [n, 3, 3] that carry the indices `faces` [n]; n may be 0.
+    """A tree over triangles `corners` [n, 3, 3] that carry the indices `faces` [n].
 
-    Each level halves every node's triangles at the median of their centres along the longest axis.
+    n is a multiple of LEAF, or 0: each LEAF triangles in a row are neighbours and stay together. Each level halves
+    every node's leaves at the median of their centres along the longest axis.
     """
     if len(faces) == 0:
         nowhere = np.full((2, 3), np.inf)  # a slab test with inverted corners would pass: it orders them by the ray
         return Tree(nowhere, nowhere, np.zeros(2, np.int8), np.zeros((0, 3, 3)), faces)
-    levels = max(int(np.ceil(np.log2(len(faces) / LEAF))), 0)
-    order = np.resize(np.arange(len(faces)), LEAF << levels)[None]
-    centres = corners.mean(axis=1)
+    centres = corners.reshape(-1, LEAF * 3, 3).mean(axis=1)
+    levels = int(np.ceil(np.log2(len(centres))))
+    order = np.resize(np.arange(len(centres)), 1 << levels)[None]
     axis = np.zeros(2 << levels, np.int8)
     for level in range(levels):
         points = centres[order]
@@ -50,9 +51,8 @@ def build(corners: np.ndarray, faces: np.ndarray) -> Tree:
         along = np.take_along_axis(points, longest[:, None, None], axis=2)[..., 0]
         ranked = np.take_along_axis(order, along.argsort(axis=1, kind="stable"), axis=1)
         order = ranked.reshape(2 << level, -1)
-    order = order.ravel()
-    low, high = _boxes(corners[order], levels)
-    return Tree(low, high, axis, np.ascontiguousarray(corners[order]), faces[order])
+    leaves = corners.reshape(-1, LEAF, 3, 3)[order.ravel()].reshape(-1, 3, 3)
+    return Tree(*_boxes(leaves, levels), axis, leaves, faces.reshape(-1, LEAF)[order.ravel()].ravel())
 
 
 def _boxes(corners: np.ndarray, levels: int) -> tuple[np.ndarray, np.ndarray]:

@@ -20,12 +20,12 @@ def join(meshes: list[Mesh]) -> Mesh:
 
 
 def grid(columns: int, rows: int) -> Mesh:
-    """The unit square in x and y, `columns` by `rows` cells, z = 0, facing +z."""
+    """The unit square in x and y, `columns` by `rows` cells, z = 0, facing +z; faces in a row are neighbours."""
     x, y = np.meshgrid(np.linspace(0, 1, columns + 1), np.linspace(0, 1, rows + 1))
     vertices = np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1)
     corner = (np.arange(rows)[:, None] * (columns + 1) + np.arange(columns)).ravel()
     a, b, c, d = corner, corner + 1, corner + columns + 2, corner + columns + 1
-    return Mesh(vertices, np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)]))
+    return Mesh(vertices, np.stack([a, b, c, a, c, d], axis=1).reshape(-1, 3))
 
 
 def box(size: tuple[float, float, float]) -> Mesh:

@@ -106,7 +106,8 @@ def _texture(
     x = where[0] / scale + materials.offset[m, 0]
     y = where[1] / scale + materials.offset[m, 1]
     z = where[2] / scale + materials.offset[m, 2]
-    detail = fractal(x, y, z, footprint / scale)
+    finer = 1.0 if materials.pattern[m] == ROUGH else 2.5
+    detail = fractal(finer * x, finer * y, finer * z, finer * footprint / scale)
     tone, joint = 0.5 + 0.5 * noise(0.31 * x, 0.31 * y, 0.31 * z + 9.5), 0.0
     if materials.pattern[m] != ROUGH:
         first, second = (y if axis == 0 else x), (y if axis == 2 else z)

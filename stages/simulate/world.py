@@ -47,16 +47,17 @@ class World:
         self.bodies = sorted(build_bodies(scene, seed), key=lambda body: body.moves)
         counts = [len(body.rest.vertices) for body in self.bodies]
         starts = np.cumsum([0, *counts[:-1]])
-        self.faces = np.concatenate([body.rest.faces + start for body, start in zip(self.bodies, starts, strict=True)])
-        self.body = np.repeat(np.arange(len(self.bodies)), [len(body.rest.faces) for body in self.bodies])
+        faces = [_whole_leaves(body.rest.faces) + start for body, start in zip(self.bodies, starts, strict=True)]
+        self.faces = np.concatenate(faces)
+        self.body = np.repeat(np.arange(len(self.bodies)), [len(part) for part in faces])
         self.rest = np.concatenate([body.rest.vertices for body in self.bodies])
         self.materials = _materials(self)
         still = [body for body in self.bodies if not body.moves]
-        self._still_faces = sum(len(body.rest.faces) for body in still)
+        self._still_faces = sum(len(part) for part in faces[: len(still)])
         self._still_vertices = _stack([body.vertices(0.0) for body in still])
-        faces = self.faces[: self._still_faces]
-        self._still_normals = vertex_normals(self._still_vertices, faces)
-        self._still_tree = bvh.build(self._still_vertices[faces], np.arange(len(faces)))
+        resting = self.faces[: self._still_faces]
+        self._still_normals = vertex_normals(self._still_vertices, resting)
+        self._still_tree = bvh.build(self._still_vertices[resting], np.arange(len(resting)))
 
     def at(self, frame: float) -> Snapshot:
         """The scene at a frame index, which may be fractional."""
@@ -77,6 +78,11 @@ def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     sums = [np.bincount(index, np.tile(areas[:, k], 3), len(vertices)) for k in range(3)]
     normals = np.stack(sums, axis=1)
     return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+
+
+def _whole_leaves(faces: np.ndarray) -> np.ndarray:
+    """Faces [F, 3], the last repeated until they fill the tree's leaves: no leaf mixes bodies."""
+    return np.concatenate([faces, np.repeat(faces[-1:], -len(faces) % bvh.LEAF, axis=0)])
 
 
 def _stack(vertices: list[np.ndarray]) -> np.ndarray:

@@ -1,0 +1,154 @@
+"""What a simulated frame costs: by scene, by resolution, by number of objects, by effect; and the tree's worth.
+
+Run as `python -m benchmarks.bench_simulate`. Figures are CPU seconds of all threads, which a busy machine hardly
+changes (on c quiet cores a frame takes about a c-th of them); medians of alternated runs after a warm-up. The growth
+is the exponent of a power law fitted to them: 1 means proportional, 0 means free.
+"""
+
+import statistics
+import time
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+import numpy as np
+
+from stages.shared.cameras import pixel_grid
+from stages.simulate import frames, raycast, truth
+from stages.simulate.effect_models import Effects
+from stages.simulate.frames import Stage, set_stage
+from stages.simulate.motion import right_of
+from stages.simulate.scene import Scene, load_scene
+
+SCENES = Path(__file__).resolve().parents[1] / "stages" / "simulate" / "scenes"
+TARGET_CPU_S = 2 * 0.25
+ROUNDS = 3
+EFFECTS = {
+    "shadows": {"darkness": 0.8},
+    "specular": {"exponent": 50, "strength": 1},
+    "fog": {"density": 0.05, "colour": [0.6, 0.6, 0.6]},
+    "motion_blur": {"shutter": 0.5, "samples": 4},
+    "defocus": {"focus": 5, "aperture_px": 4},
+    "vignette": {"strength": 0.4},
+    "flicker": {"amplitude": 0.1, "rows": 100, "hz": 5},
+    "exposure": {"stops": 1, "white_balance": 0.1},
+    "noise": {"photons": 3000, "read": 0.005},
+}
+
+
+def alternated(works: dict[str, Callable[[], object]]) -> dict[str, float]:
+    """Median CPU seconds of each work; every round runs all of them, so that they share the machine's moods."""
+    seconds: dict[str, list[float]] = {name: [] for name in works}
+    for turn in range(ROUNDS + 1):
+        for name, work in works.items():
+            began = time.process_time()
+            work()
+            if turn:
+                seconds[name].append(time.process_time() - began)
+    return {name: statistics.median(values) for name, values in seconds.items()}
+
+
+def growth(sizes: Iterable[float], seconds: Iterable[float]) -> float:
+    """Exponent of the power law through (size, seconds)."""
+    return float(np.polyfit(np.log(list(sizes)), np.log(list(seconds)), 1)[0])
+
+
+def clean_frame(stage: Stage, right_eye: bool = True) -> None:
+    """One clean frame with all truth, as the simulator draws it: one new moment, one or two pictures, the motion."""
+    middle = stage.scene.frames // 2
+    now, other = stage.moment(middle), frames.Moment(stage.world.at(middle), stage.view(middle + 1))
+    seen = frames.see(stage, now)
+    frames.to_srgb(frames.develop(stage, now, seen, with_effects=False))
+    uv = pixel_grid(stage.scene.height, stage.scene.width).reshape(-1, 2)
+    truth.motion(seen.hits, uv, stage.world, other.snapshot, other.view, now.view.K[0, 0])
+    if right_eye:
+        right = frames.Moment(now.snapshot, right_of(now.view, stage.scene.camera.baseline))
+        frames.to_srgb(frames.develop(stage, right, frames.see(stage, right), with_effects=False))
+
+
+def by_scene() -> None:
+    """CPU seconds of a clean 512-pixel-wide frame with all truth, for every scene of the library."""
+    stages = {path.stem: set_stage(load_scene(path), 0) for path in sorted(SCENES.glob("*.yaml"))}
+    works = {
+        f"{name} {eye}": lambda s=stage, e=eye: clean_frame(s, e == "both")
+        for name, stage in stages.items()
+        for eye in ("left", "both")
+    }
+    seconds = alternated(works)
+    for name in stages:
+        print(f"  {name:18}{seconds[name + ' left']:8.3f} s{seconds[name + ' both']:8.3f} s with the right eye")
+    medians = [statistics.median(seconds[f"{name} {eye}"] for name in stages) for eye in ("left", "both")]
+    print(f"  median            {medians[0]:8.3f} s{medians[1]:8.3f} s, target {TARGET_CPU_S} s")
+
+
+def by_resolution() -> None:
+    """Growth with the number of pixels."""
+    scene = load_scene(SCENES / "demo.yaml")
+    sizes = [(128, 54), (256, 109), (512, 218), (1024, 436)]
+    stages = {f"{w}x{h}": set_stage(scene.model_copy(update={"width": w, "height": h}), 0) for w, h in sizes}
+    seconds = alternated({name: lambda s=stage: clean_frame(s) for name, stage in stages.items()})
+    for name, value in seconds.items():
+        print(f"  {name:18}{value:8.3f} s")
+    print(f"  grows with pixels to the power {growth([w * h for w, h in sizes], seconds.values()):.2f}")
+
+
+def by_objects() -> None:
+    """Growth with the number of objects, at rest and moving."""
+    counts = (10, 40, 160, 640)
+    for path in ([], [{"time": 0}, {"time": 1, "move": [0.3, 0, 0]}]):
+        stages = {str(count): set_stage(_rocks(count, path), 0) for count in counts}
+        seconds = alternated({name: lambda s=stage: clean_frame(s) for name, stage in stages.items()})
+        for name, value in seconds.items():
+            print(f"  {name:>4} {'moving' if path else 'resting'} rocks {value:8.3f} s")
+        print(f"  grows with objects to the power {growth(counts, seconds.values()):.2f}")
+
+
+def by_effect() -> None:
+    """The final pass with one effect, over the clean frame with all truth."""
+    scene = load_scene(SCENES / "demo.yaml")
+    stages = {
+        name: set_stage(scene.model_copy(update={"effects": Effects(**{name: EFFECTS[name]})}), 0) for name in EFFECTS
+    }
+    plain = set_stage(scene.model_copy(update={"effects": Effects()}), 0)
+    now = plain.moment(7)
+    seen = frames.see(plain, now)
+    clean = frames.develop(plain, now, seen, with_effects=False)
+    works: dict[str, Callable[[], object]] = {
+        "clean frame": lambda: clean_frame(plain),
+        "no effect": lambda: frames.final(plain, 7, now, seen, clean),
+    }
+    works |= {name: lambda s=stage: frames.final(s, 7, now, seen, clean) for name, stage in stages.items()}
+    seconds = alternated(works)
+    for name, value in seconds.items():
+        print(f"  {name:18}{value:8.4f} s   {value / seconds['clean frame']:6.3f} of a clean frame")
+
+
+def tree_against_brute_force() -> None:
+    """The bounding-volume tree against testing every triangle: the same walk through boxes that all rays enter."""
+    stage = set_stage(load_scene(SCENES / "demo.yaml"), 0)
+    now = stage.moment(7)
+    still = now.snapshot.still
+    everywhere = still._replace(low=np.full_like(still.low, -1e9), high=np.full_like(still.high, 1e9))
+    every = now.snapshot._replace(still=everywhere)
+    uv = pixel_grid(stage.scene.height, stage.scene.width).reshape(-1, 2)[::1009]
+    works = {
+        "tree": lambda: raycast.cast(now.snapshot, now.view, uv),
+        "every": lambda: raycast.cast(every, now.view, uv),
+    }
+    seconds = alternated(works)
+    print(f"  {len(still.corners)} triangles: the tree is {seconds['every'] / seconds['tree']:.0f} times as fast")
+
+
+def _rocks(count: int, path: list[dict[str, object]]) -> Scene:
+    """The demo's camera over `count` scattered rocks."""
+    demo = load_scene(SCENES / "demo.yaml")
+    area = [[-7, -2, 0], [7, 12, 0]]
+    rock = {"name": "rocks", "kind": "sphere", "radii": [0.3, 0.3, 0.3], "path": path, "on_ground": True}
+    ground = demo.objects[0].model_dump()
+    scattered = rock | {"scatter": {"count": count, "area": area}}
+    return Scene(description="", camera=demo.camera, objects=[ground, scattered])
+
+
+if __name__ == "__main__":
+    for part in (by_scene, by_resolution, by_objects, by_effect, tree_against_brute_force):
+        print(part.__doc__)
+        part()
