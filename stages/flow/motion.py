@@ -83,10 +83,11 @@ def _from_flow(
     """Evidence from two-view geometry, and what was used."""
     pixels = pixel_grid(*pairs["weights"].shape[1:]).astype(np.float32)
     matches = PairMatches(pixels, pixels + pairs["flow"], pairs["weights"])
-    parallax, residual_px = epipolar.has_parallax(edges, matches, seed)
+    flat = epipolar.flat_share(edges, matches, seed)
+    parallax = flat < epipolar.FLAT_SHARE
     evidence = epipolar.two_view_evidence(edges, matches, T, parallax, seed)
     model = "fundamental matrices" if parallax else "homographies: too little parallax for epipolar geometry"
-    return evidence, {"source": "flow", "model": model, "homography_residual_px": residual_px}
+    return evidence, {"source": "flow", "model": model, "flat_share": flat}
 
 
 def _from_cameras(
