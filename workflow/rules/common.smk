@@ -110,3 +110,12 @@ def stage_stats(wildcards):
         for part in rounds
         for name in ("motion", "segment", "ba")
     ]
+
+
+def evaluated_folders(wildcards, input):
+    """The results folder of every sequence, from its table of poses (params do not expand <results>)."""
+    return [
+        str(Path(table).parents[1])
+        for table in input.tables
+        if table.endswith("eval/poses.parquet")
+    ]

@@ -70,7 +70,7 @@ rule evaluate:
 rule report:
     input:
         tables=expand(rules.evaluate.output, seq=SEQUENCES, dataset=DATASET),
-        published=workflow.source_path("../resources/published.yaml"),
+        published=str(REPO / "workflow/resources/published.yaml"),
         page=expand(
             str(REPO / "stages/eval/templates/{file}"),
             file=["report.html.j2", "style.css", "sort.js"],
@@ -89,7 +89,7 @@ rule report:
     params:
         code=code_digest("stages.eval.report"),
         flags=flags("report"),
-        sequences=expand("<results>/{dataset}/{seq}", seq=SEQUENCES, dataset=DATASET),
+        sequences=evaluated_folders,
         manifests="--manifests simulated" if DATASET == settings.SIMULATED else "",
     shell:
         "python -m stages.eval.report --sequences {params.sequences} --published-numbers {input.published}"
