@@ -53,6 +53,10 @@ rule evaluate:
         stats="<results>/{dataset}/{seq}/stats/evaluate.json",
     log:
         "<logs>/{dataset}/{seq}/evaluate.log",
+    conda:
+        "../envs/motionsplat.yaml"
+    conda:
+        "../envs/motionsplat.yaml"
     resources:
         mem_mb=megabytes(600, 60),
     params:
@@ -84,6 +88,10 @@ rule report:
         tables=directory(f"<results>/{DATASET}/report/tables"),
     log:
         f"<logs>/{DATASET}/report.log",
+    conda:
+        "../envs/motionsplat.yaml"
+    conda:
+        "../envs/motionsplat.yaml"
     resources:
         mem_mb=1500,
     params:
