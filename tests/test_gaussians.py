@@ -1,5 +1,6 @@
 """Training, labels, density control, checkpoints, views and the two scripts, on a scene with exact truth."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ from PIL import Image
 from stages.control.deformation import save_deformation, save_points
 from stages.gaussians import checkpoint, optimise, render, train
 from stages.gaussians.densify import densify
+from stages.gaussians.exposure import Exposure
 from stages.gaussians.initialise import cloud_within, dynamic_share, initial_cloud, lift, near_plane_of
 from stages.gaussians.inputs import read_observations
 from stages.gaussians.model import Cloud, GaussianScene, scene_from_tensors, scene_tensors
@@ -233,13 +235,32 @@ def test_the_model_file_renders_the_same(tmp_path: Path, sh_degree: int) -> None
     seen = truth.observations(TRAIN)
     cloud = initial_cloud(seen, truth.true_motion(), CANONICAL, 4, 4, sh_degree)
     cloud.sh[:, 1:] = 0.2 * torch.randn(cloud.sh[:, 1:].shape, generator=torch.manual_seed(0))
-    scene = GaussianScene(cloud, truth.true_motion(), torch.tensor([0.1, 0.2, 0.3]), 0.02, neighbours=4)
+    exposure = Exposure(torch.tensor(truth.TIMES))
+    exposure.log_gains.data[3:] = 0.2
+    scene = GaussianScene(cloud, truth.true_motion(), torch.tensor([0.1, 0.2, 0.3]), 0.02, 4, exposure)
     write_model(tmp_path / "model.safetensors", *scene_tensors(scene))
     again = scene_from_tensors(
         read_model(tmp_path / "model.safetensors"), read_metadata(tmp_path / "model.safetensors")
     )
     assert again.sh_degree == sh_degree
     assert np.array_equal(image_at(scene, 7), image_at(again, 7))
+
+
+def test_exposure_drift_is_compensated_between_frames_too() -> None:
+    """The light fades by 40 %: gains per training frame, interpolated at the held-out one."""
+    seen = truth.observations(TRAIN)
+    fade = 1 - 0.4 * seen.times
+    faded = replace(seen, images=(seen.images * fade[:, None, None, None]).astype(np.float32))
+    expected = truth.ray_cast(truth.cameras()[4], truth.TIMES[4])[0] * (1 - 0.4 * truth.TIMES[4])
+    scores = []
+    for exposure in (None, Exposure(torch.tensor(seen.times))):
+        scene = new_scene(faded)
+        scene.exposure = exposure
+        Trainer(scene, faded, OPTIONS, arap_weight=0.0).run(lambda _: None)
+        scores.append(psnr(image_at(scene, 4), expected, np.ones(expected.shape[:2], bool)))
+    assert scores[1] > scores[0] + 2
+    assert exposure is not None
+    assert torch.allclose(exposure(0.5), (exposure(0.4) * exposure(0.6)).sqrt(), rtol=0.05)
 
 
 def test_the_novel_path_circles_and_keeps_its_point() -> None:

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from stages.gaussians import sh
 from stages.gaussians.rasterize import choose_device, drawing_order, rasterize
-from stages.gaussians.ssim import Target, ssim
+from stages.gaussians.ssim import Target, ssim, ssim_torch
 from stages.shared.errors import InputError
 from tests import reference_rasterizer as reference
 
@@ -198,6 +198,7 @@ def test_ssim_and_its_gradient_equal_direct_convolution(size: tuple[int, int]) -
     found = ssim(single, Target(target.float()))
     (g_found,) = torch.autograd.grad(3 * found, single)
     assert (found.detach() - expected.detach()).abs() < 1e-6
+    assert (ssim_torch(single, Target(target.float())).detach() - expected.detach()).abs() < 1e-6
     assert (g_found - 3 * g_expected).abs().max() < 1e-4 * (3 * g_expected).abs().max()
 
 

@@ -10,10 +10,11 @@ from torch import Tensor
 
 from stages.control.deformation import Deformation, deformation_from_tensors, deformation_tensors
 from stages.control.lbs import blend, lbs_weights, neighbours
+from stages.gaussians.exposure import Exposure
 from stages.gaussians.rasterize import Rendering, rasterize
 
-DEFORMATION = "deformation."
-"""Prefix of the motion model's tensors in the model file."""
+DEFORMATION, EXPOSURE = "deformation.", "exposure."
+"""Prefixes of the motion's and the gains' tensors in the model file."""
 
 
 @dataclass
@@ -48,11 +49,17 @@ class GaussianScene(torch.nn.Module):
     index: Tensor
 
     def __init__(
-        self, cloud: Cloud, deformation: Deformation | None, background: Tensor, near_plane: float, neighbours: int
+        self,
+        cloud: Cloud,
+        deformation: Deformation | None,
+        background: Tensor,
+        near_plane: float,
+        neighbours: int,
+        exposure: Exposure | None = None,
     ) -> None:
         """background: [3] colour behind everything. neighbours: control points per dynamic Gaussian."""
         super().__init__()
-        self.deformation = deformation
+        self.deformation, self.exposure = deformation, exposure
         self.near_plane, self.neighbours = near_plane, neighbours
         self.register_buffer("background", background)
         self.set_cloud(cloud)
@@ -125,7 +132,7 @@ class GaussianScene(torch.nn.Module):
         means, quats = self.at(time, detach)
         values = self.gaussians
         sh = values["sh_dc"] if self.sh_degree == 0 else torch.cat([values["sh_dc"], values["sh_rest"]], dim=1)
-        return rasterize(
+        rendering = rasterize(
             means,
             quats,
             values["log_scales"].exp(),
@@ -139,6 +146,9 @@ class GaussianScene(torch.nn.Module):
             near_plane=self.near_plane,
             backgrounds=self.background[None],
         )
+        if self.exposure is None:
+            return rendering
+        return rendering._replace(colour=rendering.colour * self.exposure(time))
 
     def _weights(self, means: Tensor) -> Tensor:
         """Skinning weights [N, K]; without gradient to the means, which would trade place for influence."""
@@ -155,6 +165,8 @@ def scene_tensors(scene: GaussianScene) -> tuple[dict[str, np.ndarray], dict[str
     tensors["background"] = scene.background.cpu().numpy()
     if scene.deformation is not None:
         tensors |= {DEFORMATION + name: value for name, value in deformation_tensors(scene.deformation).items()}
+    if scene.exposure is not None:
+        tensors |= {EXPOSURE + name: value.cpu().numpy() for name, value in scene.exposure.state_dict().items()}
     settings = {"near_plane": scene.near_plane, "neighbours": scene.neighbours, "sh_degree": scene.sh_degree}
     counts = {"n_static": scene.n_static, "n_dynamic": len(scene.anchors) - scene.n_static}
     return tensors, settings | counts
@@ -167,4 +179,9 @@ def scene_from_tensors(tensors: Mapping[str, np.ndarray], metadata: Mapping[str,
     cloud = Cloud(**{name: values[name].bool() if name == "dynamic" else values[name] for name in names})
     motion = {name.removeprefix(DEFORMATION): tensors[name] for name in tensors if name.startswith(DEFORMATION)}
     deformation = deformation_from_tensors(motion) if motion else None
-    return GaussianScene(cloud, deformation, values["background"], metadata["near_plane"], metadata["neighbours"])
+    exposure = None
+    if EXPOSURE + "knots" in values:
+        exposure = Exposure(values[EXPOSURE + "knots"])
+        exposure.load_state_dict({name: values[EXPOSURE + name] for name in ("knots", "log_gains")})
+    settings = (metadata["near_plane"], metadata["neighbours"])
+    return GaussianScene(cloud, deformation, values["background"], *settings, exposure)

@@ -35,11 +35,9 @@ def _adjoint_tile(ranks: np.ndarray, splats: np.ndarray, x0: int, y0: int, state
     T, S, g0, g1, g2, g3 = state[0], state[1], state[2], state[3], state[4], state[5]
     for k in range(len(ranks)):
         splat = splats[ranks[k]]
-        f0, f1, f2, opacity = splat[2], splat[3], splat[4], splat[5]
-        r, g, b, z = splat[6], splat[7], splat[8], splat[9]
+        f0, f1, f2, opacity, r, g, b, z = splat[2], splat[3], splat[4], splat[5], splat[6], splat[7], splat[8], splat[9]
         limit, left = splat[LIMIT] + np.float32(1e-3), splat[0] - np.float32(x0)
-        m0 = m1 = m2 = n0 = n1 = n2 = ZERO
-        w0 = w1 = w2 = w3 = ZERO
+        m0 = m1 = m2 = n0 = n1 = n2 = w0 = w1 = w2 = w3 = ZERO
         for y in range(max(int(splat[TOP]) - y0, 0), min(int(splat[BOTTOM]) - y0, TILE - 1) + 1):
             dy = splat[1] - np.float32(y0 + y)
             offset, rest = f1 * dy, f2 * dy * f2 * dy
@@ -50,33 +48,21 @@ def _adjoint_tile(ranks: np.ndarray, splats: np.ndarray, x0: int, y0: int, state
                 dx = left - np.float32(x)
                 q = f0 * dx + offset
                 raw = opacity * _exp_minus(min(q * q + rest, MAX_EXPONENT))
-                alpha = min(MAX_ALPHA, raw)
-                t = T[y, x]
+                alpha, t = min(MAX_ALPHA, raw), T[y, x]
                 alpha = alpha if (alpha >= MIN_ALPHA) & (t > MIN_TRANSMITTANCE) else ZERO
                 w = alpha * t
                 shade = r * g0[y, x] + g * g1[y, x] + b * g2[y, x] + z * g3[y, x]
                 behind = S[y, x] - w * shade
-                S[y, x] = behind
-                T[y, x] = t - w
+                S[y, x], T[y, x] = behind, t - w
                 d_alpha = t * shade - behind / (ONE - alpha)
                 d_s = -raw * d_alpha if (alpha > ZERO) & (raw < MAX_ALPHA) else ZERO
-                w0 += w * g0[y, x]
-                w1 += w * g1[y, x]
-                w2 += w * g2[y, x]
-                w3 += w * g3[y, x]
-                s0 += d_s
-                s1 += d_s * q
-                s2 += d_s * q * dx
-            m0 += s0
-            m1 += s1
-            m2 += s2
-            n0 += s0 * dy
-            n1 += s1 * dy
-            n2 += s0 * dy * dy
+                w0, w1, w2, w3 = w0 + w * g0[y, x], w1 + w * g1[y, x], w2 + w * g2[y, x], w3 + w * g3[y, x]
+                s0, s1, s2 = s0 + d_s, s1 + d_s * q, s2 + d_s * q * dx
+            m0, m1, m2 = m0 + s0, m1 + s1, m2 + s2
+            n0, n1, n2 = n0 + s0 * dy, n1 + s1 * dy, n2 + s0 * dy * dy
         row = gradients[k]
         row[0], row[1] = 2 * f0 * m1, 2 * f1 * m1 + 2 * f2 * f2 * n0
-        row[2], row[3], row[4] = 2 * m2, 2 * n1, 2 * f2 * n2
-        row[5] = -m0 / opacity
+        row[2], row[3], row[4], row[5] = 2 * m2, 2 * n1, 2 * f2 * n2, -m0 / opacity
         row[6], row[7], row[8], row[9] = w0, w1, w2, w3
         if k % 16 == 15 and _opaque(T):
             gradients[k + 1 :] = ZERO

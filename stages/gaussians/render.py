@@ -1,16 +1,34 @@
 """Render the trained scene: training, held-out, novel and right-eye views, and a fly-through."""
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 
 from stages.gaussians.options import RenderOptions
-from stages.shared import cli
+from stages.shared import cli, lie, sintel
+from stages.shared.alignment import DegenerateError
+from stages.shared.artifacts import read_metadata, read_model
+from stages.shared.cameras import Cameras
 from stages.shared.cli import In, Out
-from stages.shared.sequences import Sequence
+from stages.shared.log import logger, progress
+from stages.shared.sequences import Sequence, read_sequence
+from stages.shared.split import held_out
 
 SECONDS_PER_FRAME = 1 / 12
+
+
+@dataclass(frozen=True)
+class Shot:
+    """One image to render: into which folder, under which number, when (0..1) and from which camera."""
+
+    split: str
+    number: int
+    time: float
+    cam_from_world: np.ndarray
+    K: np.ndarray
 
 
 def main(
@@ -25,59 +43,68 @@ def main(
 
     During the fly-through time runs from 0 to 1 while the camera circles around the estimated path.
     """
+    from stages.gaussians.inputs import read_usable_cameras
+    from stages.gaussians.video import write_gif
+    from stages.shared.artifacts import atomic_folder
+    from stages.shared.images import write_image
+
+    content, cameras = read_sequence(sequence), read_usable_cameras(poses)
+    shots = planned_shots(content, cameras, float(read_metadata(model)["median_depth"]), options)
+    render = _renderer(model, content, options)
+    novel = []
+    with atomic_folder(output) as folder:
+        for shot in progress(shots, "rendering"):
+            image = render(shot)
+            write_image(folder / shot.split / f"frame_{shot.number:04d}.png", image)
+            if shot.split == "novel":
+                novel.append(image)
+    write_gif(video, novel, SECONDS_PER_FRAME * len(novel))
+
+
+def planned_shots(content: Sequence, cameras: Cameras, distance: float, options: RenderOptions) -> list[Shot]:
+    """Every frame at its pose, the fly-through around a point at `distance` (scene units), and the true right eye."""
+    from stages.gaussians.inputs import frame_times
+    from stages.gaussians.views import novel_path
+
+    T = len(content.frames)
+    times, is_test = frame_times(T), held_out(T, options)
+    shots = [
+        Shot("test" if is_test[k] else "train", content.numbers[k], times[k], cameras.cam_from_world[k], cameras.Ks[k])
+        for k in range(T)
+    ]
+    moments = np.linspace(0, 1, options.novel_views)
+    path = novel_path(cameras.cam_from_world, moments, options.orbit_share * distance, distance)
+    shots += [Shot("novel", n + 1, moments[n], path[n], cameras.Ks[0]) for n in range(len(moments))]
+    rows, eyes = right_cameras(content, cameras.cam_from_world)
+    return shots + [
+        Shot("right", content.numbers[k], times[k], eye, cameras.Ks[k]) for k, eye in zip(rows, eyes, strict=True)
+    ]
+
+
+def _renderer(model: Path, content: Sequence, options: RenderOptions) -> Callable[[Shot], np.ndarray]:
+    """A function that renders a shot of the scene in `model` as [H, W, 3] uint8."""
     import torch
 
     from stages.gaussians.figure import to_uint8
-    from stages.gaussians.inputs import frame_times, read_usable_cameras
     from stages.gaussians.model import scene_from_tensors
     from stages.gaussians.rasterize import backend_name, choose_device
-    from stages.gaussians.video import write_gif
-    from stages.gaussians.views import novel_path
-    from stages.shared.artifacts import atomic_folder, read_metadata, read_model
-    from stages.shared.images import write_image
-    from stages.shared.log import logger, progress
-    from stages.shared.sequences import read_sequence
-    from stages.shared.split import held_out
 
     device = choose_device(options.device)
     logger.info("rendering by %s", backend_name(device))
-    content, cameras, metadata = read_sequence(sequence), read_usable_cameras(poses), read_metadata(model)
-    scene = scene_from_tensors(read_model(model), metadata).to(device)
-    times, T = frame_times(len(content.frames)), len(content.frames)
+    scene = scene_from_tensors(read_model(model), read_metadata(model)).to(device)
 
     @torch.no_grad()
-    def render(time: float, cam_from_world: np.ndarray, K: np.ndarray) -> np.ndarray:
-        viewmat, camera = torch.as_tensor(cam_from_world, device=device), torch.as_tensor(K, device=device)
-        view = scene.render(float(time), viewmat, camera, content.width, content.height)
+    def render(shot: Shot) -> np.ndarray:
+        viewmat, K = (torch.as_tensor(matrix, device=device) for matrix in (shot.cam_from_world, shot.K))
+        view = scene.render(float(shot.time), viewmat, K, content.width, content.height)
         return to_uint8(view.colour[0].cpu().numpy())
 
-    is_test = held_out(T, options)
-    moments = np.linspace(0, 1, options.novel_views)
-    distance = float(metadata["median_depth"])
-    path = novel_path(cameras.cam_from_world, moments, options.orbit_share * distance, distance)
-    jobs = [
-        ("test" if is_test[k] else "train", content.numbers[k], times[k], cameras.cam_from_world[k], cameras.Ks[k])
-        for k in range(T)
-    ]
-    jobs += [("novel", n + 1, moments[n], path[n], cameras.Ks[0]) for n in range(len(moments))]
-    rows, right = right_cameras(content, cameras.cam_from_world)
-    jobs += [("right", content.numbers[k], times[k], eye, cameras.Ks[k]) for k, eye in zip(rows, right, strict=True)]
-    novel = []
-    with atomic_folder(output) as folder:
-        for split, number, time, cam_from_world, K in progress(jobs, "rendering"):
-            image = render(time, cam_from_world, K)
-            write_image(folder / split / f"frame_{number:04d}.png", image)
-            if split == "novel":
-                novel.append(image)
-    write_gif(video, novel, SECONDS_PER_FRAME * len(novel))
+    return render
 
 
 def right_cameras(content: Sequence, cam_from_world: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Frames [n] with a true right eye and its cameras [n, 4, 4] in our world; none without truth or scale."""
     from stages.gaussians.views import right_eye
-    from stages.shared import lie, sintel
-    from stages.shared.alignment import DegenerateError
-    from stages.shared.log import logger
 
     both = set(content.truth.get("camdata_right", {})) & set(content.truth.get("clean_right", {}))
     rows = np.array([k for k, number in enumerate(content.numbers) if number in both], int)

@@ -6,7 +6,6 @@ in 0..1, mean over pixels and channels.
 
 from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -21,13 +20,13 @@ class Target:
     def __init__(self, image: Tensor) -> None:
         self.image = image.contiguous()
         planes = self.image.movedim(-1, 0)
-        self.moments = _blur(torch.cat([planes, planes * planes]))
+        self.moments = _convolve(torch.cat([planes, planes * planes]))
 
 
 def ssim(image: Tensor, target: Target) -> Tensor:
     """Mean SSIM (scalar, at most 1) of image [H, W, C] and target; differentiable in `image`."""
     if image.is_cuda:
-        return _ssim_torch(image, target)
+        return ssim_torch(image, target)
     value: Tensor = _Ssim.apply(image, target.image, target.moments)  # type: ignore[no-untyped-call]
     return value
 
@@ -50,19 +49,19 @@ class _Ssim(torch.autograd.Function):
         return ctx.gradient * gradients[0], None, None
 
 
-def _blur(planes: Tensor) -> Tensor:
-    if not planes.is_cuda:
-        return torch.from_numpy(ssim_kernels.blur(np.ascontiguousarray(planes.numpy()), WINDOW))
-    window = torch.from_numpy(WINDOW).to(planes)
-    rows = torch.nn.functional.conv2d(planes[:, None], window.view(1, 1, 1, -1), padding=(0, ssim_kernels.RADIUS))
-    return torch.nn.functional.conv2d(rows, window.view(1, 1, -1, 1), padding=(ssim_kernels.RADIUS, 0))[:, 0]
-
-
-def _ssim_torch(image: Tensor, target: Target) -> Tensor:
+def ssim_torch(image: Tensor, target: Target) -> Tensor:
+    """`ssim` by torch convolutions: for CUDA, and the oracle of the kernels."""
     x, y = image.movedim(-1, 0), target.image.movedim(-1, 0)
-    mx, xx, xy = _blur(torch.cat([x, x * x, x * y])).chunk(3)
+    mx, xx, xy = _convolve(torch.cat([x, x * x, x * y])).chunk(3)
     my, yy = target.moments.chunk(2)
     c1, c2 = float(ssim_kernels.C1), float(ssim_kernels.C2)
     numerator = (2 * mx * my + c1) * (2 * (xy - mx * my) + c2)
     denominator = (mx * mx + my * my + c1) * (xx - mx * mx + yy - my * my + c2)
     return (numerator / denominator).mean()
+
+
+def _convolve(planes: Tensor) -> Tensor:
+    """Planes [P, H, W] blurred with zero padding."""
+    window = torch.from_numpy(WINDOW).to(planes)
+    rows = torch.nn.functional.conv2d(planes[:, None], window.view(1, 1, 1, -1), padding=(0, ssim_kernels.RADIUS))
+    return torch.nn.functional.conv2d(rows, window.view(1, 1, -1, 1), padding=(ssim_kernels.RADIUS, 0))[:, 0]

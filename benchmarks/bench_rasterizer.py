@@ -1,0 +1,169 @@
+"""Rasteriser and SSIM against plain torch, and the rasteriser against the arithmetic limit of this machine.
+
+Run as `python -m benchmarks.bench_rasterizer`. Times are medians of alternated runs in one process, after a warm-up;
+both sides start from the same projected splats and include sorting and binning.
+"""
+
+import statistics
+import time
+from collections.abc import Callable
+
+import numpy as np
+import torch
+from numba import njit, prange
+from torch import Tensor
+
+from benchmarks import torch_rasterizer
+from stages.gaussians import raster_adjoint, raster_kernels
+from stages.gaussians.rasterize import drawing_order
+from stages.gaussians.ssim import Target, ssim, ssim_torch
+
+FLOP_PER_PAIR = 93
+"""Forward 31 and backward 62 per (pixel, Gaussian) pair that contributes, counted by hand over the inner loops."""
+CASES = ((20_000, 512, 218, 5), (100_000, 1024, 436, 3))
+GATES = {"rasteriser": 60.0, "SSIM": 5.0, "limit": 20.0}
+
+
+def alternated(works: dict[str, Callable[[], object]], rounds: int) -> dict[str, float]:
+    """Median seconds of each work; every round runs all of them, so that they share the machine's moods."""
+    seconds: dict[str, list[float]] = {name: [] for name in works}
+    for turn in range(rounds + 1):
+        for name, work in works.items():
+            began = time.perf_counter()
+            work()
+            if turn:
+                seconds[name].append(time.perf_counter() - began)
+    return {name: statistics.median(values) for name, values in seconds.items()}
+
+
+def random_splats(N: int, width: int, height: int) -> dict[str, Tensor]:
+    """N splats, log-normal in size around 0.9 sqrt(pixels / N), of any direction, logit-normal in opacity."""
+    random = np.random.default_rng(0)
+    sigma = 0.9 * np.sqrt(width * height / N) * np.exp(0.4 * random.normal(size=(N, 2)))
+    angle = random.uniform(0, np.pi, N)
+    axes = np.stack([np.stack([np.cos(angle), -np.sin(angle)], -1), np.stack([np.sin(angle), np.cos(angle)], -1)], 1)
+    cov = axes @ (sigma[:, :, None] ** 2 * axes.swapaxes(1, 2)) + 0.3 * np.eye(2)
+    det = np.linalg.det(cov)
+    f0 = np.sqrt(cov[:, 1, 1] / (2 * det))
+    values = {
+        "centres": random.uniform(-0.02, 1.02, (N, 2)) * [width, height],
+        "factors": np.stack([f0, -cov[:, 0, 1] / cov[:, 1, 1] * f0, 1 / np.sqrt(2 * cov[:, 1, 1])], axis=-1),
+        "opacities": 1 / (1 + np.exp(-random.normal(0.5, 1.5, N))),
+        "colours": random.uniform(size=(N, 3)),
+        "depths": random.uniform(1, 10, N),
+    }
+    return {name: torch.tensor(value, dtype=torch.float32) for name, value in values.items()}
+
+
+def kernels(splats: dict[str, Tensor], g_image: np.ndarray, g_alpha: np.ndarray) -> np.ndarray:
+    """Gradients [N, 10] by the numba kernels, everything included."""
+    height, width = g_alpha.shape
+    arrays = [splats[name].numpy() for name in ("centres", "factors", "opacities", "colours", "depths")]
+    order = drawing_order(arrays[-1])
+    rows = raster_kernels.gather(order, *arrays, height)
+    starts, ranks = raster_kernels.bin_tiles(rows, width, height)
+    image, transmittance = np.empty((height, width, 4), np.float32), np.empty((height, width), np.float32)
+    raster_kernels.composite(rows, starts, ranks, np.zeros(3, np.float32), image, transmittance)
+    per_tile = raster_adjoint.composite_adjoint(rows, starts, ranks, image, transmittance, g_image, g_alpha)
+    return raster_adjoint.scatter(order, starts, ranks, per_tile, len(arrays[-1]))
+
+
+@njit(cache=True)
+def contributing_pairs(splats: np.ndarray, starts: np.ndarray, ranks: np.ndarray, width: int, height: int) -> int:
+    """(Pixel, Gaussian) pairs above both thresholds: the work that no implementation can avoid."""
+    columns = (width + raster_kernels.TILE - 1) // raster_kernels.TILE
+    pairs = 0
+    for v in range(height):
+        for u in range(width):
+            tile = v // raster_kernels.TILE * columns + u // raster_kernels.TILE
+            T = 1.0
+            for k in range(starts[tile * raster_kernels.CHUNKS], starts[(tile + 1) * raster_kernels.CHUNKS]):
+                splat = splats[ranks[k]]
+                dx, dy = splat[0] - u, splat[1] - v
+                q, r = splat[2] * dx + splat[3] * dy, splat[4] * dy
+                alpha = min(0.999, splat[5] * np.exp(-q * q - r * r))
+                if alpha >= 1 / 255 and T > 1e-4:
+                    pairs += 1
+                    T *= 1 - alpha
+    return pairs
+
+
+@njit(parallel=True, fastmath=True, cache=True)
+def fused_multiply_adds(x: np.ndarray, turns: int) -> None:
+    """turns * 8 dependent multiply-adds on each of x [rows, 64]: four registers of 16 in flight per row."""
+    for row in prange(len(x)):
+        values = x[row].copy()
+        for _ in range(turns):
+            for _ in range(8):
+                for k in range(64):
+                    values[k] = values[k] * np.float32(0.999) + np.float32(0.001)
+        x[row] = values
+
+
+def peak_flops() -> float:
+    """Measured float32 multiply-add rate of all threads, flop per second; the best of several."""
+    x, turns = np.ones((64, 64), np.float32), 20_000
+    fused_multiply_adds(x, 10)
+    best = 0.0
+    for _ in range(5):
+        began = time.perf_counter()
+        fused_multiply_adds(x, turns)
+        best = max(best, 2 * 8 * turns * x.size / (time.perf_counter() - began))
+    return best
+
+
+def bench_rasterizer(N: int, width: int, height: int, rounds: int, flops: float) -> None:
+    """One size: seconds, ratio to torch and to the limit."""
+    splats = random_splats(N, width, height)
+    random = np.random.default_rng(1)
+    g_image, g_alpha = random.normal(size=(height, width, 4)).astype(np.float32), np.zeros((height, width), np.float32)
+    tiles = -(-width // 16) * -(-height // 16)
+    weights = torch.tensor(random.normal(size=(tiles, 256, 5)), dtype=torch.float32)
+    arrays = [splats[name].numpy() for name in ("centres", "factors", "opacities", "colours", "depths")]
+    rows = raster_kernels.gather(drawing_order(arrays[-1]), *arrays, height)
+    pairs = contributing_pairs(rows, *raster_kernels.bin_tiles(rows, width, height), width, height)
+    works = {
+        "numba": lambda: kernels(splats, g_image, g_alpha),
+        "torch": lambda: torch_rasterizer.forward_and_backward(splats, weights, width, height),
+    }
+    seconds = alternated(works, rounds)
+    ratio = seconds["torch"] / seconds["numba"]
+    limit_s = pairs * FLOP_PER_PAIR / flops
+    milliseconds = {name: 1e3 * value for name, value in seconds.items()}
+    print(
+        f"  {N} Gaussians, {width}x{height}: numba {milliseconds['numba']:.1f} ms, torch {milliseconds['torch']:.0f} ms"
+    )
+    print(f"    {ratio:.0f}x torch (goal {GATES['rasteriser']:.0f}x)")
+    print(f"    {pairs / 1e6:.2f} M pairs x {FLOP_PER_PAIR} flop take at least {1e3 * limit_s:.2f} ms")
+    print(f"    {seconds['numba'] / limit_s:.0f}x that (goal {GATES['limit']:.0f}x)")
+
+
+def bench_ssim(width: int, height: int) -> None:
+    """Value and gradient, fused and by convolutions."""
+    generator = torch.manual_seed(0)
+    image = torch.rand(height, width, 3, generator=generator).requires_grad_()
+    target = Target(torch.rand(height, width, 3, generator=generator))
+    works = {
+        "fused": lambda: torch.autograd.grad(ssim(image, target), image),
+        "torch": lambda: torch.autograd.grad(ssim_torch(image, target), image),
+    }
+    seconds = alternated(works, 15)
+    ratio = seconds["torch"] / seconds["fused"]
+    print(
+        f"  SSIM {width}x{height}: fused {1e3 * seconds['fused']:.1f} ms, torch {1e3 * seconds['torch']:.1f} ms:"
+        f" {ratio:.1f}x (goal {GATES['SSIM']:.0f}x)"
+    )
+
+
+def main() -> None:
+    """Print one line per case."""
+    flops = peak_flops()
+    print(f"rasteriser, forward and backward ({torch.get_num_threads()} threads, {flops / 1e9:.0f} GFLOP/s measured)")
+    for N, width, height, rounds in CASES:
+        bench_rasterizer(N, width, height, rounds, flops)
+    for width, height in ((512, 218), (1024, 436)):
+        bench_ssim(width, height)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,29 @@
+"""Exposure compensation: one gain per channel and training frame, for scenes whose brightness drifts."""
+
+import numpy as np
+import torch
+from torch import Tensor
+
+
+class Exposure(torch.nn.Module):
+    """Gains over time, linear between the training frames.
+
+    Their mean logarithm over the frames is zero: otherwise gains and colours could grow against each other.
+
+    Attributes:
+        knots: [F] ascending times in 0..1. log_gains: [F, 3], trained.
+    """
+
+    knots: Tensor
+
+    def __init__(self, knots: Tensor) -> None:
+        super().__init__()
+        self.register_buffer("knots", knots.to(torch.float64))
+        self.log_gains = torch.nn.Parameter(torch.zeros(len(knots), 3))
+
+    def forward(self, time: float) -> Tensor:
+        """Gain [3] > 0 at `time` 0..1."""
+        knots = self.knots.cpu().numpy()
+        shares = [np.interp(time, knots, unit) for unit in np.eye(len(knots))]
+        centred = self.log_gains - self.log_gains.mean(dim=0)
+        return (torch.tensor(shares).to(centred) @ centred).exp()
