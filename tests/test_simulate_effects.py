@@ -125,6 +125,14 @@ def test_motion_blur_smears_along_the_motion_only() -> None:
     assert left(1, moving=False) > 0.8 * left(0, moving=False)
 
 
+@pytest.mark.parametrize("count", [2, 4, 7, 32])
+def test_motion_blur_does_not_shift_the_picture(count: int) -> None:
+    offsets = frames.pixel_offsets(count)
+    assert np.abs(offsets.mean(axis=0)).max() < 1e-12
+    assert np.abs(offsets).max() < 0.75
+    assert np.abs(offsets[:, None] - offsets).max(axis=2)[~np.eye(count, dtype=bool)].min() > 0.3 / np.sqrt(count)
+
+
 def test_defocus_spares_the_focal_plane_and_keeps_brightness() -> None:
     rng = np.random.default_rng(0)
     picture = rng.uniform(0, 1, (40, 60, 3))

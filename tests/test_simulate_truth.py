@@ -175,9 +175,9 @@ def test_textures_stick_to_surfaces() -> None:
     now, then = stage.moment(1), stage.moment(2)
     again = raycast.cast(then.snapshot, then.view, uv + moved.flow)
     visible = ~moved.occluded & (again.face == hits.face)
-    shown = frames._surface(stage, now, hits).albedo
-    later = frames._surface(stage, then, again).albedo
-    unmoved = frames._surface(stage, then, raycast.cast(then.snapshot, then.view, uv)).albedo
+    shown = frames.surface_at(stage, now, hits).albedo
+    later = frames.surface_at(stage, then, again).albedo
+    unmoved = frames.surface_at(stage, then, raycast.cast(then.snapshot, then.view, uv)).albedo
     error, naive = (np.abs(other - shown)[visible].mean() for other in (later, unmoved))
     assert visible.mean() > 0.6
     assert error < 0.01

@@ -67,7 +67,7 @@ def see(stage: Stage, moment: Moment) -> Seen:
     hits = cast(moment.snapshot, moment.view, uv)
     edges = np.flatnonzero(edge_pixels(hits, stage.world, height, width))
     finer = cast(moment.snapshot, moment.view, (uv[edges, None] + SUBPIXELS).reshape(-1, 2))
-    return Seen(hits, _surface(stage, moment, hits), edges, finer, _surface(stage, moment, finer))
+    return Seen(hits, surface_at(stage, moment, hits), edges, finer, surface_at(stage, moment, finer))
 
 
 def develop(stage: Stage, moment: Moment, seen: Seen, with_effects: bool) -> np.ndarray:
@@ -106,6 +106,12 @@ def final(stage: Stage, frame: int, moment: Moment, seen: Seen, clean: np.ndarra
     return radiance
 
 
+def surface_at(stage: Stage, moment: Moment, hits: Hits) -> Surface:
+    """Texture and orientation where rays of the moment's camera meet something."""
+    view = moment.view
+    return surfaces(stage.world, moment.snapshot, stage.scene.lights, hits, view.centre, view.K[0, 0])
+
+
 def edge_pixels(hits: Hits, world: World, height: int, width: int) -> np.ndarray:
     """Pixels [H, W] bool with a neighbour that sees another body or lies 5 % nearer or farther."""
     body = np.where(hits.face >= 0, world.body[hits.face], -1).reshape(height, width)
@@ -118,6 +124,12 @@ def edge_pixels(hits: Hits, world: World, height: int, width: int) -> np.ndarray
     edges[1:] |= down
     edges[:-1] |= down
     return edges
+
+
+def pixel_offsets(count: int) -> np.ndarray:
+    """Points [count, 2] that cover a pixel evenly, relative to its centre; their mean is the centre."""
+    points = np.arange(1, count + 1)[:, None] * np.array(PLASTIC) % 1
+    return np.asarray(points - points.mean(axis=0))
 
 
 def to_srgb(radiance: np.ndarray) -> np.ndarray:
@@ -134,17 +146,11 @@ def _motion_blur(stage: Stage, frame: int) -> np.ndarray:
     shape = (stage.scene.height, stage.scene.width, 3)
     uv = pixel_grid(*shape[:2]).reshape(-1, 2)
     total = np.zeros((len(uv), 3))
-    for k in range(blur.samples):
-        time = frame + blur.shutter * ((k + 0.5) / blur.samples - 0.5)
-        moment = stage.moment(time)
-        hits = cast(moment.snapshot, moment.view, uv + (np.array(PLASTIC) * (k + 1) % 1 - 0.5))
-        total += _radiance(stage, moment, hits, _surface(stage, moment, hits), with_effects=True)
+    for k, offset in enumerate(pixel_offsets(blur.samples)):
+        moment = stage.moment(frame + blur.shutter * ((k + 0.5) / blur.samples - 0.5))
+        hits = cast(moment.snapshot, moment.view, uv + offset)
+        total += _radiance(stage, moment, hits, surface_at(stage, moment, hits), with_effects=True)
     return total.reshape(shape) / blur.samples
-
-
-def _surface(stage: Stage, moment: Moment, hits: Hits) -> Surface:
-    view = moment.view
-    return surfaces(stage.world, moment.snapshot, stage.scene.lights, hits, view.centre, view.K[0, 0])
 
 
 def _radiance(stage: Stage, moment: Moment, hits: Hits, surface: Surface, with_effects: bool) -> np.ndarray:

@@ -21,7 +21,7 @@ class GalleryOptions(Options):
     """The contact sheet."""
 
     columns: int = Field(3, ge=1, le=8, description="scenes per row")
-    width_px: int = Field(1200, ge=200, le=4000, description="width of the sheet")
+    width_px: int = Field(1140, ge=200, le=4000, description="width of the sheet")
     seed: int = Field(0, ge=0, description="as in `simulate`")
 
 
