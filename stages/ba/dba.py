@@ -144,7 +144,7 @@ def solve(
         cost = _objective(graph, state, level.sigma_px, unknowns, prior)
         for _ in range(level.iterations):
             start_s = time.perf_counter()
-            proposal, size = _propose(graph, state, level.sigma_px, damping, unknowns, prior)
+            proposal, size = propose(graph, state, level.sigma_px, damping, unknowns, prior)
             proposed = _objective(graph, proposal, level.sigma_px, unknowns, prior) if proposal else np.inf
             accepted = proposal is not None and proposed <= cost
             gain = (cost - proposed) / max(cost, 1e-300)
@@ -159,10 +159,10 @@ def solve(
     return normalise(state) if unknowns.translation else state, steps
 
 
-def _propose(
+def propose(
     graph: FlowGraph, state: State, sigma_px: float, damping: float, unknowns: Unknowns, prior: FocalPrior
 ) -> tuple[State | None, float]:
-    """The state after one damped Gauss-Newton step and the length of the step; None if the system is singular."""
+    """The state after one damped Gauss-Newton step, and the length of the step; None if the system is singular."""
     relative = reduced.relative_motions(graph, state.cam_from_world)
     data, at = observations(graph), geometry(graph, state)
     hessians, schur, curvatures, gradients = kernel.normal_equations(data, at, float(sigma_px), damping, DEPTH_PRIOR)

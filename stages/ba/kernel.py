@@ -57,7 +57,7 @@ def _linearise(
         f_z = focal / Z if ahead else 0.0
         u, v = (turned_x + R[0, 2] + d * t[0]) * f_z / focal, (turned_y + R[1, 2] + d * t[1]) * f_z / focal
         a, b = data.matches[e, p, 0] - (focal * u + cx), data.matches[e, p, 1] - (focal * v + cy)
-        s = np.sqrt(data.weights[e, p]) / (1.0 + (a * a + b * b) / (sigma * sigma)) if ahead else 0.0
+        s = np.sqrt(np.float64(data.weights[e, p])) / (1.0 + (a * a + b * b) / (sigma * sigma)) if ahead else 0.0
         s_f, s_fz = s * focal, s * f_z
         J[0, q], J[0, q2] = s_fz * d, 0.0
         J[1, q], J[1, q2] = 0.0, s_fz * d
