@@ -55,8 +55,6 @@ rule evaluate:
         "<logs>/{dataset}/{seq}/evaluate.log",
     conda:
         "../envs/motionsplat.yaml"
-    conda:
-        "../envs/motionsplat.yaml"
     resources:
         mem_mb=megabytes(600, 60),
     params:
@@ -88,8 +86,6 @@ rule report:
         tables=directory(f"<results>/{DATASET}/report/tables"),
     log:
         f"<logs>/{DATASET}/report.log",
-    conda:
-        "../envs/motionsplat.yaml"
     conda:
         "../envs/motionsplat.yaml"
     resources:
