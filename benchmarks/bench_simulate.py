@@ -55,7 +55,8 @@ def growth(sizes: Iterable[float], seconds: Iterable[float]) -> float:
 def clean_frame(stage: Stage, right_eye: bool = True) -> None:
     """One clean frame with all truth, as the simulator draws it: one new moment, one or two pictures, the motion."""
     middle = stage.scene.frames // 2
-    now, other = stage.moment(middle), frames.Moment(stage.world.at(middle), stage.view(middle + 1))
+    now = stage.moment(middle)
+    other = frames.Moment(now.snapshot, stage.view(middle + 1))
     seen = frames.see(stage, now)
     frames.to_srgb(frames.develop(stage, now, seen, with_effects=False))
     uv = pixel_grid(stage.scene.height, stage.scene.width).reshape(-1, 2)

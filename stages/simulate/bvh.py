@@ -10,6 +10,8 @@ import numpy as np
 from numba import njit
 
 LEAF = 4
+FAST = {"nnan", "nsz", "contract"}
+"""No step makes a NaN: inf only meets numbers other than 0, see `_slope`, and a zero determinant returns early."""
 EDGE = 1e-9
 """Barycentric tolerance: neighbours overlap by this much, so that no ray slips between them."""
 
@@ -66,7 +68,7 @@ def _boxes(corners: np.ndarray, levels: int) -> tuple[np.ndarray, np.ndarray]:
     return low, high
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@njit(cache=True, error_model="numpy", inline="always", fastmath=FAST)
 def _enters(
     low: np.ndarray,
     high: np.ndarray,
@@ -88,7 +90,7 @@ def _enters(
     return near <= far
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@njit(cache=True, error_model="numpy", inline="always", fastmath=FAST)
 def _meets(
     corners: np.ndarray, k: int, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float
 ) -> tuple[float, float, float]:
@@ -112,13 +114,13 @@ def _meets(
     return (fx * qx + fy * qy + fz * qz) * inverse, u, v
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@njit(cache=True, error_model="numpy", inline="always", fastmath=FAST)
 def _slope(x: float) -> float:
     """1 / x, large instead of infinite at 0 so that a slab test never forms 0 * inf."""
     return 1.0 / x if abs(x) > 1e-200 else 1e200
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", fastmath=FAST)
 def walk(
     tree: Tree, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float, reach: float, any_hit: bool
 ) -> tuple[float, int, float, float]:
