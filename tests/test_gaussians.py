@@ -15,7 +15,7 @@ from stages.gaussians.exposure import Exposure
 from stages.gaussians.initialise import cloud_within, dynamic_share, initial_cloud, lift, near_plane_of
 from stages.gaussians.inputs import read_observations
 from stages.gaussians.model import Cloud, GaussianScene, scene_from_tensors, scene_tensors
-from stages.gaussians.observations import Observations, dense_depth, with_mover_depth
+from stages.gaussians.observations import Observations, dense_depth, with_movers
 from stages.gaussians.optimise import Trainer
 from stages.gaussians.options import GaussiansOptions, RenderOptions
 from stages.gaussians.skinning import skin, to_canonical
@@ -114,8 +114,20 @@ def test_skinning_and_its_inverse() -> None:
     canonical, found = to_canonical(moved, np.full(len(moved), 0.9), motion, 4)
     assert found.all()
     assert np.abs(canonical - rest.numpy()).max() < 1e-3
-    _, found = to_canonical(moved + np.array([0, 0, 30.0]), np.full(len(moved), 0.9), motion, 4)
-    assert not found.any()
+
+
+def test_a_wholly_masked_image_keeps_what_no_control_point_reaches() -> None:
+    seen = truth.observations(TRAIN)
+    seen.masks[:] = True
+    kept = with_movers(seen, truth.true_motion())
+    square = truth.observations(TRAIN).masks
+    assert kept.masks[square].all()
+    assert not kept.masks[:, :, :8].any()
+    motion = truth.true_motion()
+    cloud = initial_cloud(kept, motion, CANONICAL, stride_px=2, K=4, sh_degree=0)
+    scene = GaussianScene(cloud, motion, torch.zeros(3), near_plane_of(kept), neighbours=4)
+    expected, _, mask = truth.ray_cast(truth.cameras()[0], truth.TIMES[0])
+    assert psnr(image_at(scene, 0), expected, np.ones_like(mask)) > 20
 
 
 def test_depth_of_a_slanted_plane_is_exact_and_edges_follow_the_image() -> None:
@@ -148,7 +160,7 @@ def test_guessed_depth_of_movers_comes_from_the_control_points() -> None:
     seen = truth.observations(TRAIN)
     seen.depths[seen.masks] = 4.0  # what a fill from the background would give
     seen.guessed[:] = True
-    repaired = with_mover_depth(seen, truth.true_motion())
+    repaired = with_movers(seen, truth.true_motion())
     expected = truth.observations(TRAIN).depths
     assert np.abs(repaired.depths / expected - 1)[seen.masks].max() < 0.01
     assert np.array_equal(repaired.depths[~seen.masks], seen.depths[~seen.masks])

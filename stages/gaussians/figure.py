@@ -34,7 +34,7 @@ def write_figure(path: Path, image: np.ndarray) -> None:
 def training_figure(trainer: Trainer, seen: Observations) -> np.ndarray:
     """Frame, render and difference x GAIN of two training frames; below, the PSNR curve. [H, W, 3] uint8."""
     cells = []
-    for f in spread(len(seen.images), 4)[1:3]:
+    for f in spread(len(seen.images), 2):
         view = trainer.scene.render(
             float(seen.times[f]), trainer.viewmats[f], trainer.Ks[f], trainer.width, trainer.height
         )
@@ -49,7 +49,9 @@ def _curve(trainer: Trainer) -> np.ndarray:
     from matplotlib import pyplot
 
     history = trainer.history
-    round_of = len(trainer.targets)  # the mean over one round of frames: the single values differ by frame
+    round_of = min(
+        len(trainer.targets), len(history.step)
+    )  # the mean over one round of frames: the single values differ by frame
     psnr = np.convolve(history.psnr, np.full(round_of, 1 / round_of), mode="valid")
     dpi = 100
     figure, left = pyplot.subplots(figsize=(WIDTH_PX / dpi, 2.6), dpi=dpi, layout="constrained")

@@ -1,18 +1,20 @@
 """What Gaussians are trained on: the training frames with their masks, dense depth and cameras."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 from scipy.spatial import cKDTree
 
 from stages.control.deformation import Deformation
-from stages.shared.cameras import project
+from stages.shared.cameras import project, unproject
 
 COLOUR_STD = 0.06
 """Difference of colour (0..1) across which depth is not carried over."""
 UNLIKE_WEIGHT = 1e-4
 """Weight of a grid pixel of any other colour, so that a pixel unlike all four gets their bilinear mean."""
+REACH = 6.0
+"""A point farther than this many kernel radii from every control point is no part of what they move."""
 FARTHEST = 1e3
 """Depth is at most this many times the median depth: sky has inverse depth 0."""
 
@@ -69,24 +71,37 @@ def _grid_neighbours(size: int, grid_size: int, stride_px: int) -> tuple[np.ndar
     return np.stack([low, low + 1]).clip(0, grid_size - 1), np.stack([1 - (at - low), at - low])
 
 
-def with_mover_depth(seen: Observations, deformation: Deformation) -> Observations:
-    """Replace guessed depth inside the masks by that of the control points near the pixel.
+def with_movers(seen: Observations, deformation: Deformation) -> Observations:
+    """Give masked pixels the depth of the control points that carry them, and unmask those that none can carry.
 
-    The pose stage cannot triangulate what moves and fills it from the background; the control points know better,
-    and Gaussians must lie where the control points that carry them are.
+    The pose stage cannot triangulate what moves and guesses its depth from the background; the control points know
+    better, and Gaussians must lie where the control points that carry them are. A masked pixel farther than REACH
+    kernel radii from all of them (a false mask, or the whole image masked) counts as static: else it would be a hole.
     """
-    depths = seen.depths.copy()
+    depths, masks = seen.depths.copy(), seen.masks.copy()
+    radii = deformation.log_radii.detach().exp().double().numpy()
     for f in range(len(depths)):
-        v, u = np.nonzero(seen.masks[f] & seen.guessed[f])
+        v, u = np.nonzero(masks[f])
         with torch.no_grad():
             _, translations = deformation(torch.tensor([seen.times[f]]))
         points = (deformation.points + translations[0]).double().numpy()
-        uv, z = project(points, seen.cam_from_world[f], seen.Ks[f])
-        front = z > 0
-        if len(u) and front.any():
-            K = min(4, int(front.sum()))
-            dist, index = cKDTree(uv[front]).query(np.stack([u, v], axis=-1), k=np.arange(1, K + 1))
-            weights = 1 / (dist + 1)
-            inverse = (weights / z[front][index]).sum(axis=1) / weights.sum(axis=1)
-            depths[f, v, u] = 1 / inverse
-    return Observations(seen.images, seen.masks, depths, seen.guessed, seen.cam_from_world, seen.Ks, seen.times)
+        pixels, pose, K = np.stack([u, v], axis=-1), seen.cam_from_world[f], seen.Ks[f]
+        guess = _depth_from_points(pixels, points, pose, K)
+        depth = np.where(seen.guessed[f, v, u] & np.isfinite(guess), guess, depths[f, v, u])
+        dist, nearest = cKDTree(points).query(unproject(pixels.astype(float), depth, pose, K))
+        carried = dist < REACH * radii[nearest]
+        depths[f, v[carried], u[carried]] = depth[carried]
+        masks[f, v[~carried], u[~carried]] = False
+    return replace(seen, masks=masks, depths=depths)
+
+
+def _depth_from_points(pixels: np.ndarray, points: np.ndarray, pose: np.ndarray, K: np.ndarray) -> np.ndarray:
+    """Depth [n] of pixels [n, 2] from the four points [P, 3] nearest in the image; infinite if none is in front."""
+    z = points @ pose[2, :3] + pose[2, 3]
+    front = points[z > 0]
+    if len(front) == 0:
+        return np.full(len(pixels), np.inf)
+    uv, z = project(front, pose, K)
+    dist, index = cKDTree(uv).query(pixels, k=np.arange(1, min(4, len(front)) + 1))
+    weights = 1 / (dist + 1)
+    return np.asarray(weights.sum(axis=1) / (weights / z[index]).sum(axis=1))

@@ -1,5 +1,6 @@
 """Stage 2: fit the scene to the training frames by L1 + D-SSIM + ARAP, one frame per step."""
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -94,7 +95,7 @@ class Trainer:
         if view.centres[0].grad is not None:
             self.record.add(view.centres[0].grad)
         mse = float(difference.detach().square().mean())
-        return float(loss.detach()), -10 * float(np.log10(mse))
+        return float(loss.detach()), -10 * math.log10(mse) if mse > 0 else math.inf
 
     def _frame_of_step(self) -> int:
         """Frames in random order, each once per round; a function of seed and step alone, so that runs can resume."""

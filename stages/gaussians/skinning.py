@@ -7,8 +7,6 @@ from torch import Tensor
 from stages.control.deformation import Deformation
 from stages.control.lbs import blend, inverse_blend, lbs_weights, neighbours
 
-REACH = 6.0
-"""A point farther than this many kernel radii from every control point is no part of what they move."""
 MAX_ERROR = 0.5
 """The inverse is accepted if skinning takes it this close to the point, in median kernel radii."""
 
@@ -37,8 +35,8 @@ def to_canonical(
         seen = torch.as_tensor(positions[rows], dtype=torch.float32)
         with torch.no_grad():
             quats, translations = (motion[0] for motion in deformation(seen.new_tensor([time])))
-            rest, remoteness = inverse_blend(seen, points, quats, translations, log_radii, K)
+            rest, _ = inverse_blend(seen, points, quats, translations, log_radii, K)
             error = (seen - skin(rest, float(time), deformation, K)).norm(dim=-1)
             canonical[rows] = rest.numpy()
-            found[rows] = ((remoteness < REACH) & (error < MAX_ERROR * log_radii.exp().median())).numpy()
+            found[rows] = (error < MAX_ERROR * log_radii.exp().median()).numpy()
     return canonical, found

@@ -75,7 +75,7 @@ def _new_scene(
     from stages.gaussians.initialise import cloud_within, near_plane_of
     from stages.gaussians.inputs import canonical_row
     from stages.gaussians.model import GaussianScene
-    from stages.gaussians.observations import with_mover_depth
+    from stages.gaussians.observations import with_movers
     from stages.gaussians.rasterize import backend_name, choose_device
 
     device = choose_device(options.device)
@@ -84,7 +84,11 @@ def _new_scene(
     if motion is None:
         logger.info("no control points: every Gaussian is static, the masks are not used")
     else:
-        seen = with_mover_depth(seen, motion)
+        masked = seen.masks.sum()
+        seen = with_movers(seen, motion)
+        logger.info(
+            "%d of %d masked pixels are out of reach of the control points: static", masked - seen.masks.sum(), masked
+        )
         canonical = canonical_row(seen, sequence, deformation)
     cloud, stride_px = cloud_within(
         seen,

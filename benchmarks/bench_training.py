@@ -1,0 +1,107 @@
+"""Where the time of a training step goes, and what a Gaussian costs in memory.
+
+Run as `python -m benchmarks.bench_training`. The scene is random: 45,000 static and 5,000 dynamic Gaussians on 512
+control points, 512 x 218 pixels. Parts are medians over steps of the same run; "other" is what no part claims.
+"""
+
+import statistics
+import time
+from collections import defaultdict
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import torch
+
+from stages.control import arap, lbs_kernels
+from stages.control.deformation import TableDeformation
+from stages.gaussians import projection_kernels, raster_adjoint, raster_kernels, ssim_kernels
+from stages.gaussians.model import Cloud, GaussianScene
+from stages.gaussians.observations import Observations
+from stages.gaussians.optimise import Trainer
+from stages.gaussians.options import GaussiansOptions
+from stages.shared.cameras import centred_intrinsics
+
+N, N_DYNAMIC, P, WIDTH, HEIGHT, F = 50_000, 5_000, 512, 512, 218, 4
+STEPS, WARM_UP = 30, 3
+GOAL_MS = 60.0
+PARTS = {
+    "rasterise": [(raster_kernels, "gather"), (raster_kernels, "bin_tiles"), (raster_kernels, "composite")],
+    "rasterise, backward": [(raster_adjoint, "composite_adjoint"), (raster_adjoint, "scatter")],
+    "project": [(projection_kernels, "project")],
+    "project, backward": [(projection_kernels, "project_adjoint")],
+    "skin": [(lbs_kernels, name) for name in ("softmax_weights", "softmax_weights_adjoint", "blend", "blend_adjoint")],
+    "SSIM with gradient": [(ssim_kernels, name) for name in ("products", "blur", "similarity", "assemble")],
+    "ARAP, forward": [(arap, "arap_energy"), (arap, "arap_graph")],
+    "Adam": [(torch.optim.Adam, "step")],
+}
+
+
+def random_trainer(n: int) -> Trainer:
+    """A trainer on n Gaussians as dense as a lifted frame, and random images."""
+    random = np.random.default_rng(0)
+    depths = random.uniform(2, 8, n)
+    focal_px = 450.0
+    uv = random.uniform(-0.5, 0.5, (n, 2)) * [WIDTH, HEIGHT]
+    means = np.concatenate([uv / focal_px, np.ones((n, 1))], axis=1) * depths[:, None]
+    footprints = torch.tensor(2 * depths / focal_px, dtype=torch.float32)
+    cloud = Cloud(
+        means=torch.tensor(means, dtype=torch.float32),
+        footprints=footprints,
+        log_scales=(0.7 * footprints).log()[:, None] + 0.3 * torch.randn(n, 3, generator=torch.manual_seed(0)),
+        quats=torch.randn(n, 4, generator=torch.manual_seed(1)),
+        logits=torch.randn(n, generator=torch.manual_seed(2)) + 0.5,
+        sh=torch.randn(n, 1, 3, generator=torch.manual_seed(3)),
+        dynamic=torch.arange(n) >= n - N_DYNAMIC * n // N,
+    )
+    points = cloud.means[-P:]
+    motion = TableDeformation(points, torch.full((P,), -1.0), torch.linspace(0, 1, F))
+    images = random.uniform(size=(F, HEIGHT, WIDTH, 3)).astype(np.float32)
+    empty = np.zeros((F, HEIGHT, WIDTH))
+    K = centred_intrinsics(focal_px, WIDTH, HEIGHT)
+    poses, Ks = np.tile(np.eye(4), (F, 1, 1)), np.tile(K, (F, 1, 1))
+    seen = Observations(images, empty > 0, empty + 5, empty > 0, poses, Ks, np.linspace(0, 1, F))
+    scene = GaussianScene(cloud, motion, torch.zeros(3), 0.05, neighbours=4)
+    return Trainer(scene, seen, GaussiansOptions(steps=1000, densify=False), arap_weight=0.01)
+
+
+def clocked(function: Callable[..., Any], seconds: defaultdict[str, float], part: str) -> Callable[..., Any]:
+    """The function, adding its time to `seconds[part]`."""
+
+    def wrapper(*arguments: Any, **options: Any) -> Any:
+        began = time.perf_counter()
+        try:
+            return function(*arguments, **options)
+        finally:
+            seconds[part] += time.perf_counter() - began
+
+    return wrapper
+
+
+def main() -> None:
+    """Print the milliseconds of each part and the bytes per Gaussian."""
+    seconds: defaultdict[str, float] = defaultdict(float)
+    for part, functions in PARTS.items():
+        for owner, name in functions:
+            setattr(owner, name, clocked(getattr(owner, name), seconds, part))
+    trainer = random_trainer(N)
+    rows: list[dict[str, float]] = []
+    for _ in range(WARM_UP + STEPS):
+        seconds.clear()
+        began = time.perf_counter()
+        trainer._train_step()
+        trainer.step += 1
+        rows.append(dict(seconds) | {"step": time.perf_counter() - began})
+    medians = {part: 1e3 * statistics.median(row.get(part, 0.0) for row in rows[WARM_UP:]) for part in (*PARTS, "step")}
+    size = f"{N} Gaussians, {WIDTH}x{HEIGHT}, {torch.get_num_threads()} threads"
+    print(f"training step, {size}: {medians['step']:.1f} ms (goal {GOAL_MS:.0f})")
+    medians["other"] = medians["step"] - sum(medians[part] for part in PARTS)
+    for part in (*PARTS, "other"):
+        print(f"  {part:22}{medians[part]:7.1f} ms {100 * medians[part] / medians['step']:5.0f} %")
+    parameters = sum(parameter.nbytes for parameter in trainer.scene.gaussians.values()) / N
+    fixed = (trainer.scene.anchors.nbytes + trainer.scene.footprints.nbytes) / N
+    print(f"  bytes per Gaussian: {parameters + fixed:.0f} kept, {3 * parameters:.0f} for gradients and Adam's moments")
+
+
+if __name__ == "__main__":
+    main()
