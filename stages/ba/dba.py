@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from stages.ba import kernel, reduced
+from stages.ba import kernel, reduced, residuals
 from stages.ba.graph import FlowGraph
 from stages.shared import lie
 
@@ -95,7 +95,7 @@ def normalise(state: State) -> State:
 def errors_px(graph: FlowGraph, state: State) -> np.ndarray:
     """Reprojection errors of the matches [E, P] float32 in px (1e6 behind the camera)."""
     data, at = observations(graph), geometry(graph, state)
-    return np.asarray(kernel.errors_px(data, at))
+    return np.asarray(residuals.errors_px(data, at))
 
 
 def robust_cost(graph: FlowGraph, errors: np.ndarray, sigma_px: float) -> float:
@@ -120,7 +120,7 @@ def sweep(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Best inverse depth [T, P] and its curvature [T, P] (px^2) with the poses fixed, from `candidates` [K, T, P]."""
     data, at = observations(graph), geometry(graph, state)
-    best, curvature = kernel.sweep_depth(data, at, float(sigma_px), candidates, refinements, *INVERSE_DEPTHS)
+    best, curvature = residuals.sweep_depth(data, at, float(sigma_px), candidates, refinements, *INVERSE_DEPTHS)
     return best, curvature
 
 

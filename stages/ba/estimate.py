@@ -44,6 +44,18 @@ class Problem:
 
 
 @dataclass(frozen=True)
+class Focal:
+    """The decision about the focal length: "estimated", "weakly observed", "held at prior" or "known".
+
+    `relative_sigma` is its predicted relative error, were it estimated; `reason` says why it was held.
+    """
+
+    decision: str
+    relative_sigma: float | None
+    reason: str = ""
+
+
+@dataclass(frozen=True)
 class Estimate:
     """A solution with what is needed to judge it.
 
@@ -74,21 +86,29 @@ def estimate(problem: Problem, options: BAOptions) -> Estimate:
         return _failure(graph, problem.known_focal_px or prior.focal_px)
     statistics = classify.measure(graph, focals, options.seed)
     if statistics.camera == "rotating":
-        state, steps = rotation.solve_rotations(graph, prior, problem.known_focal_px)
-        return _finish(problem, statistics, state, Unknowns(problem.known_focal_px is None, False), [], steps)
+        return _estimate_rotations(problem, statistics, prior)
     candidates = _candidates(problem, statistics, prior, focals, options)
     start = initialise.choose(candidates)
-    refined, unknowns = _refine(problem, statistics, start, prior)
+    refined, focal = _refine(problem, statistics, start, prior)
     others = [candidate for candidate in candidates if candidate is not start]
     residual_px = median_residual(graph, refined.state)
     doubts = classify.doubts(replace(start, state=refined.state), others, statistics, residual_px)
     steps = [step for candidate in candidates for step in candidate.steps] + refined.steps
-    return _finish(problem, statistics, refined.state, unknowns, doubts, steps)
+    return _finish(problem, statistics, refined.state, focal, doubts, steps)
+
+
+def _estimate_rotations(problem: Problem, statistics: Statistics, prior: FocalPrior) -> Estimate:
+    state, steps = rotation.solve_rotations(problem.graph, prior, problem.known_focal_px)
+    sigma = focal_sigma(problem.graph, state, translation=False)
+    focal = Focal("weakly observed" if sigma > WEAK_FOCAL else "estimated", sigma)
+    if problem.known_focal_px:
+        focal = Focal("known", 0.0)
+    return _finish(problem, statistics, state, focal, [], steps)
 
 
 def median_residual(graph: FlowGraph, state: State) -> float:
-    """Median reprojection error in px of the matches with weight above 0.5 (infinite without any)."""
-    errors = dba.errors_px(graph, state)[graph.weights > 0.5]
+    """Median reprojection error in px of the confident matches (infinite without any)."""
+    errors = dba.errors_px(graph, state)[graph.weights > MIN_WEIGHT]
     return float(np.median(errors)) if errors.size else float("inf")
 
 
@@ -102,7 +122,7 @@ def _failure(graph: FlowGraph, focal_px: float) -> Estimate:
     T = graph.T
     state = State(np.tile(np.eye(4), (T, 1, 1)), np.ones((T, len(graph.pixels))), focal_px)
     reason = "failed: neighbouring frames share too few confident static matches; the poses are the identity"
-    focal = {"decision": "held at prior", "focal_px": focal_px, "relative_sigma": None}
+    focal = asdict(Focal("held at prior", None, "nothing could be estimated")) | {"focal_px": focal_px}
     return Estimate(state, "failed", np.zeros((T, 6, 6)), float("inf"), focal, {}, [reason])
 
 
@@ -128,29 +148,47 @@ def _candidates(
     return [initialise.adjust(graph, state, schedule, Unknowns(), prior, name) for name, state in starts.items()]
 
 
-def _refine(
-    problem: Problem, statistics: Statistics, start: Candidate, prior: FocalPrior
-) -> tuple[Candidate, Unknowns]:
+def _refine(problem: Problem, statistics: Statistics, start: Candidate, prior: FocalPrior) -> tuple[Candidate, Focal]:
     """The start adjusted to the end, with the focal length free where masks or evidence allow it."""
     graph = problem.graph
-    errors = dba.errors_px(graph, start.state)
-    consistent = float(graph.weights[errors < 1.0].sum() / graph.weights.sum())
-    free = problem.known_focal_px is None and statistics.camera == "moving"
-    unknowns = Unknowns(focal=free and (problem.masked or consistent >= CONSISTENT_SHARE))
-    refined = initialise.adjust(graph, start.state, FINE, unknowns, prior, "refinement")
-    state = initialise.search_depth(graph, refined.state, FINE[-1].sigma_px)
-    again = initialise.adjust(graph, state, FINE[-1:], unknowns, prior, "refinement, depths searched")
-    if unknowns.focal and focal_sigma(graph, again.state) > BLIND_FOCAL:
-        unknowns = Unknowns()
-        held = replace(again.state, focal_px=prior.focal_px)
-        again = initialise.adjust(graph, held, FINE, unknowns, prior, "refinement, focal held")
-    return replace(again, steps=refined.steps + again.steps), unknowns
+    reason = _reason_to_hold(problem, statistics, start.state)
+    if not reason:
+        refined = _adjust_twice(graph, start.state, Unknowns(focal=True), prior)
+        sigma = focal_sigma(graph, refined.state)
+        if sigma <= BLIND_FOCAL:
+            return refined, Focal("weakly observed" if sigma > WEAK_FOCAL else "estimated", sigma)
+        reason = f"its predicted error is {100 * sigma:.0f} %"
+    if problem.known_focal_px:
+        return _adjust_twice(graph, start.state, Unknowns(), prior), Focal("known", 0.0)
+    held = replace(start.state, focal_px=prior.focal_px)
+    refined = _adjust_twice(graph, held, Unknowns(), prior)
+    return refined, Focal("held at prior", focal_sigma(graph, refined.state), reason)
 
 
-def focal_sigma(graph: FlowGraph, state: State, unknowns: Unknowns | None = None) -> float:
+def _reason_to_hold(problem: Problem, statistics: Statistics, state: State) -> str:
+    """Why the focal length must not be free, in words; empty if it may be."""
+    if problem.known_focal_px:
+        return "it is known"
+    if statistics.camera != "moving":
+        return "the camera hardly moves"
+    graph = problem.graph
+    consistent = graph.weights[dba.errors_px(graph, state) < 1.0].sum() / graph.weights.sum()
+    if not problem.masked and consistent < CONSISTENT_SHARE:
+        return f"there are no masks yet and only {100 * consistent:.0f} % of the matches fit a static scene"
+    return ""
+
+
+def _adjust_twice(graph: FlowGraph, state: State, unknowns: Unknowns, prior: FocalPrior) -> Candidate:
+    """Adjusted, then once more with the depths searched anew: some pixels were caught at a wrong depth before."""
+    first = initialise.adjust(graph, state, FINE, unknowns, prior, "refinement")
+    searched = initialise.search_depth(graph, first.state, FINE[-1].sigma_px)
+    again = initialise.adjust(graph, searched, FINE[-1:], unknowns, prior, "refinement, depths searched")
+    return replace(again, steps=first.steps + again.steps)
+
+
+def focal_sigma(graph: FlowGraph, state: State, translation: bool = True) -> float:
     """Predicted relative standard deviation of the focal length with poses and depths marginalised."""
-    unknowns = unknowns or Unknowns(focal=True)
-    return float(np.sqrt(_covariance(graph, state, replace(unknowns, focal=True))[-1, -1]))
+    return float(np.sqrt(_covariance(graph, state, Unknowns(focal=True, translation=translation))[-1, -1]))
 
 
 def _covariance(graph: FlowGraph, state: State, unknowns: Unknowns) -> np.ndarray:
@@ -161,24 +199,16 @@ def _covariance(graph: FlowGraph, state: State, unknowns: Unknowns) -> np.ndarra
 
 
 def _finish(
-    problem: Problem,
-    statistics: Statistics,
-    state: State,
-    unknowns: Unknowns,
-    doubts: list[str],
-    steps: list[Step],
+    problem: Problem, statistics: Statistics, state: State, focal: Focal, doubts: list[str], steps: list[Step]
 ) -> Estimate:
     graph = problem.graph
-    sigma = focal_sigma(graph, state, unknowns)
-    decision = "known"
-    if problem.known_focal_px is None:
-        decision = ("weakly observed" if sigma > WEAK_FOCAL else "estimated") if unknowns.focal else "held at prior"
-    focal = {"decision": decision, "focal_px": state.focal_px, "relative_sigma": sigma}
+    unknowns = Unknowns(focal.decision in ("estimated", "weakly observed"), statistics.camera != "rotating")
     blocks = _covariance(graph, state, unknowns)[:-1, :-1].reshape(graph.T, 6, graph.T, 6)
     covariance = np.einsum("iaib->iab", blocks)
     flags = list(doubts)
-    if decision == "weakly observed":
-        flags.append(f"focal length weakly observed: predicted error {100 * sigma:.0f} %")
+    if focal.decision == "weakly observed":
+        flags.append(f"focal length weakly observed: predicted error {100 * (focal.relative_sigma or 0):.0f} %")
     numbers = asdict(statistics) | {"camera": statistics.camera, "planar": statistics.planar}
     residual_px = median_residual(graph, state)
-    return Estimate(state, statistics.camera, covariance, residual_px, focal, numbers, flags, steps)
+    decision = asdict(focal) | {"focal_px": state.focal_px}
+    return Estimate(state, statistics.camera, covariance, residual_px, decision, numbers, flags, steps)

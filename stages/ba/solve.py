@@ -9,7 +9,7 @@ import numpy as np
 from stages.ba import dba, figures
 from stages.ba.depth import DepthMaps, depth_maps
 from stages.ba.estimate import Estimate, Problem, estimate
-from stages.ba.graph import FlowGraph, build_graph, mask_graph, static_areas, trusted_static_areas
+from stages.ba.graph import MIN_WEIGHT, FlowGraph, build_graph, mask_graph, static_areas, trusted_static_areas
 from stages.ba.options import BAOptions
 from stages.shared import cli, sintel
 from stages.shared.artifacts import read_dense, read_metadata, write_dense, write_table
@@ -64,6 +64,7 @@ def main(
     masked = bool((static < 1).any()) or previous is not None
     solution = estimate(Problem(graph, masked, known_focal_px, previous), options)
     flags = solution.flags + _mask_doubts(static, unmasked, previous_poses)
+    logger.info("camera %s; focal length %s", solution.camera, solution.focal)
     for flag in flags:
         logger.warning("ba: %s: doubtful: %s", frames.name, flag)
     fine = mask_graph(build_graph(*columns, options.depth_stride_px, centre), static)
@@ -73,7 +74,7 @@ def main(
     write_tum(trajectory, cameras)
     _write_depth(depth, maps, frames, options.depth_stride_px / float(metadata["scale"]))
     _write_convergence(convergence, solution)
-    errors = dba.errors_px(graph, solution.state)[graph.weights > 0.5]
+    errors = dba.errors_px(graph, solution.state)[graph.weights > MIN_WEIGHT]
     title = f"{frames.name}: camera {solution.camera}, focal length {solution.focal['decision']}"
     figures.draw(figure, cameras.centres, solution.steps, maps.inverse_depth, errors, title)
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from stages.ba import classify, dba, kernel, reduced, twoview
+from stages.ba import classify, dba, kernel, reduced, residuals, twoview
 from stages.ba.dba import FocalPrior, Level, State, Unknowns
 from stages.ba.depth import depth_maps, fill
 from stages.ba.estimate import Estimate, Problem, estimate
@@ -129,7 +129,7 @@ def test_points_at_the_target_camera_count_as_outliers_and_not_as_infinities() -
     poses[1, :3, 3] = [0.0, 0.0, -1.0]
     state = State(poses, np.ones((3, len(graph.pixels))), scene.focal_px)
     errors = dba.errors_px(graph, state)
-    assert errors[graph.edge(0, 1)].min() == kernel.BEHIND_PX
+    assert errors[graph.edge(0, 1)].min() == residuals.BEHIND_PX
     assert np.isfinite(dba.robust_cost(graph, errors, 1.0))
     S, rhs = dba.linear_system(graph, state, 1.0)
     assert np.isfinite(S).all()
