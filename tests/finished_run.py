@@ -100,7 +100,8 @@ def write_results(folder: Path) -> None:
     columns["variance"] = np.ones_like(columns["inverse_depth"])
     write_dense(folder / "ba/depth.arrow", columns, {"stride_px": STRIDE})
     steps = np.arange(5)
-    write_table(folder / "ba/convergence.parquet", {"iteration": steps, "cost": 10.0 / (1 + steps), "seconds": steps})
+    phases = {"phase": ["start", "start", *["refinement"] * 3], "sigma_px": [1.0, 1.0, 1.0, 0.5, 0.5]}
+    write_table(folder / "ba/convergence.parquet", {"iteration": steps, "cost": 10.0 / (1 + steps), **phases})
     write_table(folder / "gaussians/convergence.parquet", {"step": steps, "loss": 1.0 / (1 + steps)})
     for k in range(T):
         split = "test" if k == 4 else "train"

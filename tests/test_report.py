@@ -16,6 +16,7 @@ from conftest import REPO
 
 from stages.eval import overview, published, report, summaries
 from stages.eval.options import ReportOptions
+from stages.eval.tables import decimal
 from stages.shared.artifacts import write_json
 from tests import finished_run as run
 
@@ -151,6 +152,14 @@ def test_our_mean_joins_published_rows_only_on_all_14_sequences() -> None:
     assert "not the same data" in incomplete.title
     assert "scored 13 of these 14" in incomplete.note
     assert all(row["method"] != "ours" for row in incomplete.rows)
+
+
+@pytest.mark.parametrize(
+    ("value", "digits", "text"),
+    [(12.345, 2, "12.35"), (0.031, 2, "0.031"), (0.00038, 4, "0.00038"), (0.0, 2, "0.00"), (-0.2333, 1, "-0.23")],
+)
+def test_small_numbers_keep_two_significant_digits(value: float, digits: int, text: str) -> None:
+    assert decimal(value, digits) == text
 
 
 def test_published_numbers_carry_their_source() -> None:

@@ -21,7 +21,8 @@ def simulation_rows(manifests: Path | None, name: str) -> list[Row]:
     ]
     rows += [{"effect": effect, "simulated": "no", "settings": ""} for effect in content["not_simulated"]]
     return [
-        {"sequence": name, **row, "seconds": seconds.get(row["effect"], 0.0), "calls": calls.get(row["effect"], 0)}
+        {"sequence": name, **row, "effect": row["effect"].replace("_", " ")}
+        | {"seconds": seconds.get(row["effect"], 0.0), "calls": calls.get(row["effect"], 0)}
         for row in rows
     ]
 

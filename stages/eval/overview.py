@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from stages.eval import published, report_tables, summaries
-from stages.eval.tables import Row, Table
+from stages.eval.tables import Row, Table, decimal
 
 Rows = Mapping[str, list[Row]]
 
@@ -43,7 +43,7 @@ TEXTS = {
     "frame is the least that a method must beat.",
     "masks": "How well the pixels called dynamic match those that truly move.",
     "checks": "How well poses and depth explain the optical flow (needs no truth), and flow and depth against truth.",
-    "time": "What every stage cost. Each sequence has its own table further down.",
+    "time": "What every stage cost, from the start of its process to the end.",
     "effects": "Only what a scene calls for is modelled; what is left out costs nothing.",
 }
 
@@ -86,8 +86,10 @@ def tiles(rows: Rows) -> list[Tile]:
     seconds, peak_mb = _per_sequence(own, "wall_s", sum), _per_sequence(own, "peak_mb", max)
     rivals = [row for row in summaries.pose_means(rows["poses"]) if _rival(row)]
     best = min(rivals, key=lambda row: row["ate_percent"], default=None)
-    against = f"best COLMAP: {best['ate_percent']:.2f} %" if best else "COLMAP: none"
+    against = f"best COLMAP: {decimal(best['ate_percent'], 2)} %" if best else "COLMAP: none"
     copied_words = f"nearest training frame: {copied['psnr_db']:.1f} dB" if copied else ""
+    cpu_s = f"; {np.mean(_per_sequence(own, 'cpu_s', sum)):.0f} s of CPU" if seconds else ""
+    spent = f"per sequence, without COLMAP{cpu_s}; n = {len(seconds)}"
     return [
         Tile("Camera error (ATE)", _show(ours, "ate_percent", 2), "% of path", f"{_scored(ours)}; {against}"),
         Tile("Focal error", _show(ours, "focal_abs_percent", 1), "%", _scored(ours)),
@@ -95,12 +97,7 @@ def tiles(rows: Rows) -> list[Tile]:
             "Held-out PSNR", _show(image, "psnr_db", 1), "dB", "; ".join(filter(None, [_scored(image), copied_words]))
         ),
         Tile("Mask IoU", _show(mask, "iou", 2), "", _scored(mask)),
-        Tile(
-            "Time",
-            f"{np.mean(seconds):.0f}" if seconds else "n/a",
-            "s",
-            f"per sequence, without COLMAP; n = {len(seconds)}",
-        ),
+        Tile("Time", f"{np.mean(seconds):.0f}" if seconds else "n/a", "s", spent),
         Tile("Peak memory", f"{max(peak_mb):.0f}" if peak_mb else "n/a", "MB", "largest of all stages"),
     ]
 
@@ -145,7 +142,7 @@ def _per_sequence(rows: Sequence[Row], key: str, combine: Callable[[list[float]]
 
 
 def _show(row: Row | None, key: str, digits: int) -> str:
-    return f"{row[key]:.{digits}f}" if row and row[key] is not None else "n/a"
+    return decimal(row[key], digits) if row and row[key] is not None else "n/a"
 
 
 def _scored(row: Row | None) -> str:

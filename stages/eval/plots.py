@@ -1,6 +1,7 @@
 """Charts of the report, drawn by matplotlib as SVG or PNG bytes."""
 
 import io
+import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
@@ -11,6 +12,7 @@ from stages.eval.tables import Row
 
 COLOURS = {"truth": "#1a1a1a", "ours": "#c2410c"}
 OTHERS = ("#2563eb", "#0f766e", "#7c3aed", "#a16207", "#be185d", "#475569")
+MARKED_POINTS = 120
 LEGEND: Any = {"fontsize": 9, "loc": "lower left", "bbox_to_anchor": (0, 1), "ncols": 2, "columnspacing": 1.2}
 STYLE: Any = {
     "font.family": "sans-serif",
@@ -75,12 +77,28 @@ def draw_lines(
     with figure((5.2, 3.1), "svg") as (fig, done):
         axes = fig.add_subplot()
         for name, (x, y) in series.items():
-            axes.plot(x, y, label=name, marker="o", ms=2.5, lw=1.4, color=colour_of(name, methods))
+            marker = "o" if len(x) <= MARKED_POINTS else ""
+            axes.plot(x, y, label=name, marker=marker, ms=2.5, lw=1.4, color=colour_of(name, methods))
         axes.set(xlabel=labels[0], ylabel=labels[1], yscale="log" if log else "linear")
         if zero:
             axes.set_ylim(bottom=0)
         if len(series) > 1:
             axes.legend(**LEGEND)
+    return done.getvalue()
+
+
+def draw_runs(values: Sequence[float], runs: Sequence[tuple[str, float]], label: str) -> bytes:
+    """One line per unbroken run of equal (phase, kernel width) over the iterations, as SVG.
+
+    Costs of different runs cannot be compared; the runs that refine the chosen solution stand out.
+    """
+    starts = [0, *(k for k in range(1, len(runs)) if runs[k] != runs[k - 1]), len(runs)]
+    with figure((5.2, 3.1), "svg") as (fig, done):
+        axes = fig.add_subplot()
+        for start, end in itertools.pairwise(starts):
+            colour = COLOURS["ours"] if runs[start][0].startswith("refinement") else "#a8a29e"
+            axes.plot(range(start, end), values[start:end], marker="o", ms=2.5, lw=1.4, color=colour)
+        axes.set(xlabel="iteration", ylabel=label, yscale="log")
     return done.getvalue()
 
 

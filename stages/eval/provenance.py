@@ -101,7 +101,7 @@ def hashes_of(folder: Path) -> list[Row]:
     for name in PREDICTIONS:
         path = folder / name
         if path.exists():
-            files = sorted(file for file in path.rglob("*") if file.is_file()) if path.is_dir() else [path]
+            files = sorted(path.rglob("frame_*.png")) if path.is_dir() else [path]
             rows.append({"what": name, "sha256": sha256(files)[:16]})
     return rows
 

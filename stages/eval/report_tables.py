@@ -89,7 +89,7 @@ def time_tables(rows: list[Row]) -> tuple[Table, Table]:
 
 def check_tables(rows: list[Row]) -> tuple[Table, Table]:
     """What can be said without truth, and flow and depth where there is truth: means, and every sequence."""
-    what, value, unit = Column("quantity", "quantity"), Column("value", "value", "", 3), Column("unit", "unit")
+    what, value, unit = Column("quantity", "quantity"), Column("value", "value"), Column("unit", "unit")
     note = statements(rows, "quantity")
     means = summaries.mean_rows(rows, ("quantity", "unit"), ("value",))
     mean = Table("checks_mean", "Flow and depth, mean over sequences", note, (what, value, unit, N), means)
@@ -102,7 +102,7 @@ def decision_table(rows: list[Row]) -> Table:
     what = Column("effect", "effect"), Column("modelled", "modelled"), Column("why", "why", long=True)
     how = Column("source", "decided by"), Column("settings", "settings", long=True)
     note = (
-        "An effect that the evidence does not call for is not modelled; `user` marks a decision overruled by an option."
+        "An effect that the evidence does not call for is not modelled; 'user' marks a decision overruled by an option."
     )
     columns = (SEQUENCE, *what, *how, Column("evidence", "evidence", long=True))
     return Table("decisions", "Effects the reconstruction models", note, columns, rows)

@@ -194,18 +194,19 @@ def _render_figures(folder: Path, sequence: sequences.Sequence) -> list[Figure]:
 
 
 def _convergence_figures(folder: Path) -> list[Figure]:
-    found = []
     steps = read_table(_existing(folder, "ba/convergence.parquet"))
-    line = {"ours": (steps["iteration"].tolist(), steps["cost"].tolist())}
-    alt = f"Cost of bundle adjustment over {len(steps['cost'])} iterations, from {steps['cost'][0]:.4g}"
-    chart = plots.draw_lines(line, ("iteration (all phases)", "cost"), ["ours"], log=True)
-    found.append(_svg("Bundle adjustment", chart, f"{alt} to {steps['cost'][-1]:.4g}"))
+    cost = steps["cost"]
+    runs = list(zip(steps["phase"].tolist(), steps["sigma_px"].tolist(), strict=True))
+    title = "Bundle adjustment (orange: final refinement; grey: starts that compete)"
+    alt = f"Robust cost over {len(cost)} iterations in {len(set(runs))} runs, at the end {cost[-1]:.4g}"
+    found = [_svg(title, plots.draw_runs(cost.tolist(), runs, "robust cost"), alt)]
     training = read_table(_existing(folder, "gaussians/convergence.parquet"))
-    line = {"ours": (training["step"].tolist(), training["loss"].tolist())}
-    alt = f"Training loss over {len(training['loss'])} entries, from {training['loss'][0]:.3g}"
+    window = max(1, len(training["loss"]) // 20)
+    loss = np.convolve(training["loss"], np.full(window, 1 / window), "valid")
+    line = {"ours": (training["step"][window - 1 :].tolist(), loss.tolist())}
     chart = plots.draw_lines(line, ("training step", "loss"), ["ours"], log=True)
-    found.append(_svg("Gaussian training", chart, f"{alt} to {training['loss'][-1]:.3g}"))
-    return found
+    alt = f"Training loss, mean of {window} steps, from {loss[0]:.3g} to {loss[-1]:.3g}"
+    return [*found, _svg(f"Gaussian training (mean of {window} steps)", chart, alt)]
 
 
 def _stage_figures(folder: Path) -> list[Figure]:

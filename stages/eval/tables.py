@@ -3,6 +3,7 @@
 import base64
 import csv
 import io
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,7 +23,7 @@ class Column:
     Attributes:
         key: name in the rows and in the files.
         label, unit: heading.
-        digits: after the point; None for text and counts.
+        digits: after the point, more where the value needs them for two significant ones; None for text and counts.
         bar: draw each value as a bar too.
         long: sentences, shown small.
         file_only: in the CSV and Parquet copies, not on the page.
@@ -42,8 +43,8 @@ class Column:
         if value is None or value == "":
             return "n/a" if self.digits is not None else ""
         if self.digits is None:
-            return f"{value:g}" if isinstance(value, float) else str(value)
-        return f"{value:.{self.digits}f}"
+            return f"{value:.4g}" if isinstance(value, float) else str(value)
+        return decimal(value, self.digits)
 
     def style(self, rows: Sequence[Row]) -> str:
         """The class of the cells in these rows."""
@@ -112,6 +113,13 @@ class Table:
         about = {"title": self.title, "protocol": self.note, "units": units}
         rows = [{key: row.get(key) for key in keys} for row in self.rows]
         write_rows(folder / f"{self.name}.parquet", rows, keys, about)
+
+
+def decimal(value: float, digits: int) -> str:
+    """`value` with so many digits after the point, or as many as show two significant ones (at most 6)."""
+    small = 0 < abs(value) < 10**-digits * 10
+    needed = min(6, 1 - math.floor(math.log10(abs(value)))) if small else digits
+    return f"{value:.{max(digits, needed)}f}"
 
 
 def write_rows(path: Path, rows: Sequence[Row], columns: Sequence[str], about: Mapping[str, Any]) -> None:
