@@ -42,8 +42,15 @@ def lbs_weights(sq_dist: Tensor, log_radii: Tensor, index: Tensor) -> Tensor:
     Args:
         sq_dist: [N, K] squared distances. log_radii: [P] logarithms of sigma_k. index: [N, K].
     """
-    exponents = -0.5 * sq_dist * torch.exp(-2 * log_radii)[index]
-    return torch.softmax(exponents, dim=-1)
+    if sq_dist.device.type != "cpu":
+        return lbs_weights_torch(sq_dist, log_radii, index)
+    weights: Tensor = _Weights.apply(sq_dist, torch.exp(-2 * log_radii), index)  # type: ignore[no-untyped-call]
+    return weights
+
+
+def lbs_weights_torch(sq_dist: Tensor, log_radii: Tensor, index: Tensor) -> Tensor:
+    """`lbs_weights` as gather and softmax: for accelerators, and the oracle of the kernel."""
+    return torch.softmax(-0.5 * sq_dist * torch.exp(-2 * log_radii)[index], dim=-1)
 
 
 def blend(
@@ -130,6 +137,22 @@ def blend_torch(
     return (weights[..., None] * moved).sum(1), turned
 
 
+class _Weights(torch.autograd.Function):
+    """The softmax kernel: torch's gather of the radii costs more, backwards, than all the rest."""
+
+    @staticmethod
+    def forward(ctx: Any, *tensors: Tensor) -> Tensor:
+        arrays = [tensor.detach().contiguous().numpy() for tensor in tensors]
+        weights = lbs_kernels.softmax_weights(*arrays)
+        ctx.arrays = (*arrays, weights)
+        return torch.from_numpy(weights)
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
+        g_weights = gradients[0].contiguous().numpy()
+        return (*map(torch.from_numpy, lbs_kernels.softmax_weights_adjoint(*ctx.arrays, g_weights)), None)
+
+
 class _Blend(torch.autograd.Function):
     """The fused kernel with its hand-written backward pass."""
 
@@ -137,10 +160,10 @@ class _Blend(torch.autograd.Function):
     def forward(ctx: Any, *tensors: Tensor) -> tuple[Tensor, Tensor]:
         arrays = [tensor.detach().contiguous().numpy() for tensor in tensors]
         ctx.arrays = arrays
-        moved, turned = lbs_kernels.forward(*arrays)
+        moved, turned = lbs_kernels.blend(*arrays)
         return torch.from_numpy(moved), torch.from_numpy(turned)
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
         g_means, g_quats = (gradient.contiguous().numpy() for gradient in gradients)
-        return (*map(torch.from_numpy, lbs_kernels.backward(*ctx.arrays, g_means, g_quats)), None)
+        return (*map(torch.from_numpy, lbs_kernels.blend_adjoint(*ctx.arrays, g_means, g_quats)), None)

@@ -44,6 +44,15 @@ def test_kernel_agrees_with_torch(N: int, P: int, K: int) -> None:
         torch.testing.assert_close(mine, reference, rtol=1e-10, atol=1e-12)
 
 
+def test_weights_agree_with_torch() -> None:
+    index, sq_dist = lbs.neighbours(torch.rand(9, 3), torch.rand(40, 3), 4)
+    log_radii = torch.linspace(-2, 0, 9, requires_grad=True)
+    probe = torch.arange(160.0).view(40, 4).sin()
+    weights = [function(sq_dist, log_radii, index) for function in (lbs.lbs_weights, lbs.lbs_weights_torch)]
+    torch.testing.assert_close(*weights)
+    torch.testing.assert_close(*(torch.autograd.grad((probe * some).sum(), log_radii)[0] for some in weights))
+
+
 def test_kernel_gradients_are_finite_differences() -> None:
     arguments = skinning(6, 5, 3)
     leaves = [tensor.clone().requires_grad_() for tensor in arguments[:6]]
