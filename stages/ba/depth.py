@@ -11,6 +11,8 @@ from stages.ba.dba import State
 from stages.ba.graph import FlowGraph
 from stages.ba.initialise import SWEEP
 
+MATCH_VARIANCE = 0.25
+"""Of one component of a match, px^2: covers the depth errors measured against truth (their median is half a sigma)."""
 MAX_VARIANCE = 1.0
 """In units of the squared median inverse depth: what is known no better counts as not triangulated, and gets this."""
 SIGMA_PX = 0.5
@@ -40,7 +42,7 @@ def depth_maps(graph: FlowGraph, coarse: FlowGraph, state: State, static: np.nda
     if not observable:
         return DepthMaps(np.ones(shape), np.full(shape, MAX_VARIANCE), np.ones(shape, bool))
     inverse_depth, curvature = _search(graph, coarse, state)
-    variance = dba.FLOW_VARIANCE / np.maximum(curvature, dba.FLOW_VARIANCE / MAX_VARIANCE).reshape(shape)
+    variance = MATCH_VARIANCE / np.maximum(curvature, MATCH_VARIANCE / MAX_VARIANCE).reshape(shape)
     filled = dynamic | (variance >= MAX_VARIANCE)
     maps = inverse_depth.reshape(shape)
     complete = np.stack([fill(*frame) for frame in zip(maps, filled, dynamic, strict=True)])

@@ -64,9 +64,7 @@ def main(
     masked = bool((static < 1).any()) or previous is not None
     solution = estimate(Problem(graph, masked, known_focal_px, previous), options)
     flags = solution.flags + _mask_doubts(static, unmasked, previous_poses)
-    logger.info("camera %s; focal length %s", solution.camera, solution.focal)
-    for flag in flags:
-        logger.warning("ba: %s: doubtful: %s", frames.name, flag)
+    _log(frames.name, solution, flags)
     fine = mask_graph(build_graph(*columns, options.depth_stride_px, centre), static)
     maps = depth_maps(fine, graph, solution.state, static, solution.camera in ("moving", "near-still"))
     cameras = _cameras(solution, graph, frames, float(metadata["scale"]))
@@ -77,6 +75,12 @@ def main(
     errors = dba.errors_px(graph, solution.state)[graph.weights > MIN_WEIGHT]
     title = f"{frames.name}: camera {solution.camera}, focal length {solution.focal['decision']}"
     figures.draw(figure, cameras.centres, solution.steps, maps.inverse_depth, errors, title)
+
+
+def _log(name: str, solution: Estimate, flags: list[str]) -> None:
+    logger.info("camera %s; focal length %s; residual %.3f px", solution.camera, solution.focal, solution.residual_px)
+    for flag in flags:
+        logger.warning("ba: %s: doubtful: %s", name, flag)
 
 
 def _read_masks(folder: Path, frames: Sequence) -> np.ndarray:
