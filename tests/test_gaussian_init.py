@@ -1,0 +1,119 @@
+"""Where Gaussians start: dense depth, labels, skinning and its inverse, the cap, masks that nothing can carry."""
+
+import numpy as np
+import pytest
+import torch
+
+from stages.gaussians.initialise import cloud_within, dynamic_share, initial_cloud, lift, near_plane_of
+from stages.gaussians.model import GaussianScene
+from stages.gaussians.observations import dense_depth, with_movers
+from stages.gaussians.skinning import skin, to_canonical
+from tests import gaussian_scene as truth
+from tests.gaussian_training import CANONICAL, TRAIN, image_at, new_scene, psnr
+
+
+def test_static_gaussians_never_move_and_labels_are_right() -> None:
+    seen = truth.observations(TRAIN)
+    scene = new_scene(seen)
+    n = scene.n_static
+    assert 0 < n < len(scene.means)
+    for time in (0.0, 0.3, 1.0):
+        means, quats = scene.at(time)
+        assert torch.equal(means[:n], scene.means[:n])
+        assert torch.equal(quats[:n], scene.gaussians["quats"][:n])
+        offset = means[n:] - torch.tensor(truth.square_centre(time), dtype=torch.float32)
+        assert (offset.abs() < truth.HALF + 0.05).all()  # every dynamic Gaussian stays on the square
+    assert (scene.means[:n, 2] - truth.WALL_Z).abs().max() < 1e-4  # every static one on the wall
+
+
+def test_one_false_mask_is_outvoted() -> None:
+    """A patch of wall masked in one frame only stays static; the vote counts only frames that see the point."""
+    seen = truth.observations(TRAIN)
+    seen.masks[0, 50:58, 4:14] = True
+    v, u = 54, 8
+    keep = np.zeros(seen.masks[0].shape, bool)
+    keep[50:58, 4:14] = True
+    points = lift(seen, 0, keep, stride_px=2)
+    assert len(points.positions) > 10
+    assert seen.masks[0, v, u]
+    assert (dynamic_share(seen, points.positions[None], seen.masks) < 0.5).all()
+    scene = new_scene(seen)
+    dynamic = scene.means[scene.n_static :].detach().numpy()
+    assert (np.abs(dynamic[:, 2] - truth.SQUARE_Z) < 0.05).all()
+
+
+def test_the_wall_behind_the_mover_is_not_claimed_by_it() -> None:
+    seen = truth.observations(TRAIN)
+    behind = truth.square_centre(0.5) * (truth.WALL_Z / truth.SQUARE_Z)
+    assert dynamic_share(seen, behind[None, None], seen.masks)[0] == 0
+    on_square = np.stack([truth.square_centre(time) for time in seen.times])[:, None]
+    assert dynamic_share(seen, on_square, seen.masks)[0] == 1
+
+
+def test_skinning_and_its_inverse() -> None:
+    motion = truth.true_motion()
+    with torch.no_grad():
+        motion.table[..., :4] += 0.05 * torch.randn(motion.table[..., :4].shape, generator=torch.manual_seed(0))
+    rest = motion.points + 0.05
+    with torch.no_grad():
+        moved = skin(rest, 0.9, motion, 4).double().numpy()
+    canonical, found = to_canonical(moved, np.full(len(moved), 0.9), motion, 4)
+    assert found.all()
+    assert np.abs(canonical - rest.numpy()).max() < 1e-3
+
+
+def test_a_wholly_masked_image_keeps_what_no_control_point_reaches() -> None:
+    seen = truth.observations(TRAIN)
+    seen.masks[:] = True
+    kept = with_movers(seen, truth.true_motion())
+    square = truth.observations(TRAIN).masks
+    assert kept.masks[square].all()
+    assert not kept.masks[:, :, :8].any()
+    motion = truth.true_motion()
+    cloud = initial_cloud(kept, motion, CANONICAL, stride_px=2, K=4, sh_degree=0)
+    scene = GaussianScene(cloud, motion, torch.zeros(3), near_plane_of(kept), neighbours=4)
+    expected, _, mask = truth.ray_cast(truth.cameras()[0], truth.TIMES[0])
+    assert psnr(image_at(scene, 0), expected, np.ones_like(mask)) > 20
+
+
+def test_depth_of_a_slanted_plane_is_exact_and_edges_follow_the_image() -> None:
+    s, (height, width) = 4, (64, 96)
+    u = np.arange(width)
+    inverse = np.broadcast_to(0.2 + 0.002 * u, (height, width))
+    coarse = np.broadcast_to(0.2 + 0.002 * (s * np.arange(width // s) + (s - 1) / 2), (height // s, width // s))
+    flat = np.full((height, width, 3), 0.5, np.float32)
+    inner = np.s_[12:-12, 12:-12]
+    assert np.abs(1 / dense_depth(coarse, flat, s) - inverse)[inner].max() < 1e-4
+    step = np.where(u < 50, 1.0, 0.25)  # the edge lies inside a grid cell
+    image = np.repeat(np.broadcast_to(np.where(u < 50, 0.9, 0.1), (height, width))[..., None], 3, axis=2)
+    coarse_step = np.broadcast_to(step[s // 2 :: s], (height // s, width // s))
+    sharp = 1 / dense_depth(coarse_step, image.astype(np.float32), s)
+    bilinear = np.interp(u, s * np.arange(width // s) + (s - 1) / 2, step[s // 2 :: s])
+    assert np.abs(sharp - step)[inner].mean() < 0.6 * np.abs(bilinear - step)[12:-12].mean()
+
+
+@pytest.mark.parametrize("unit", [1e-4, 1e4])
+def test_depth_of_any_unit_and_of_the_sky(unit: float) -> None:
+    coarse = np.random.default_rng(0).uniform(0.2, 1, (16, 24)) / unit
+    coarse[:4] = 0  # infinitely far
+    depth = dense_depth(coarse, np.full((64, 96, 3), 0.5, np.float32), 4)
+    assert np.isfinite(depth).all()
+    assert depth.min() > 0.9 * unit
+    assert depth.max() < 2e4 * unit
+
+
+def test_guessed_depth_of_movers_comes_from_the_control_points() -> None:
+    seen = truth.observations(TRAIN)
+    seen.depths[seen.masks] = 4.0  # what a fill from the background would give
+    seen.guessed[:] = True
+    repaired = with_movers(seen, truth.true_motion())
+    expected = truth.observations(TRAIN).depths
+    assert np.abs(repaired.depths / expected - 1)[seen.masks].max() < 0.01
+    assert np.array_equal(repaired.depths[~seen.masks], seen.depths[~seen.masks])
+
+
+def test_the_cap_raises_the_stride() -> None:
+    seen = truth.observations(TRAIN)
+    cloud, stride_px = cloud_within(seen, truth.true_motion(), CANONICAL, 1, 4, 0, max_gaussians=1000)
+    assert len(cloud.means) <= 1000
+    assert stride_px > 1

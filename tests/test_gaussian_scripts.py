@@ -1,0 +1,147 @@
+"""The scripts train.py and render.py, their inputs, checkpoints, cameras and video."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from stages.control.deformation import save_deformation, save_points
+from stages.gaussians import checkpoint, render, train
+from stages.gaussians.checkpoint import Checkpoint
+from stages.gaussians.inputs import read_observations, read_usable_cameras
+from stages.gaussians.optimise import Trainer
+from stages.gaussians.options import GaussiansOptions, RenderOptions
+from stages.gaussians.video import MAX_BYTES, write_gif
+from stages.gaussians.views import novel_path, right_eye
+from stages.shared import lie
+from stages.shared.artifacts import read_model, read_table
+from stages.shared.cameras import make_cameras, write_cameras
+from stages.shared.errors import InputError
+from stages.shared.images import read_rgb
+from stages.shared.split import SplitOptions
+from tests import gaussian_scene as truth
+from tests.gaussian_training import psnr
+
+
+def test_the_novel_path_circles_and_keeps_its_point() -> None:
+    poses = truth.cameras()
+    times = np.linspace(0, 1, 9)
+    path = novel_path(poses, times, radius=0.1, distance=3.0)
+    assert np.allclose(path[0], poses[0])
+    assert np.allclose(path[-1], poses[-1])
+    on_path = novel_path(poses, times, radius=0.0, distance=3.0)
+    target = lie.inverse(on_path)[:, :3, :3] @ [0, 0, 3.0] + lie.inverse(on_path)[:, :3, 3]
+    seen_at = np.einsum("nij,nj->ni", path[:, :3, :3], target) + path[:, :3, 3]
+    assert np.abs(seen_at[:, :2] / seen_at[:, 2:]).max() < 1e-3
+    moved = np.linalg.norm((lie.inverse(path) - lie.inverse(on_path))[:, :3, 3], axis=-1)
+    assert moved.max() == pytest.approx(0.1, abs=0.02)
+
+
+def test_the_right_eye_is_the_same_under_any_similarity() -> None:
+    random = np.random.default_rng(0)
+    left = lie.exp_se3(random.normal(scale=0.3, size=(6, 6)))
+    baseline = lie.from_parts(np.eye(3), np.array([-0.1, 0, 0]))
+    rows = np.array([1, 4])
+    world = lie.exp_se3(random.normal(size=6))  # our world: turned, shifted and 2.5 times as large
+    ours = left @ lie.inverse(world)
+    ours[:, :3, 3] = 2.5 * ours[:, :3, 3]
+    expected = (baseline @ left @ lie.inverse(world))[rows]
+    expected[:, :3, 3] *= 2.5
+    assert np.allclose(right_eye(ours, left, (baseline @ left)[rows], rows), expected, atol=1e-12)
+
+
+def test_the_video_fits_and_has_every_frame(tmp_path: Path) -> None:
+    noise = np.random.default_rng(0).integers(0, 255, (12, 436, 1024, 3), dtype=np.uint8)
+    write_gif(tmp_path / "video.gif", list(noise), seconds=1.0)
+    assert (tmp_path / "video.gif").stat().st_size <= MAX_BYTES
+    with Image.open(tmp_path / "video.gif") as video:
+        assert getattr(video, "n_frames", 1) == 12
+
+
+def write_inputs(folder: Path) -> dict[str, Path]:
+    truth.write_artifacts(folder)
+    save_points(folder / "points.parquet", truth.true_motion(), {})
+    save_deformation(folder / "deformation.safetensors", truth.true_motion(), {"canonical_frame": truth.T // 2 + 1})
+    names = {"sequence": "sequence.json", "masks": "masks", "poses": "poses.parquet", "depth": "depth.arrow"}
+    names |= {"scene": "scene.json", "points": "points.parquet", "deformation": "deformation.safetensors"}
+    return {name: folder / file for name, file in names.items()}
+
+
+def outputs(folder: Path) -> dict[str, Path]:
+    names = {"ply": "gaussians.ply", "model": "model.safetensors", "convergence": "convergence.parquet"}
+    return {name: folder / file for name, file in (names | {"figure": "figure.png"}).items()}
+
+
+def test_the_scripts_train_and_render(tmp_path: Path) -> None:
+    inputs, results = write_inputs(tmp_path), outputs(tmp_path / "out")
+    train.main(**inputs, **results, options=GaussiansOptions(steps=40))
+    history = read_table(results["convergence"])
+    assert history["step"].tolist() == list(range(1, 41))
+    assert history["psnr"][-9:].mean() > history["psnr"][:9].mean() + 2
+    assert results["figure"].stat().st_size < 300_000
+    assert not list((tmp_path / "out").glob(".*"))  # no checkpoint is left
+    renders, video = tmp_path / "out" / "renders", tmp_path / "out" / "video.gif"
+    render.main(inputs["sequence"], inputs["poses"], results["model"], renders, video, RenderOptions(novel_views=5))
+    found = {split.name: sorted(path.name for path in split.iterdir()) for split in renders.iterdir()}
+    assert found["test"] == ["frame_0005.png"]
+    assert len(found["train"]) == 9
+    assert len(found["novel"]) == 5
+    assert "right" not in found
+    expected, _, mask = truth.ray_cast(truth.cameras()[4], truth.TIMES[4])
+    assert psnr(read_rgb(renders / "test" / "frame_0005.png") / 255, expected, np.ones_like(mask)) > 27
+
+
+def test_a_killed_script_leaves_no_result_and_goes_on_from_its_checkpoint(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    inputs, options = write_inputs(tmp_path), GaussiansOptions(steps=20, stride_px=4)
+    straight, killed = outputs(tmp_path / "straight"), outputs(tmp_path / "killed")
+    train.main(**inputs, **straight, options=options)
+    monkeypatch.setattr(checkpoint, "INTERVAL_S", 0.0)
+    save, steps = Checkpoint.save_sometimes, []
+
+    def save_and_die(self: Checkpoint, trainer: Trainer) -> None:
+        save(self, trainer)
+        steps.append(trainer.step)
+        if steps == list(range(1, 9)):
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(Checkpoint, "save_sometimes", save_and_die)
+    with pytest.raises(KeyboardInterrupt):
+        train.main(**inputs, **killed, options=options)
+    assert not any(path.exists() for path in killed.values())
+    train.main(**inputs, **killed, options=options)
+    assert steps == list(range(1, 21))  # nothing was done twice
+    assert killed["ply"].read_bytes() == straight["ply"].read_bytes()
+    tensors, expected = read_model(killed["model"]), read_model(straight["model"])
+    assert all(np.array_equal(tensors[name], expected[name]) for name in expected)
+    other = Checkpoint(killed["model"], list(inputs.values()), GaussiansOptions(steps=21))
+    mine = Checkpoint(killed["model"], list(inputs.values()), options)
+    assert other.origin != mine.origin  # another option: its checkpoint would not be used
+
+
+def test_failed_poses_are_refused(tmp_path: Path) -> None:
+    status = np.full(truth.T, "failed", object)
+    write_cameras(tmp_path / "poses.parquet", make_cameras(truth.cameras(), truth.K, np.arange(truth.T), status=status))
+    with pytest.raises(InputError, match="found status 'failed'"):
+        read_usable_cameras(tmp_path / "poses.parquet")
+
+
+def test_held_out_frames_are_never_opened(tmp_path: Path) -> None:
+    inputs = write_inputs(tmp_path)
+    paths = {name: inputs[name] for name in ("sequence", "masks", "poses", "depth")}
+    before = read_observations(**paths, split=SplitOptions())
+    (tmp_path / "frames" / "frame_0005.png").unlink()
+    (tmp_path / "masks" / "frame_0005.png").unlink()
+    after = read_observations(**paths, split=SplitOptions())
+    assert len(after.images) == truth.T - 1
+    assert all(np.array_equal(a, b) for a, b in zip(vars(before).values(), vars(after).values(), strict=True))
+
+
+def test_masks_of_another_size_are_refused(tmp_path: Path) -> None:
+    inputs = write_inputs(tmp_path)
+    Image.new("L", (10, 10)).save(tmp_path / "masks" / "frame_0002.png")
+    paths = {name: inputs[name] for name in ("sequence", "masks", "poses", "depth")}
+    with pytest.raises(InputError, match=r"expected 96 x 64, found 10 x 10"):
+        read_observations(**paths, split=SplitOptions())
