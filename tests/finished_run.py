@@ -78,31 +78,18 @@ def write_dataset(root: Path, name: str = "wall", truth: bool = True) -> Path:
 def write_results(folder: Path) -> None:
     """What every stage before the evaluation writes: the truth at half size, in the frame of the first camera."""
     numbers = np.arange(1, T + 1)
-    pairs = [(i, j) for i in range(T) for j in (i - 1, i + 1) if 0 <= j < T]
-    flows = np.stack([flow(i, j) for i, j in pairs])
-    source, target = np.array(pairs).T
-    columns = {"source": source, "target": target, "flow": flows.astype(np.float16)}
-    columns["confidence"] = np.ones(flows.shape[:3], np.float16)
-    write_dense(folder / "flow/pairs.arrow", columns, {"width": W, "height": H, "scale": 1.0})
+    masks = np.stack([moving(wall(k)[0], k) for k in range(T)])
     estimated = CAM_FROM_WORLD @ lie.inverse(CAM_FROM_WORLD[0])
     estimated[:, :3, 3] *= 0.5
-    masks = np.stack([moving(wall(k)[0], k) for k in range(T)])
+    _write_flow(folder / "flow/pairs.arrow")
     for part in ("round1/", ""):
         prior = np.roll(masks, 2, axis=2).astype(np.float16)
         write_dense(folder / part / "motion/prior.arrow", {"frame": numbers, "probability": prior})
         for number, mask in zip(numbers, masks, strict=True):
             write_image(folder / part / f"masks/frame_{number:04d}.png", mask)
         write_cameras(folder / part / "ba/poses.parquet", make_cameras(estimated, K, numbers), {"flags": ["a doubt"]})
-    uv = pixel_grid(H // STRIDE, W // STRIDE).astype(int) * STRIDE + STRIDE // 2
-    depth = np.stack([wall(k)[1] for k in range(T)])[:, uv[..., 1], uv[..., 0]] * 0.5
-    filled = masks[:, uv[..., 1], uv[..., 0]].astype(np.uint8)
-    columns = {"frame": numbers, "inverse_depth": (1 / depth).astype(np.float32), "filled": filled}
-    columns["variance"] = np.ones_like(columns["inverse_depth"])
-    write_dense(folder / "ba/depth.arrow", columns, {"stride_px": STRIDE})
-    steps = np.arange(5)
-    phases = {"phase": ["start", "start", *["refinement"] * 3], "sigma_px": [1.0, 1.0, 1.0, 0.5, 0.5]}
-    write_table(folder / "ba/convergence.parquet", {"iteration": steps, "cost": 10.0 / (1 + steps), **phases})
-    write_table(folder / "gaussians/convergence.parquet", {"step": steps, "loss": 1.0 / (1 + steps)})
+    _write_depth(folder / "ba/depth.arrow", masks)
+    _write_convergence(folder)
     for k in range(T):
         split = "test" if k == 4 else "train"
         write_image(folder / f"renders/{split}/frame_{k + 1:04d}.png", cv2.GaussianBlur(picture(k), (0, 0), 0.6))
@@ -111,16 +98,36 @@ def write_results(folder: Path) -> None:
     decision = {"needed": True, "evidence": {"share": 0.1}, "why": "a square moves", "source": "evidence"}
     write_json(folder / "scene.json", {"dynamic": decision, "exposure": decision | {"needed": False}})
     _write_baseline(folder / "colmap/poses.parquet", estimated)
-    cost = {
-        "wall_s": 2.0,
-        "cpu_s": 3.0,
-        "peak_mb": 100.0,
-        "gpu_peak_mb": None,
-        "output_mb": 1.0,
-        "options": {"seed": 0},
-    }
+    cost = {"wall_s": 2.0, "cpu_s": 3.0, "peak_mb": 100.0, "gpu_peak_mb": None, "output_mb": 1.0}
     for path in stats_files(folder):
-        write_json(path, {"stage": path.stem, **cost})
+        write_json(path, {"stage": path.stem, "options": {"seed": 0}, **cost})
+
+
+def _write_flow(path: Path) -> None:
+    """Exact flow between neighbours, both ways."""
+    pairs = [(i, j) for i in range(T) for j in (i - 1, i + 1) if 0 <= j < T]
+    flows = np.stack([flow(i, j) for i, j in pairs])
+    source, target = np.array(pairs).T
+    columns = {"source": source, "target": target, "flow": flows.astype(np.float16)}
+    columns["confidence"] = np.ones(flows.shape[:3], np.float16)
+    write_dense(path, columns, {"width": W, "height": H, "scale": 1.0})
+
+
+def _write_depth(path: Path, masks: np.ndarray) -> None:
+    """True depth at half size on every fourth pixel."""
+    uv = pixel_grid(H // STRIDE, W // STRIDE).astype(int) * STRIDE + STRIDE // 2
+    depth = np.stack([wall(k)[1] for k in range(T)])[:, uv[..., 1], uv[..., 0]] * 0.5
+    filled = masks[:, uv[..., 1], uv[..., 0]].astype(np.uint8)
+    columns = {"frame": np.arange(1, T + 1), "inverse_depth": (1 / depth).astype(np.float32), "filled": filled}
+    columns["variance"] = np.ones_like(columns["inverse_depth"])
+    write_dense(path, columns, {"stride_px": STRIDE})
+
+
+def _write_convergence(folder: Path) -> None:
+    steps = np.arange(5)
+    phases = {"phase": ["start", "start", *["refinement"] * 3], "sigma_px": [1.0, 1.0, 1.0, 0.5, 0.5]}
+    write_table(folder / "ba/convergence.parquet", {"iteration": steps, "cost": 10.0 / (1 + steps), **phases})
+    write_table(folder / "gaussians/convergence.parquet", {"step": steps, "loss": 1.0 / (1 + steps)})
 
 
 def stats_files(folder: Path) -> list[Path]:

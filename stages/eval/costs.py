@@ -1,0 +1,42 @@
+"""What every stage cost, from the time files that the stages write."""
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+from stages.eval.tables import Row
+from stages.shared.artifacts import read_json
+
+BEFORE, REPEATED = ("inspect", "flow"), ("motion", "segment", "ba")
+AFTER = ("scene", "control", "gaussians", "render", "colmap")
+
+
+def time_rows(name: str, files: Sequence[Path], rounds: int) -> list[Row]:
+    """A row per file `<folder>/<sequence>/[roundN/]stats/<stage>.json`, in the order in which the stages run."""
+    return sorted((_time_row(name, path, rounds) for path in files), key=_stage_order)
+
+
+def seconds_to_poses(rows: Sequence[Row], rounds: int) -> list[tuple[float, float]]:
+    """Wall and CPU seconds from the frames to the poses of each round."""
+    spent = []
+    for k in range(1, rounds + 1):
+        part = [row for row in rows if row["stage"] == "flow" or (row["round"] or rounds + 1) <= k]
+        spent.append((sum(row["wall_s"] for row in part), sum(row["cpu_s"] for row in part)))
+    return spent
+
+
+def _time_row(name: str, path: Path, rounds: int) -> Row:
+    """The last round has no folder of its own."""
+    content, folder = read_json(path), path.parent.parent.name
+    number = int(folder.removeprefix("round")) if re.fullmatch(r"round\d+", folder) else rounds
+    costs = {key: content[key] for key in ("wall_s", "cpu_s", "peak_mb", "gpu_peak_mb", "output_mb")}
+    return {"sequence": name, "stage": path.stem, "round": number if path.stem in REPEATED else None} | costs
+
+
+def _stage_order(row: Row) -> tuple[int, ...]:
+    """Stages before the rounds, each round, stages after them."""
+    stage = row["stage"]
+    if stage in REPEATED:
+        return 1, row["round"], REPEATED.index(stage)
+    before = stage in BEFORE
+    return 0 if before else 2, (BEFORE if before else AFTER).index(stage)
