@@ -156,7 +156,14 @@ def test_our_mean_joins_published_rows_only_on_all_14_sequences() -> None:
 
 @pytest.mark.parametrize(
     ("value", "digits", "text"),
-    [(12.345, 2, "12.35"), (0.031, 2, "0.031"), (0.00038, 4, "0.00038"), (0.0, 2, "0.00"), (-0.2333, 1, "-0.23")],
+    [
+        (12.345, 2, "12.35"),
+        (0.031, 2, "0.031"),
+        (0.00038, 4, "0.00038"),
+        (0.0, 2, "0.00"),
+        (1e-14, 2, "0.00"),
+        (-0.2333, 1, "-0.23"),
+    ],
 )
 def test_small_numbers_keep_two_significant_digits(value: float, digits: int, text: str) -> None:
     assert decimal(value, digits) == text
@@ -180,8 +187,8 @@ def test_headline_without_any_result_says_so() -> None:
 
 PROBE = """<script>
 addEventListener("load", () => {
-  const heading = document.querySelector("#poses + .scroll th:nth-child(3) button");
-  const column = () => [...heading.closest("table").tBodies[0].rows].map((row) => row.children[2].textContent.trim());
+  const heading = document.querySelector("#poses + .scroll th:nth-child(7) button");
+  const column = () => [...heading.closest("table").tBodies[0].rows].map((row) => row.children[6].textContent.trim());
   heading.click(); const ascending = column(); heading.click();
   const outside = [...document.querySelectorAll("main *")].filter((element) =>
     !element.closest(".scroll") && element.getBoundingClientRect().right > innerWidth + 1);
@@ -215,7 +222,7 @@ def test_in_a_browser(results: Path, page: str, width: int) -> None:
     assert found["broken"] == 0
     numbers = [float(value) for value in found["ascending"] if value != "n/a"]
     assert numbers == sorted(numbers)
-    assert len(numbers) == 3
+    assert len(set(numbers)) > 1
     assert [value for value in found["descending"] if value != "n/a"] == [
         value for value in reversed(found["ascending"]) if value != "n/a"
     ]

@@ -14,6 +14,7 @@ import numpy as np
 from stages.shared.artifacts import atomic, read_table, write_table
 
 Row = dict[str, Any]
+MAX_DIGITS = 6
 
 
 @dataclass(frozen=True)
@@ -116,10 +117,9 @@ class Table:
 
 
 def decimal(value: float, digits: int) -> str:
-    """`value` with so many digits after the point, or as many as show two significant ones (at most 6)."""
-    small = 0 < abs(value) < 10**-digits * 10
-    needed = min(6, 1 - math.floor(math.log10(abs(value)))) if small else digits
-    return f"{value:.{max(digits, needed)}f}"
+    """`value` with so many digits after the point, or as many, up to 6, as show two significant ones."""
+    needed = 1 - math.floor(math.log10(abs(value))) if 0 < abs(value) < 1 else 0
+    return f"{value:.{needed if digits < needed <= MAX_DIGITS else digits}f}"
 
 
 def write_rows(path: Path, rows: Sequence[Row], columns: Sequence[str], about: Mapping[str, Any]) -> None:
