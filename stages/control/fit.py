@@ -42,7 +42,11 @@ def main(
     if decision["dynamic"]["needed"]:
         sightings = _sightings(content, flow, masks, cameras, depth, options)
         model, metadata = stage1.fit_sightings(sightings, cameras, decision["non_rigid"], options)
-    (logger.info if metadata["status"] == "fitted" else logger.warning)("control points: %s", metadata)
+        if metadata["status"] != "fitted":
+            logger.warning(
+                "control points: %s; look at the figure and the residual in the metadata", metadata["status"]
+            )
+    logger.info("control points: %s", metadata)
     save_points(points, model, {"status": metadata["status"]})
     save_deformation(deformation, model, metadata)
     images.write_image(figure, picture.trajectories(content, cameras, model))
