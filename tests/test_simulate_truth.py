@@ -5,12 +5,12 @@ import itertools
 import numpy as np
 import pytest
 
-from stages.shared import cameras
+from stages.shared import cameras, lie
 from stages.shared.cameras import pixel_grid
 from stages.simulate import bvh, frames, raycast, truth
 from stages.simulate.frames import Stage, set_stage
-from stages.simulate.motion import right_of
-from stages.simulate.scene import Scene
+from stages.simulate.motion import camera_path, right_of
+from stages.simulate.scene import Handheld, Scene
 
 CAMERA = {
     "focal": 1.0,
@@ -197,3 +197,29 @@ def test_texture_has_detail_at_every_scale() -> None:
         picture = halved
     assert contrast[0] > 0.03
     assert all(fine > 0.35 * coarse for fine, coarse in itertools.pairwise(contrast))
+
+
+def test_camera_meets_its_keyframes_with_a_level_horizon() -> None:
+    stage = make_stage(GROUND, frames=5)
+    camera = stage.scene.camera.model_copy(update={"handheld": Handheld()})
+    view = camera_path(stage.scene.model_copy(update={"camera": camera}), seed=0)
+    for frame, key in ((0, camera.keys[0]), (4, camera.keys[1])):
+        assert np.allclose(view(frame).centre, key.eye)
+        pixel, depth = cameras.project(np.array(key.target), view(frame).cam_from_world, view(frame).K)
+        assert np.allclose(pixel, view(frame).K[:2, 2])
+        assert depth > 0
+        assert view(frame).cam_from_world[0, 2] == pytest.approx(0, abs=1e-12), "x of the camera is horizontal"
+    assert view(0).K[0, 0] == pytest.approx(camera.focal * stage.scene.width)
+
+
+def test_handheld_shake_has_the_stated_size() -> None:
+    camera = {"keys": [CAMERA["keys"][0]], "handheld": {"position": 0.05, "rotation_deg": 1.0}}
+    scene = Scene(description="", frames=1000, camera=camera, objects=[GROUND])
+    views = [camera_path(scene, seed)(frame) for seed in range(4) for frame in range(0, 1000, 5)]
+    offsets = np.array([view.centre for view in views]) - camera["keys"][0]["eye"]
+    assert offsets.std() == pytest.approx(0.05, rel=0.15)
+    still = camera_path(
+        scene.model_copy(update={"camera": scene.camera.model_copy(update={"handheld": Handheld()})}), 0
+    )
+    turned = lie.log_so3(np.array([view.cam_from_world[:3, :3] @ still(0).cam_from_world[:3, :3].T for view in views]))
+    assert np.rad2deg(turned.std()) == pytest.approx(1.0, rel=0.15)

@@ -13,20 +13,18 @@ HIP, SHOULDER = (0.05, 0.0, 0.5), (0.125, 0.0, 0.79)
 """Joints of the right side of a figure of height 1 that faces +y."""
 THIGH, SHIN, UPPER_ARM, FOREARM = (0.25, 0.056), (0.24, 0.04), (0.17, 0.04), (0.15, 0.03)
 """Length and radius of each segment."""
+TORSO = (((0.0, 0.0, 0.68), (0.125, 0.078, 0.165)), ((0.0, 0.0, 0.53), (0.1, 0.075, 0.09)))
+HEAD = (((0.0, 0.01, 0.925), (0.052, 0.06, 0.075)), ((0.0, 0.0, 0.85), (0.03, 0.03, 0.06)))
+HAIR = ((0.0, -0.008, 0.948), (0.055, 0.06, 0.062))
+"""Centre and radii of ellipsoids."""
 
 
 def walker(shape: Walker) -> tuple[Deforming, Deforming, Deforming]:
     """Shirt, trousers (with shoes and hair) and skin of a walking figure; each with how its vertices move."""
-    torso = meshes.join([_ellipsoid((0, 0, 0.68), (0.125, 0.078, 0.165)), _ellipsoid((0, 0, 0.53), (0.1, 0.075, 0.09))])
-    head = meshes.join(
-        [_ellipsoid((0, 0.01, 0.925), (0.052, 0.06, 0.075)), _ellipsoid((0, 0, 0.85), (0.03, 0.03, 0.06), segments=12)]
-    )
-    shoe = meshes.box((0.055, 0.15, 0.03))
-    shoe = Mesh(shoe.vertices + np.array([0, 0.035, -SHIN[0] - 0.015]), shoe.faces)
+    torso, head = (meshes.join([_ellipsoid(*part) for part in parts]) for parts in (TORSO, HEAD))
+    hair = _ellipsoid(*HAIR)
     hand = _ellipsoid((0, 0, -FOREARM[0] - 0.03), (0.018, 0.028, 0.045), segments=10)
-    hair = _ellipsoid((0, -0.008, 0.948), (0.055, 0.06, 0.062))
-    thigh, shin = _segment(*THIGH), meshes.join([_segment(*SHIN), shoe])
-    upper_arm, forearm = _segment(*UPPER_ARM), _segment(*FOREARM)
+    thigh, shin, upper_arm, forearm = _segment(*THIGH), _shin_with_shoe(), _segment(*UPPER_ARM), _segment(*FOREARM)
 
     def shirt(seconds: float, _: float) -> np.ndarray:
         parts = [torso.vertices]
@@ -96,6 +94,11 @@ def _risen(shape: Walker, seconds: float, parts: list[np.ndarray]) -> np.ndarray
 def _ellipsoid(centre: tuple[float, float, float], radii: tuple[float, float, float], segments: int = 20) -> Mesh:
     mesh = meshes.sphere(radii, segments)
     return Mesh(mesh.vertices + np.array(centre), mesh.faces)
+
+
+def _shin_with_shoe() -> Mesh:
+    shoe = meshes.box((0.055, 0.15, 0.03))
+    return meshes.join([_segment(*SHIN), Mesh(shoe.vertices + np.array([0, 0.035, -SHIN[0] - 0.015]), shoe.faces)])
 
 
 def _segment(length: float, radius: float) -> Mesh:
