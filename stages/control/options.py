@@ -19,6 +19,6 @@ class ControlOptions(SplitOptions):
     steps: int = Field(400, ge=0, le=20000, description="optimisation steps of stage 1")
     learning_rate: float = Field(0.002, gt=0, le=1, description="Adam's step for the motion, 1/extent of the movers")
     track_stride_px: int = Field(2, ge=1, le=16, description="pixels of the flow grid between neighbouring tracks")
-    time_frequencies: int = Field(4, ge=0, le=4, description="frequencies of the network's time encoding; more overfit")
+    time_frequencies: int = Field(2, ge=0, le=4, description="frequencies of the network's time encoding; more overfit")
     width: int = Field(128, ge=8, le=1024, description="neurons per layer of the network")
     seed: int = Field(0, ge=0, description="seed of sampling and initial weights")
