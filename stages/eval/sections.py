@@ -214,5 +214,6 @@ def _stage_figures(folder: Path) -> list[Figure]:
     for name, title in STAGE_FIGURES.items():
         path = folder / "figures" / f"{name}.png"
         if path.exists():
-            found.append(Figure(title, pictures.webp(read_rgb(path)), f"Picture of the {name} stage: {title}", True))
+            picture = pictures.webp(read_rgb(path), pictures.STAGE_WIDTH_PX)
+            found.append(Figure(title, picture, f"Picture of the {name} stage: {title}", True))
     return found
