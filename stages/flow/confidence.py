@@ -9,9 +9,9 @@ NOISE_PX = 0.3
 NOISE_PER_PX = 0.02
 """Expected disagreement of forward and backward flow: a floor and a share of the motion."""
 FAST_PX = 30.0
-ROUGH_PX = 0.5
+ROUGH_PX = 0.35
 """Flow that varies this much within 7 x 7 px crosses a motion border, where it bleeds over by a few pixels."""
-PHOTOMETRIC_LIMIT = 3.0
+PHOTOMETRIC_LIMIT = 2.0
 """A photometric residual of this many times the frame's median is a mismatch."""
 
 

@@ -1,0 +1,150 @@
+"""Hard cases of flow, motion prior and masks: nothing to match, nothing that moves, everything that moves."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from synthetic import PLANE, Scene, flow_arrays, make_scene
+
+from stages.flow import epipolar, motion, pooling, resweep
+from stages.flow.confidence import flow_confidence
+from stages.flow.dis import edge_list, estimate_flow
+from stages.flow.epipolar import PairMatches
+from stages.segment.options import SegmentOptions
+from stages.segment.refinement import guarded_thresholds, smooth_along_edges, to_mask, vote
+from stages.shared import sintel
+from stages.shared.cameras import pixel_grid
+from stages.shared.images import read_mask, read_rgb
+
+Edges = dict[tuple[int, int], int]
+
+
+def observed(scene: Scene) -> tuple[dict[str, np.ndarray], Edges, PairMatches]:
+    """Exact flow of a scene: pairs, edges and matches."""
+    source, target, flow, confidence = flow_arrays(scene)
+    weights = pooling.evidence_weights(flow, confidence)
+    edges = {(int(i), int(j)): e for e, (i, j) in enumerate(zip(source, target, strict=True))}
+    pixels = pixel_grid(*weights.shape[1:]).astype(np.float32)
+    pairs = {"source": source, "target": target, "flow": flow, "weights": weights}
+    return pairs, edges, PairMatches(pixels, pixels + flow, weights)
+
+
+def prior_with_cameras(scene: Scene, cam_from_world: np.ndarray | None = None) -> np.ndarray:
+    """Probability of motion [T, h, w] from exact flow and cameras."""
+    pairs, edges, _ = observed(scene)
+    poses = scene.cam_from_world if cam_from_world is None else cam_from_world
+    Ks = np.broadcast_to(scene.K, (scene.T, 3, 3))
+    start = np.full(scene.depth.shape, np.median(1 / scene.depth), np.float32)
+    evidence, _ = resweep.camera_evidence(pairs, poses, Ks, start)
+    return motion.to_probability(pooling.pool(evidence, edges, pairs["flow"], pairs["weights"]), *motion.CAMERA_CURVE)
+
+
+@pytest.mark.parametrize("grey_level", [0, 128, 255])
+def test_textureless_and_saturated_frames_give_finite_still_flow(grey_level: int) -> None:
+    """Normalising by a residual or a contrast of zero would give NaN."""
+    frames = np.full((3, 48, 64), grey_level, np.uint8)
+    flow = estimate_flow(frames, edge_list(3, (1,)), 0, threads=1)
+    confidence = flow_confidence(flow[0, 1], flow[1, 0], frames[0], frames[1])
+    assert np.abs(flow[0, 1]).max() < 0.1
+    assert np.isfinite(confidence).all()
+    assert confidence.min() >= 0
+    assert confidence.max() <= 1
+
+
+def test_still_frames_have_no_parallax_and_no_motion() -> None:
+    scene = make_scene(T=4, motion="still")
+    _, edges, matches = observed(scene)
+    matches = matches._replace(matches=np.broadcast_to(matches.pixels, matches.matches.shape))
+    assert epipolar.flat_share(edges, matches, 0) == 1.0
+    evidence = epipolar.two_view_evidence(edges, matches, scene.T, parallax=False, seed=0)
+    assert evidence.misfit.max() < 1e-3
+
+
+@pytest.mark.parametrize(("motion_kind", "planes"), [("rotate", None), ("curve", PLANE)])
+def test_rotation_and_planes_take_homographies(motion_kind: str, planes: tuple | None) -> None:
+    """A fundamental matrix is undetermined there, and its epipole free to explain a mover away."""
+    scene = make_scene(T=5, motion=motion_kind, **({"planes": planes} if planes else {}))
+    _, edges, matches = observed(scene)
+    assert epipolar.flat_share(edges, matches, 0) > 0.95
+    evidence = epipolar.two_view_evidence(edges, matches, scene.T, parallax=False, seed=0)
+    assert evidence.misfit.max() < 0.01
+
+
+def test_pure_rotation_keeps_the_depth_it_starts_from() -> None:
+    """Triangulating with no baseline divides nothing by nothing."""
+    scene = make_scene(T=5, motion="rotate")
+    pairs, _, _ = observed(scene)
+    Ks = np.broadcast_to(scene.K, (scene.T, 3, 3))
+    evidence, _ = resweep.camera_evidence(pairs, scene.cam_from_world, Ks, np.ones(scene.depth.shape, np.float32))
+    assert np.isfinite(evidence.misfit).all()
+    assert evidence.misfit.max() < 1e-3
+
+
+def test_wrong_cameras_cannot_hide_behind_no_flow() -> None:
+    """Without one confident match the prior is static, not NaN."""
+    scene = make_scene(T=4)
+    pairs, edges, _ = observed(scene)
+    pairs["weights"] = np.zeros_like(pairs["weights"])
+    Ks = np.broadcast_to(scene.K, (scene.T, 3, 3))
+    evidence, sigma_px = resweep.camera_evidence(
+        pairs, scene.cam_from_world, Ks, np.ones(scene.depth.shape, np.float32)
+    )
+    assert (pooling.pool(evidence, edges, pairs["flow"], pairs["weights"]) == 0).all()
+    assert sigma_px == resweep.SIGMA_RANGE_PX[0]
+
+
+@pytest.mark.parametrize("scale", [1e-4, 1e4])
+def test_the_unit_of_length_does_not_matter(scale: float) -> None:
+    """Fixed bounds of depth, or a fixed ridge, would fail at one end."""
+    reference = prior_with_cameras(make_scene(T=5, disc_radius=0.5))
+    scaled = prior_with_cameras(make_scene(T=5, disc_radius=0.5, scale=scale))
+    assert np.abs(scaled - reference).mean() < 1e-3
+
+
+def test_an_empty_prior_gives_an_empty_mask() -> None:
+    rgb = np.random.default_rng(0).integers(0, 255, (60, 80, 3), dtype=np.uint8)
+    smoothed = smooth_along_edges(np.zeros((30, 40)), rgb, 1000.0, 3.0)
+    assert not to_mask(smoothed, *guarded_thresholds(smoothed, 0.7, 0.4, 0.85), 5e-4).any()
+
+
+def test_a_wholly_dynamic_frame_keeps_static_ground() -> None:
+    """Masks that swallow the frame would leave bundle adjustment nothing; the surest part is kept."""
+    probability = np.linspace(0.9, 1.0, 60 * 80, dtype=np.float32).reshape(60, 80)
+    unguarded = to_mask(probability, 0.7, 0.4, 5e-4)
+    guarded = to_mask(probability, *guarded_thresholds(probability, 0.7, 0.4, 0.85), 5e-4)
+    assert unguarded.all()
+    assert 0.5 < guarded.mean() <= 0.85
+
+
+@pytest.mark.parametrize(("name", "least_iou"), [("alley_walk", 0.7), ("temple_orbit", 0.7), ("mountain_static", None)])
+def test_masks_of_rendered_sequences(rendered: Path, name: str, least_iou: float | None) -> None:
+    """With true cameras: IoU of at least 0.7, and next to nothing where nothing moves."""
+    training, numbers = rendered / "training", range(3, 10)
+    frames = [read_rgb(training / "final" / name / f"frame_{n:04d}.png") for n in numbers]
+    cameras = [sintel.read_cam(training / "camdata_left" / name / f"frame_{n:04d}.cam") for n in numbers]
+    grey = np.stack([frame.mean(axis=-1).round().astype(np.uint8) for frame in frames])
+    flows = estimate_flow(grey, edge_list(len(grey), (1, 2, 3, 5)), 0, threads=2)
+    order = sorted(flows)
+    edges = {edge: e for e, edge in enumerate(order)}
+    flow = np.stack([flows[edge] for edge in order])
+    confidence = np.stack([flow_confidence(flows[i, j], flows[j, i], grey[i], grey[j]) for i, j in order])
+    source, target = np.array(order).T
+    pairs = {"source": source, "target": target, "flow": flow}
+    pairs["weights"] = pooling.evidence_weights(flow, confidence)
+    poses = np.tile(np.eye(4), (len(grey), 1, 1))
+    poses[:, :3] = [cam_from_world for _, cam_from_world in cameras]
+    start = np.full(grey.shape, 0.2, np.float32)
+    evidence, _ = resweep.camera_evidence(pairs, poses, np.stack([K for K, _ in cameras]), start)
+    misfit = pooling.pool(evidence, edges, flow, pairs["weights"])
+    probability = vote(motion.to_probability(misfit, *motion.CAMERA_CURVE), edges, flow, confidence)
+    options = SegmentOptions()
+    masks = []
+    for p, rgb in zip(probability, frames, strict=True):
+        smoothed = smooth_along_edges(p, rgb, options.smoothness, options.colour_sigma)
+        masks.append(to_mask(smoothed, options.high, options.low, options.min_area))
+    found = np.stack(masks)
+    truth = np.stack([read_mask(training / "motion_mask" / name / f"frame_{n:04d}.png") for n in numbers])
+    if least_iou is None:
+        assert found.mean() < 0.02
+    else:
+        assert (found & truth).sum() / (found | truth).sum() >= least_iou

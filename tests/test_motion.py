@@ -1,0 +1,206 @@
+"""The motion prior against exact scenes: two-view geometry, the depth re-sweep, and pooling."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from conftest import write_frames
+from synthetic import Scene, flow_arrays, make_scene
+
+from stages.flow import epipolar, motion, pooling, resweep
+from stages.flow.epipolar import Evidence, PairMatches
+from stages.shared import lie
+from stages.shared.artifacts import read_dense, read_metadata, write_dense, write_json
+from stages.shared.cameras import make_cameras, pixel_grid, write_cameras
+from stages.shared.errors import InputError
+from stages.shared.sequences import check_sequence, sequence_to_json
+
+
+def observed(scene: Scene) -> tuple[dict[str, np.ndarray], dict[tuple[int, int], int]]:
+    """Exact flow of a scene as the motion stage reads it, and its edges."""
+    source, target, flow, confidence = flow_arrays(scene)
+    weights = pooling.evidence_weights(flow, confidence)
+    edges = {(int(i), int(j)): e for e, (i, j) in enumerate(zip(source, target, strict=True))}
+    return {"source": source, "target": target, "flow": flow, "confidence": confidence, "weights": weights}, edges
+
+
+def matches(pairs: dict[str, np.ndarray]) -> PairMatches:
+    """Pixels and where they go."""
+    pixels = pixel_grid(*pairs["weights"].shape[1:]).astype(np.float32)
+    return PairMatches(pixels, pixels + pairs["flow"], pairs["weights"])
+
+
+def overlap(found: np.ndarray, truth: np.ndarray) -> float:
+    """Intersection over union."""
+    return float((found & truth).sum() / (found | truth).sum())
+
+
+def test_sampson_error_is_the_distance_to_the_nearest_true_match() -> None:
+    """Against the optimal correction of Hartley and Sturm, for small errors."""
+    rng = np.random.default_rng(0)
+    F = lie.skew(np.array([0.9, 0.1, 0.3])) @ lie.exp_so3(np.array([0.02, -0.05, 0.01]))
+    x, y = rng.uniform(-0.5, 0.5, (50, 2)), rng.uniform(-0.5, 0.5, (50, 2))
+    x_true, y_true = cv2.correctMatches(F, x[None], y[None])
+    x, y = x_true[0] + 1e-5 * rng.normal(size=x.shape), y_true[0] + 1e-5 * rng.normal(size=y.shape)
+    x_near, y_near = cv2.correctMatches(F, x[None], y[None])
+    distance = np.sqrt(((x_near[0] - x) ** 2).sum(axis=1) + ((y_near[0] - y) ** 2).sum(axis=1))
+    np.testing.assert_allclose(epipolar.sampson_errors(F, x, y), distance, rtol=1e-2, atol=1e-8)
+
+
+def test_a_mover_stands_out_without_cameras() -> None:
+    """A block that moves across the epipolar lines; motion along them is beyond two views."""
+    scene = make_scene(T=5, size=(128, 192))
+    pairs, edges = observed(scene)
+    moving = np.zeros(scene.depth.shape, bool)
+    moving[:, 40:80, 60:110] = True
+    steps = (pairs["target"] - pairs["source"])[:, None, None, None]
+    pairs["flow"] = pairs["flow"] + moving[0][..., None] * steps * np.array([0, 3], np.float32)
+    assert epipolar.flat_share(edges, matches(pairs), 0) < epipolar.FLAT_SHARE
+    evidence = epipolar.two_view_evidence(edges, matches(pairs), scene.T, parallax=True, seed=0)
+    misfit = pooling.pool(evidence, edges, pairs["flow"], pairs["weights"])
+    probability = motion.to_probability(misfit, *motion.FLOW_CURVE)
+    assert overlap(probability > 0.5, moving) > 0.6
+
+
+def test_a_mover_stands_out_sharply_with_cameras() -> None:
+    scene = make_scene(disc_radius=0.5)
+    pairs, edges = observed(scene)
+    Ks = np.broadcast_to(scene.K, (scene.T, 3, 3))
+    evidence, _ = resweep.camera_evidence(pairs, scene.cam_from_world, Ks, np.full(scene.depth.shape, 0.2, np.float32))
+    misfit = pooling.pool(evidence, edges, pairs["flow"], pairs["weights"])
+    assert overlap(motion.to_probability(misfit, *motion.CAMERA_CURVE) > 0.5, scene.dynamic) > 0.7
+
+
+def test_static_scene_fits_its_depth_exactly() -> None:
+    """The re-sweep starts from a wrong constant and must find the true depth of every pixel that shows parallax."""
+    scene = make_scene(T=5)
+    pairs, _ = observed(scene)
+    Ks = np.broadcast_to(scene.K, (scene.T, 3, 3))
+    start = np.full(scene.depth.shape, 0.3, np.float32)
+    evidence, sigma_px = resweep.camera_evidence(pairs, scene.cam_from_world, Ks, start)
+    assert sigma_px == pytest.approx(0.5)
+    assert evidence.misfit[evidence.weight > 1].max() < 1e-3
+
+
+def test_sweep_is_as_good_as_trying_every_depth() -> None:
+    """Brute force in numpy over 4000 inverse depths, on noisy flow with a mover, finds nothing much better."""
+    scene = make_scene(T=4, size=(16, 24), disc_radius=0.6)
+    pairs, _ = observed(scene)
+    flow = pairs["flow"] + 0.3 * np.random.default_rng(1).standard_normal(pairs["flow"].shape).astype(np.float32)
+    i, j = pairs["source"], pairs["target"]
+    relative = scene.cam_from_world[j] @ lie.inverse(scene.cam_from_world[i])
+    A = scene.K @ relative[:, :3, :3] @ np.linalg.inv(scene.K)
+    b = (scene.K @ relative[:, :3, 3:])[..., 0]
+    pointer = np.searchsorted(i, np.arange(scene.T + 1))
+    start = np.full(scene.depth.shape, 0.3, np.float32)
+    misfit, inverse_depth = resweep.sweep(pointer, A, b, flow, pairs["weights"], start, 0.5, 1)
+    reference, at_found = brute_force(scene, A, b, flow, pairs, inverse_depth, 0.5)
+    np.testing.assert_allclose(misfit, at_found, atol=1e-4)
+    assert np.quantile(misfit - reference, 0.95) < 0.05
+
+
+def brute_force(
+    scene: Scene,
+    A: np.ndarray,
+    b: np.ndarray,
+    flow: np.ndarray,
+    pairs: dict[str, np.ndarray],
+    found: np.ndarray,
+    sigma_px: float,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Lowest misfit per pixel over a fine grid of inverse depths, and the misfit at those found."""
+    pixels = pixel_grid(*scene.depth.shape[1:])
+    homogeneous = np.concatenate([pixels, np.ones_like(pixels[..., :1])], axis=-1)
+
+    def misfit(d: np.ndarray) -> np.ndarray:
+        cost, total = np.zeros(scene.depth.shape), np.zeros(scene.depth.shape)
+        for e, i in enumerate(pairs["source"]):
+            there = homogeneous @ A[e].T + d[i][..., None] * b[e]
+            behind = there[..., 2] < resweep.Z_MIN
+            z = np.where(behind, 1.0, there[..., 2])
+            q = ((pixels + flow[e] - there[..., :2] / z[..., None]) ** 2).sum(axis=-1) / sigma_px**2
+            cost[i] += pairs["weights"][e] * np.where(behind, 1.0, q / (1 + q))
+            total[i] += pairs["weights"][e]
+        return cost / np.maximum(total, 1e-12)
+
+    grid = np.concatenate([[0], np.geomspace(1e-3, resweep.D_MAX, 4000)])
+    best = np.min([misfit(np.full(scene.depth.shape, d)) for d in grid], axis=0)
+    return best, misfit(found.astype(float))
+
+
+def test_depth_is_resampled_where_its_cells_lie() -> None:
+    """A ramp stays that ramp: cell k of s px is centred at s k + (s - 1) / 2."""
+    ramp = np.broadcast_to(8 * np.arange(12) + 3.5, (1, 6, 12)).astype(np.float32)
+    fine = resweep.resample(ramp, 8.0, 48, 96)
+    np.testing.assert_allclose(fine[0, 20, 4:90], np.arange(4, 90), atol=0.2)
+
+
+def test_pooling_fills_from_neighbouring_frames() -> None:
+    """A pixel unseen in one frame takes the evidence that the flow brings from the next ones."""
+    misfit, weight = np.zeros((3, 20, 20), np.float32), np.ones((3, 20, 20), np.float32)
+    misfit[1:, 5:15, 5:15] = 1.0
+    weight[0] = 0
+    edges = {(0, 1): 0, (0, 2): 1}
+    flow, weights = np.zeros((2, 20, 20, 2), np.float32), np.ones((2, 20, 20), np.float32)
+    pooled = pooling.pool(Evidence(misfit, weight), edges, flow, weights)
+    assert pooled[0, 10, 10] > 0.8
+    assert pooled[0, 1, 1] < 1e-6
+
+
+def test_badly_matched_flow_weighs_little_and_flow_out_of_the_frame_nothing() -> None:
+    flow = np.zeros((1, 20, 20, 2), np.float32)
+    flow[0, :, 15:] = (10, 0)
+    confidence = np.ones((1, 20, 20), np.float32)
+    confidence[0, :5] = 0
+    weights = pooling.evidence_weights(flow, confidence)
+    assert 0 < weights[0, 0, 0] < 0.1
+    assert (weights[0, :, 15:] == 0).all()
+    assert weights[0, 10, 5] == 1
+
+
+def write_inputs(folder: Path, scene: Scene) -> tuple[Path, Path]:
+    """sequence.json and pairs.arrow of a scene (frames are noise: only the figure shows them)."""
+    clip = write_frames(folder / "clip", scene.T, scene.depth.shape[1:])
+    write_json(folder / "sequence.json", sequence_to_json(check_sequence("clip", clip)))
+    pairs, _ = observed(scene)
+    columns = {name: pairs[name] for name in ("source", "target")}
+    columns |= {name: pairs[name].astype(np.float16) for name in ("flow", "confidence")}
+    write_dense(folder / "pairs.arrow", columns, {"width": 96, "height": 64, "scale": 1.0})
+    return folder / "sequence.json", folder / "pairs.arrow"
+
+
+def write_round(folder: Path, scene: Scene, status: str = "estimated") -> tuple[Path, Path]:
+    """The poses and depth of a round before."""
+    numbers = np.arange(1, scene.T + 1)
+    statuses = np.full(scene.T, status, object)
+    write_cameras(folder / "poses.parquet", make_cameras(scene.cam_from_world, scene.K, numbers, status=statuses))
+    depth = np.full((scene.T, 8, 12), 0.2, np.float32)
+    write_dense(folder / "depth.arrow", {"frame": numbers, "inverse_depth": depth}, {"stride_px": 8})
+    return folder / "poses.parquet", folder / "depth.arrow"
+
+
+def test_script_uses_cameras_when_there_are_any(tmp_path: Path) -> None:
+    scene = make_scene(disc_radius=0.5)
+    inputs, poses = write_inputs(tmp_path, scene), write_round(tmp_path, scene)
+    output = tmp_path / "prior.arrow"
+    motion.main(*inputs, output, tmp_path / "motion.png", motion.MotionOptions(), *poses)
+    assert read_metadata(output)["source"] == "cameras"
+    probability = read_dense(output)["probability"]
+    assert probability.dtype == np.float16
+    assert overlap(probability > 0.5, scene.dynamic) > 0.7
+
+
+def test_script_falls_back_to_flow_when_the_cameras_failed(tmp_path: Path) -> None:
+    scene = make_scene(T=4, disc_radius=0.5)
+    inputs, poses = write_inputs(tmp_path, scene), write_round(tmp_path, scene, "failed")
+    motion.main(*inputs, tmp_path / "prior.arrow", tmp_path / "motion.png", motion.MotionOptions(), *poses)
+    assert read_metadata(tmp_path / "prior.arrow")["source"] == "flow"
+
+
+def test_script_refuses_poses_without_depth(tmp_path: Path) -> None:
+    scene = make_scene(T=4)
+    inputs, (poses, _) = write_inputs(tmp_path, scene), write_round(tmp_path, scene)
+    with pytest.raises(InputError, match="together with --previous-depth"):
+        motion.main(*inputs, tmp_path / "prior.arrow", tmp_path / "motion.png", motion.MotionOptions(), poses)
+    assert not (tmp_path / "prior.arrow").exists()
