@@ -35,12 +35,14 @@ class Problem:
         masked: whether masks took part, or earlier poses that masks were made from.
         known_focal_px: the true focal length on the flow grid, if it is to be used.
         previous: the solution of the round before.
+        unmasked: the same observations without masks, to fall back on.
     """
 
     graph: FlowGraph
     masked: bool
     known_focal_px: float | None = None
     previous: State | None = None
+    unmasked: FlowGraph | None = None
 
 
 @dataclass(frozen=True)
@@ -64,7 +66,7 @@ class Estimate:
         covariance: [T, 6, 6] of the left twists, in the gauge of the state.
         residual_px: median reprojection error of the confident static matches.
         focal: the decision about the focal length and its numbers.
-        flags: reasons to doubt the solution, in words.
+        doubts: what its own statistics say against the solution, in words; flags: these and other warnings.
     """
 
     state: State
@@ -73,12 +75,27 @@ class Estimate:
     residual_px: float
     focal: dict[str, Any]
     statistics: dict[str, Any]
+    doubts: list[str] = field(default_factory=list)
     flags: list[str] = field(default_factory=list)
     steps: list[Step] = field(default_factory=list)
 
 
 def estimate(problem: Problem, options: BAOptions) -> Estimate:
-    """Solve for poses, inverse depths and focal length; failure is a result too, its reason among `flags`."""
+    """Solve for poses, inverse depths and focal length; failure is a result too, its reason among `flags`.
+
+    Masks that leave a doubtful solution are distrusted if the same frames without masks leave fewer doubts: wrong masks
+    do more harm than movers, which the robust kernel bears in part.
+    """
+    solution = _estimate(problem, options)
+    if not solution.doubts or problem.unmasked is None:
+        return solution
+    plain = _estimate(replace(problem, graph=problem.unmasked, masked=False), options)
+    if (plain.camera == "failed", len(plain.doubts)) >= (solution.camera == "failed", len(solution.doubts)):
+        return solution
+    return replace(plain, flags=[f"masks distrusted; with them: {'; '.join(solution.doubts)}", *plain.flags])
+
+
+def _estimate(problem: Problem, options: BAOptions) -> Estimate:
     graph = problem.graph
     prior = FocalPrior(PRIOR_FOCAL * graph.width)
     focals = [problem.known_focal_px] if problem.known_focal_px else [f * graph.width for f in START_FOCALS]
@@ -123,7 +140,7 @@ def _failure(graph: FlowGraph, focal_px: float) -> Estimate:
     state = State(np.tile(np.eye(4), (T, 1, 1)), np.ones((T, len(graph.pixels))), focal_px)
     reason = "failed: neighbouring frames share too few confident static matches; the poses are the identity"
     focal = asdict(Focal("held at prior", None, "nothing could be estimated")) | {"focal_px": focal_px}
-    return Estimate(state, "failed", np.zeros((T, 6, 6)), float("inf"), focal, {}, [reason])
+    return Estimate(state, "failed", np.zeros((T, 6, 6)), float("inf"), focal, {}, [reason], [reason])
 
 
 def _candidates(
@@ -211,4 +228,4 @@ def _finish(
     numbers = asdict(statistics) | {"camera": statistics.camera, "planar": statistics.planar}
     residual_px = median_residual(graph, state)
     decision = asdict(focal) | {"focal_px": state.focal_px}
-    return Estimate(state, statistics.camera, covariance, residual_px, decision, numbers, flags, steps)
+    return Estimate(state, statistics.camera, covariance, residual_px, decision, numbers, doubts, flags, steps)

@@ -59,10 +59,12 @@ def main(
     centre, known_focal_px = _known_intrinsics(frames, float(metadata["scale"]), grid, options)
     columns = (pairs["source"], pairs["target"], pairs["flow"], pairs["confidence"], len(frames.numbers))
     static, unmasked = trusted_static_areas(static_areas(_read_masks(masks, frames), *grid))
-    graph = mask_graph(build_graph(*columns, options.stride_px, centre), static)
+    everything = build_graph(*columns, options.stride_px, centre)
+    graph = mask_graph(everything, static)
     previous = _previous(previous_poses, previous_depth, float(metadata["scale"]), graph)
-    masked = bool((static < 1).any()) or previous is not None
-    solution = estimate(Problem(graph, masked, known_focal_px, previous), options)
+    has_movers = bool((static < 1).any())
+    fallback = everything if has_movers else None
+    solution = estimate(Problem(graph, has_movers or previous is not None, known_focal_px, previous, fallback), options)
     flags = solution.flags + _mask_doubts(static, unmasked, previous_poses)
     _log(frames.name, solution, flags)
     fine = mask_graph(build_graph(*columns, options.depth_stride_px, centre), static)

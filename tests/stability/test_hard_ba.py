@@ -12,7 +12,7 @@ from stages.ba import classify, dba, kernel, reduced, residuals, twoview
 from stages.ba.dba import FocalPrior, Level, State, Unknowns
 from stages.ba.depth import depth_maps, fill
 from stages.ba.estimate import Estimate, Problem, estimate
-from stages.ba.graph import build_graph, static_areas, trusted_static_areas
+from stages.ba.graph import build_graph, mask_graph, static_areas, trusted_static_areas
 from stages.ba.options import BAOptions
 from stages.ba.solve import main
 from stages.shared import lie
@@ -248,3 +248,15 @@ def test_too_few_matches_give_no_motion() -> None:
 @pytest.fixture(autouse=True)
 def _quiet() -> None:
     logging.getLogger("motionsplat").setLevel(logging.ERROR)
+
+
+def test_masks_that_hide_the_static_scene_are_distrusted() -> None:
+    scene = make_scene(size=(96, 160), disc_radius=0.5)
+    everything = observe(scene, masked=False)
+    hidden = mask_graph(everything, np.zeros_like(scene.depth))
+    problem = Problem(hidden, masked=True, known_focal_px=scene.focal_px)
+    assert estimate(problem, OPTIONS).camera == "failed"
+    solution = estimate(replace(problem, unmasked=everything), OPTIONS)
+    assert solution.camera == "moving"
+    assert "masks distrusted" in solution.flags[0]
+    assert trajectory_error(solution.state.cam_from_world, scene.cam_from_world) < 0.02
