@@ -1,0 +1,118 @@
+"""The whole pipeline once, on two small simulated scenes: one with a mover, one without."""
+
+import json
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from conftest import REPO, run_snakemake
+from evo.tools import file_interface
+
+from stages.shared.artifacts import read_metadata, read_table
+from stages.shared.cameras import read_cameras
+from stages.shared.images import read_rgb
+
+OPTIONS = {
+    "dataset": "simulated",
+    "scenes": ["moving.yaml", "still.yaml"],
+    "control": {"control_points": 32, "steps": 60},
+    "gaussians": {"steps": 60},
+    "render": {"novel_views": 4},
+    "colmap": {"mappers": ["global"], "window": 3},
+}
+FRAMES, WIDTH, HEIGHT = 8, 256, 112
+
+
+def write_scenes(folder: Path) -> None:
+    """The demo scene, small and without effects, with and without its walker."""
+    scene = yaml.safe_load((REPO / "stages/simulate/scenes/demo.yaml").read_text())
+    scene |= {"frames": FRAMES, "width": WIDTH, "height": HEIGHT, "effects": {}}
+    still = [thing for thing in scene["objects"] if thing["name"] != "walker"]
+    (folder / "moving.yaml").write_text(yaml.safe_dump(scene))
+    (folder / "still.yaml").write_text(yaml.safe_dump(scene | {"objects": still}))
+
+
+def snakemake(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """The repository's workflow with `folder` as working directory."""
+    flags = ["-s", str(REPO / "Snakefile"), "--directory", str(folder), "--configfile", str(folder / "mine.yaml")]
+    return run_snakemake(folder, *arguments, *flags)
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A working folder after a complete run."""
+    folder = tmp_path_factory.mktemp("run")
+    write_scenes(folder)
+    (folder / "mine.yaml").write_text(yaml.safe_dump(OPTIONS))
+    result = snakemake(folder)
+    assert result.returncode == 0, result.stderr[-4000:]
+    return folder
+
+
+def results(folder: Path, name: str) -> Path:
+    return folder / "results" / "simulated" / name
+
+
+def test_a_second_run_does_nothing(finished: Path) -> None:
+    again = snakemake(finished)
+    assert "Nothing to be done" in again.stdout + again.stderr
+
+
+@pytest.mark.parametrize("name", ["moving", "still"])
+def test_every_artifact_is_there_with_its_metadata(finished: Path, name: str) -> None:
+    folder = results(finished, name)
+    for artifact in (
+        *("flow/pairs.arrow", "motion/prior.arrow", "ba/poses.parquet", "ba/depth.arrow", "ba/convergence.parquet"),
+        *("control/points.parquet", "control/deformation.safetensors", "gaussians/model.safetensors"),
+        *("eval/poses.parquet", "eval/images.parquet", "eval/masks.parquet", "eval/time.parquet"),
+    ):
+        metadata = read_metadata(folder / artifact)
+        assert metadata["format_version"] == 1, artifact
+        assert metadata["code"], artifact
+    for split in ("train", "test", "novel", "right"):
+        images = sorted((folder / "renders" / split).glob("frame_*.png"))
+        assert images, split
+        assert read_rgb(images[0]).shape == (HEIGHT, WIDTH, 3)
+    assert len(list((folder / "masks").glob("frame_*.png"))) == FRAMES
+    assert not list(finished.rglob("*.partial"))
+
+
+@pytest.mark.parametrize("name", ["moving", "still"])
+def test_poses_come_close_to_the_truth(finished: Path, name: str) -> None:
+    table = read_table(results(finished, name) / "eval/poses.parquet")
+    ours = table["method"] == "ours"
+    assert table["ate_percent"][ours][-1] < 3.0
+
+
+def test_trajectory_opens_in_evo(finished: Path) -> None:
+    folder = results(finished, "moving")
+    trajectory = file_interface.read_tum_trajectory_file(str(folder / "ba/trajectory.tum"))
+    assert np.allclose(trajectory.positions_xyz, read_cameras(folder / "ba/poses.parquet").centres)
+
+
+def test_a_scene_without_movers_has_no_control_points(finished: Path) -> None:
+    needed = {}
+    for name in ("moving", "still"):
+        scene = json.loads((results(finished, name) / "scene.json").read_text())
+        points = read_table(results(finished, name) / "control/points.parquet")
+        needed[name] = scene["dynamic"]["needed"], len(points["x"]) > 0
+    assert needed == {"moving": (True, True), "still": (False, False)}
+
+
+def test_report_and_snakemakes_own(finished: Path) -> None:
+    page = finished / "results/simulated/report/index.html"
+    assert all(name in page.read_text() for name in ("moving", "still", "COLMAP"))
+    archive = finished / "own.zip"
+    made = snakemake(finished, "--report", str(archive))
+    assert made.returncode == 0, made.stderr[-2000:]
+    assert archive.stat().st_size > 10_000
+
+
+def test_every_stage_says_what_it_cost(finished: Path) -> None:
+    table = read_table(results(finished, "moving") / "eval/time.parquet")
+    stages = {"inspect", "flow", "motion", "segment", "ba", "scene", "control", "gaussians", "render", "colmap"}
+    assert stages <= {str(stage).rsplit("/", maxsplit=1)[-1] for stage in table["stage"]}
+    assert np.all(table["wall_s"] > 0)
+    assert np.all(table["peak_mb"] > 20)
