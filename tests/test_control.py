@@ -1,4 +1,4 @@
-"""The control stage: tracks through training frames only, rest positions, fitted motion, files, the whole script."""
+"""The control stage: rest positions, fitted motion, its files, and the whole script."""
 
 import json
 from pathlib import Path
@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import torch
 from scipy.spatial.transform import Rotation
-from square_inputs import HELD_OUT, write_inputs
+from square_inputs import write_inputs
 
-from stages.control import arap, canonical, fit, fitting, lbs, stage1, tracks
+from stages.control import arap, fit, fitting, lbs, stage1
 from stages.control.deformation import (
     Deformation,
     MLPDeformation,
@@ -27,118 +27,6 @@ from stages.shared.artifacts import read_metadata, read_model, read_table
 from stages.shared.cameras import centred_intrinsics, make_cameras, project, unproject
 from stages.shared.cli import run
 from stages.shared.split import SplitOptions, held_out
-
-F, H, W = 9, 48, 64
-STEP = np.array([2.0, 1.0])  # pixels per frame of the moving block
-
-
-def block_masks(T: int = F) -> np.ndarray:
-    """A block of 16 x 12 px that moves by STEP from (6, 8)."""
-    masks = np.zeros((T, H, W), bool)
-    for k in range(T):
-        u, v = (np.array([6, 8]) + k * STEP).astype(int)
-        masks[k, v : v + 12, u : u + 16] = True
-    return masks
-
-
-def block_edges(T: int = F, reach: int = 2) -> dict[str, np.ndarray]:
-    """Exact flow of the block on a still background, over all edges up to `reach` frames long."""
-    pairs = [(i, j) for i in range(T) for j in range(T) if 0 < abs(i - j) <= reach]
-    masks = block_masks(T)
-    flow = np.stack([masks[i][..., None] * STEP * (j - i) for i, j in pairs]).astype(np.float16)
-    source, target = np.array(pairs).T
-    return {"source": source, "target": target, "flow": flow, "confidence": np.ones(flow.shape[:3], np.float16)}
-
-
-def training(T: int = F) -> np.ndarray:
-    return ~held_out(T, SplitOptions())
-
-
-def test_tracks_follow_the_block_over_the_held_out_frame() -> None:
-    links = tracks.training_links(**block_edges(), is_training=training())
-    assert HELD_OUT not in links.frames
-    assert links.missing == []
-    found = tracks.track_dynamic_pixels(links, block_masks()[links.frames], stride_px=2)
-    full = found.visible.all(axis=1)
-    assert full.sum() > 20
-    moved = found.uv[full] - found.uv[full][:, :1]
-    np.testing.assert_allclose(moved, np.broadcast_to((links.frames[:, None]) * STEP, moved.shape), atol=1e-3)
-
-
-def test_no_edge_that_touches_a_held_out_frame_is_read() -> None:
-    edges = block_edges()
-    touched = (edges["source"] == HELD_OUT) | (edges["target"] == HELD_OUT)
-    edges["flow"][touched], edges["confidence"][touched] = np.nan, np.nan
-    links = tracks.training_links(**edges, is_training=training())
-    assert np.isfinite(links.flow).all()
-    assert np.isfinite(links.confidence).all()
-
-
-def test_a_missing_skip_edge_is_named_and_ends_the_tracks() -> None:
-    links = tracks.training_links(**block_edges(reach=1), is_training=training())
-    assert sorted(links.missing) == [(3, 5), (5, 3)]
-    found = tracks.track_dynamic_pixels(links, block_masks()[links.frames], stride_px=2)
-    before, after = links.frames < HELD_OUT, links.frames > HELD_OUT
-    assert not (found.visible[:, before].any(axis=1) & found.visible[:, after].any(axis=1)).any()
-
-
-def test_tracks_end_where_flow_is_not_trusted() -> None:
-    edges = block_edges()
-    step = np.isin(edges["source"], (6, 7)) & np.isin(edges["target"], (6, 7))
-    edges["confidence"][step] = 0.0
-    links = tracks.training_links(**edges, is_training=training())
-    found = tracks.track_dynamic_pixels(links, block_masks()[links.frames], stride_px=2)
-    started_before = found.visible[:, links.frames == 1].any(axis=1)
-    assert started_before.any()
-    assert not found.visible[started_before][:, links.frames >= 7].any()
-
-
-def test_a_part_that_shows_up_late_gets_tracks() -> None:
-    masks = block_masks()
-    masks[6:, 38:46, 44:60] = True
-    links = tracks.training_links(**block_edges(), is_training=training())
-    found = tracks.track_dynamic_pixels(links, masks[links.frames], stride_px=2)
-    late = found.visible & (found.uv[..., 1] > 36) & (found.uv[..., 0] > 42)
-    assert late.any()
-    assert not late[:, links.frames < 6].any()
-
-
-def test_depth_is_smoothed_as_far_as_it_is_uncertain() -> None:
-    rng = np.random.default_rng(0)
-    truth = np.linspace(1.0, 1.3, 12)
-    std = np.full((2, 12), 0.5)
-    std[1] = 0.01
-    measured = truth + rng.normal(0, 1, (2, 12)) * [[0.2], [0.01]]
-    visible = np.ones((2, 12), bool)
-    visible[:, 5] = False
-    measured[:, 5] = 99.0
-    smoothed = tracks.smooth_log_depth(measured, std, visible)
-    assert np.abs(np.diff(smoothed[0], n=2)).max() < 0.02 < np.abs(np.diff(measured[0], n=2)).max()
-    np.testing.assert_allclose(smoothed[1], truth, atol=0.03)
-
-
-@pytest.mark.parametrize("frames", [1, 2, 3])
-def test_depth_of_short_clips_is_smoothed_too(frames: int) -> None:
-    visible = np.zeros((2, frames), bool)
-    visible[:, 0] = True
-    smoothed = tracks.smooth_log_depth(np.full((2, frames), 0.7), np.full((2, frames), 0.1), visible)
-    np.testing.assert_allclose(smoothed, 0.7, atol=1e-9)
-
-
-def test_the_canonical_frame_sees_most_of_the_tracks() -> None:
-    visible = np.zeros((10, 6), bool)
-    visible[:5, :4] = True
-    visible[5:, 3:] = True
-    assert canonical.choose_frame(visible) == 3
-
-
-def test_farthest_points_are_spread_and_denser_where_it_matters() -> None:
-    line = np.stack([np.linspace(0, 1, 401), np.zeros(401), np.zeros(401)], axis=-1)
-    even = line[canonical.farthest_points(line, np.ones(401), 21), 0]
-    assert np.diff(np.sort(even)).max() < 3 * np.diff(np.sort(even)).min()
-    importance = np.where(line[:, 0] > 0.5, 3.0, 1.0)
-    chosen = line[canonical.farthest_points(line, importance, 40), 0]
-    assert (chosen > 0.5).sum() > 2 * (chosen <= 0.5).sum()
 
 
 def turning_body(times: np.ndarray, count: int = 400) -> tuple[np.ndarray, np.ndarray]:
@@ -158,6 +46,10 @@ def sightings_of(moved: np.ndarray, frames: np.ndarray, T: int, depth_error: np.
     lifted = unproject(uv, depth, np.eye(4), K)
     std = np.full(depth.shape, 0.02 if np.isscalar(depth_error) else 0.5)
     return Sightings(frames, frames / (T - 1), uv, np.ones(depth.shape, bool), depth, std, lifted)
+
+
+def training(T: int) -> np.ndarray:
+    return ~held_out(T, SplitOptions())
 
 
 def fit_body(
