@@ -75,12 +75,12 @@ class Table:
 
     @property
     def shown(self) -> tuple[Column, ...]:
-        """The columns of the page: those that say something in at least one row."""
-        return tuple(
-            column
-            for column in self.columns
-            if not column.file_only and any(row.get(column.key) not in (None, "") for row in self.rows)
-        )
+        """The columns of the page: those that say something, without the name of the only sequence."""
+        return tuple(column for column in self.columns if not column.file_only and self._says_something(column))
+
+    def _says_something(self, column: Column) -> bool:
+        values = {row.get(column.key) for row in self.rows} - {None, ""}
+        return len(values) > 1 if column.key == "sequence" else bool(values)
 
     def highest(self, column: Column) -> float:
         """Greatest value of a column, totals aside."""
