@@ -13,7 +13,7 @@ from stages.flow.options import FlowOptions
 from stages.shared import cli, figures
 from stages.shared.artifacts import write_dense
 from stages.shared.cli import In, Out
-from stages.shared.images import read_rgb, write_image
+from stages.shared.images import read_rgb, write_figure
 from stages.shared.log import logger
 from stages.shared.sequences import Sequence, read_sequence
 
@@ -40,7 +40,7 @@ def main(
     metadata |= {"confident_share": share, "options": options.model_dump(mode="json")}
     source, target = np.array(edges, np.int64).reshape(-1, 2).T
     write_dense(output, {"source": source, "target": target, "flow": flow, "confidence": confidence}, metadata)
-    write_image(figure, _picture(rgb, edges, flow, confidence))
+    write_figure(figure, _picture(rgb, edges, flow, confidence))
 
 
 def _read_reduced(frames: Sequence, scale: float) -> np.ndarray:

@@ -15,7 +15,7 @@ from stages.shared.artifacts import read_dense, read_metadata, write_dense
 from stages.shared.cameras import Cameras, pixel_grid, read_cameras, scale_intrinsics
 from stages.shared.cli import In, Out
 from stages.shared.errors import InputError
-from stages.shared.images import read_rgb, write_image
+from stages.shared.images import read_rgb, write_figure
 from stages.shared.log import logger
 from stages.shared.sequences import Sequence, read_sequence
 
@@ -58,7 +58,7 @@ def main(
     logger.info("%s: %s", frames.name, facts)
     columns = {"frame": np.array(frames.numbers), "probability": probability.astype(np.float16)}
     write_dense(output, columns, {"units": "probability", **facts, "options": options.model_dump(mode="json")})
-    write_image(figure, _picture(frames, probability))
+    write_figure(figure, _picture(frames, probability))
 
 
 def to_probability(misfit: np.ndarray, midway: float, spread: float) -> np.ndarray:
@@ -114,7 +114,7 @@ def _picture(frames: Sequence, probability: np.ndarray) -> np.ndarray:
         for k, rgb in zip(shown, reduced, strict=True)
         for image in (rgb, figures.scalar_to_rgb(probability[k], 0, 1))
     ]
-    return figures.contact_sheet(cells, columns=2)
+    return figures.contact_sheet(cells, columns=4)
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ from stages.segment.refinement import guarded_thresholds, smooth_along_edges, to
 from stages.shared import cli, figures
 from stages.shared.artifacts import atomic_folder, read_dense, write_json
 from stages.shared.cli import In, Out
-from stages.shared.images import read_rgb, write_image
+from stages.shared.images import read_rgb, write_figure, write_image
 from stages.shared.log import logger
 from stages.shared.sequences import Sequence, read_sequence
 
@@ -33,7 +33,7 @@ def main(
     edges = {(int(i), int(j)): e for e, (i, j) in enumerate(zip(pairs["source"], pairs["target"], strict=True))}
     voted = vote(probability, edges, pairs["flow"], pairs["confidence"])
     shares, guarded = {}, []
-    shown, overlays = set(figures.spread(len(voted), 8).tolist()), []
+    shown, overlays = set(figures.spread(len(voted), 6).tolist()), []
     with atomic_folder(output) as folder:
         for k, (path, number) in enumerate(zip(frames.frames, frames.numbers, strict=True)):
             rgb = read_rgb(path)
@@ -46,7 +46,7 @@ def main(
             folder / "masks.json", {"dynamic_share": shares, "guarded": guarded, "options": options.model_dump()}
         )
     _tell(frames, shares, guarded, options)
-    write_image(figure, figures.contact_sheet(overlays, columns=2))
+    write_figure(figure, figures.contact_sheet(overlays, columns=3))
 
 
 def _mask(probability: np.ndarray, rgb: np.ndarray, options: SegmentOptions) -> tuple[np.ndarray, bool]:
