@@ -265,6 +265,16 @@ def test_two_view_motion_survives_outliers_and_the_twisted_pair() -> None:
     assert_allclose(d * points[120:, 2], 1.0, rtol=0.02)
 
 
+def test_a_fifth_of_moving_pixels_does_not_win_the_two_view_fit() -> None:
+    scene = make_scene(size=(96, 160), disc_radius=0.5)
+    assert scene.dynamic.mean() > 0.15
+    x, y, w = twoview.pair_rays(observe(scene, masked=False), 3, 4, scene.focal_px)
+    fit = twoview.estimate_motion(x, y, w, scene.focal_px, 0.3, seed=0)
+    relative = scene.cam_from_world[4] @ lie.inverse(scene.cam_from_world[3])
+    assert fit is not None
+    assert np.degrees(np.linalg.norm(lie.log_so3(fit.R.T @ relative[:3, :3]))) < 0.05
+
+
 def test_a_chain_of_exact_pairs_is_the_trajectory_up_to_scale() -> None:
     scene = make_scene(size=(96, 160))
     graph = observe(scene)

@@ -21,6 +21,7 @@ CORRELATION = 20.0
 MIN_NOISE_PX = 0.01
 WEAK_FOCAL, BLIND_FOCAL = 0.05, 0.15
 """Predicted relative error of the focal length above which it is called weak, and not estimated at all."""
+MAX_PAIR_PX = 0.3
 CONSISTENT_SHARE = 0.85
 """Share of confident matches within 1 px of the static model from which on a scene needs no masks to free the focal."""
 FINE = (Level(1.0, 12), Level(0.5, 20))
@@ -150,6 +151,8 @@ def _candidates(
     graph = problem.graph
     threshold_px = float(np.clip(0.15 * statistics.flow_px, 0.3, 1.0))
     schedule = (Level(2 * threshold_px, 6), Level(threshold_px, 8))
+    # Movers win two-view fits with wide thresholds: tighter ones than the adjustment needs.
+    pair_px = min(threshold_px / 2, MAX_PAIR_PX)
     starts = {}
     if problem.previous:
         focals = [problem.known_focal_px or problem.previous.focal_px]
@@ -158,7 +161,7 @@ def _candidates(
     elif statistics.camera == "near-still" and not problem.known_focal_px:
         focals = [prior.focal_px]
     for focal_px in focals:
-        for hypothesis in (Hypothesis(focal_px, threshold_px / 2, 0), Hypothesis(focal_px, threshold_px, 2)):
+        for hypothesis in (Hypothesis(focal_px, pair_px, 0), Hypothesis(focal_px, 2 * pair_px, 2)):
             poses, _ = initialise.chain(graph, hypothesis, options.seed)
             name = f"chain at {focal_px / graph.width:.2f} W, pooled over {2 * hypothesis.pooled + 1}"
             starts[name] = initialise.initial_state(graph, poses, focal_px)

@@ -13,7 +13,7 @@ from stages.ba.graph import MIN_MATCHES, MIN_WEIGHT, FlowGraph
 from stages.shared import lie
 
 RANSAC_MATCHES = 1500
-"""MAGSAC++ gains nothing from more; all matches take part in the refinement."""
+"""RANSAC gains nothing from more; all matches take part in the refinement."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,10 @@ def pair_rays(graph: FlowGraph, i: int, j: int, focal_px: float) -> tuple[np.nda
 def estimate_motion(
     x: np.ndarray, y: np.ndarray, w: np.ndarray, focal_px: float, threshold_px: float, seed: int
 ) -> TwoView | None:
-    """Robust relative motion: MAGSAC++ on a subset, then Geman-McClure refinement of the Sampson error on all matches.
+    """Robust relative motion: RANSAC on a subset, then Geman-McClure refinement of the Sampson error on all matches.
+
+    Models are scored by MSAC: MAGSAC++ marginalises over thresholds far above the one given, and a fifth of moving
+    pixels is then enough to win (tests/test_ba.py has the case).
 
     Returns:
         None when there are too few matches or no model.
@@ -51,7 +54,7 @@ def estimate_motion(
         return None
     step = max(1, len(x) // RANSAC_MATCHES)
     params = cv2.UsacParams()
-    params.sampler, params.score = cv2.SAMPLING_UNIFORM, cv2.SCORE_METHOD_MAGSAC
+    params.sampler, params.score = cv2.SAMPLING_UNIFORM, cv2.SCORE_METHOD_MSAC
     params.confidence, params.threshold, params.maxIterations = 0.9999, threshold_px / focal_px, 2000
     params.randomGeneratorState = seed
     identity, none = np.eye(3), np.zeros(0)
