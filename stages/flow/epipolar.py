@@ -12,7 +12,7 @@ MAX_ITERATIONS = 500
 """Enough to draw seven inliers once, with 99.99 %, where 60 % of the matches are inliers."""
 RANSAC_MATCHES = 1500
 """MAGSAC++ gains nothing from more."""
-FLAT_SHARE = 0.8
+FLAT_SHARE = 0.75
 FLAT_PX = 1.0
 """A homography that meets this share of the confident matches to a pixel leaves a fundamental matrix undetermined."""
 SIGMA_RANGE_PX = (1.0, 3.0)
@@ -38,19 +38,18 @@ class PairMatches(NamedTuple):
 
 
 def flat_share(edges: dict[tuple[int, int], int], pairs: PairMatches, seed: int) -> float:
-    """Share of the confident matches of the longest edges that a homography meets to a pixel; 1 without any.
+    """Share of the confident matches that a homography meets to a pixel, at the frame distance where it is least.
 
     Near 1 there is no parallax: the camera only turns, hardly moves, or looks at a plane. Then the epipole is free,
-    and would be placed to suit whatever moves.
+    and would be placed to suit whatever moves. 1 without matches.
     """
-    longest = max((abs(i - j) for i, j in edges), default=0)
-    shares = []
+    shares: dict[int, list[float]] = {}
     for (i, j), e in edges.items():
-        if j - i == longest:
-            x, y = _confident(pairs, e, edges[j, i])
-            H = fit_homography(x, y, _usac(FLAT_PX, seed)) if len(x) >= MIN_MATCHES else None
-            shares += [float((homography_errors(H, x, y) < FLAT_PX).mean())] if H is not None else []
-    return float(np.median(shares)) if shares else 1.0
+        x, y = _confident(pairs, e, edges[j, i])
+        H = fit_homography(x, y, _usac(FLAT_PX, seed)) if i < j and len(x) >= MIN_MATCHES else None
+        if H is not None:
+            shares.setdefault(j - i, []).append(float((homography_errors(H, x, y) < FLAT_PX).mean()))
+    return min((float(np.median(of_distance)) for of_distance in shares.values()), default=1.0)
 
 
 def two_view_evidence(
@@ -81,7 +80,7 @@ def two_view_evidence(
 
 
 def ransac_threshold_px(edges: dict[tuple[int, int], int], pairs: PairMatches) -> float:
-    """Inlier threshold: 5 % of the median motion of the shortest edges within 0.1..0.3 px.
+    """Inlier threshold: 7.5 % of the median motion of the shortest edges within 0.2..0.5 px.
 
     A wider one lets a moving object bend the geometry until it fits.
     """
@@ -91,7 +90,7 @@ def ransac_threshold_px(edges: dict[tuple[int, int], int], pairs: PairMatches) -
         for (i, j), e in edges.items()
         if abs(i - j) == shortest
     ]
-    return float(np.clip(0.05 * np.median(moves), 0.1, 0.3)) if moves else 0.1
+    return float(np.clip(0.075 * np.median(moves), 0.2, 0.5)) if moves else 0.2
 
 
 def fit_fundamental(x: np.ndarray, y: np.ndarray, params: cv2.UsacParams) -> np.ndarray | None:
@@ -136,7 +135,7 @@ def _confident(pairs: PairMatches, edge: int, back: int) -> tuple[np.ndarray, np
 def _usac(threshold_px: float, seed: int) -> cv2.UsacParams:
     params = cv2.UsacParams()
     params.sampler, params.score = cv2.SAMPLING_UNIFORM, cv2.SCORE_METHOD_MAGSAC
-    params.loMethod, params.loIterations, params.loSampleSize = cv2.LOCAL_OPTIM_SIGMA, 10, 50
+    params.loMethod, params.loIterations, params.loSampleSize = cv2.LOCAL_OPTIM_SIGMA, 3, 50
     params.confidence, params.threshold, params.maxIterations = 0.9999, threshold_px, MAX_ITERATIONS
     params.randomGeneratorState = seed
     return params

@@ -6,7 +6,7 @@ import numpy as np
 from stages.flow.epipolar import Evidence
 from stages.shared.warp import is_inside, warp
 
-MIN_WEIGHT = 0.08
+MIN_WEIGHT = 0.1
 POOLED_OFFSETS = (1, 2)
 PRIOR_WEIGHT = 0.3
 """Weight that a pixel needs before its misfit counts: without evidence a pixel is taken as static."""
