@@ -226,6 +226,8 @@ def _finish(
     blocks = _covariance(graph, state, unknowns)[:-1, :-1].reshape(graph.T, 6, graph.T, 6)
     covariance = np.einsum("iaib->iab", blocks)
     flags = list(doubts)
+    if statistics.planar:
+        flags.append("planar scene: one homography explains the flow, which leaves two motions per pair to choose from")
     if focal.decision == "weakly observed":
         flags.append(f"focal length weakly observed: predicted error {100 * (focal.relative_sigma or 0):.0f} %")
     numbers = asdict(statistics) | {"camera": statistics.camera, "planar": statistics.planar}

@@ -106,6 +106,7 @@ def test_a_planar_scene_is_named_and_solved() -> None:
     graph = observe(scene, noise_px=0.05)
     solution = estimate(Problem(graph, masked=True, known_focal_px=scene.focal_px), OPTIONS)
     assert solution.statistics["planar"]
+    assert any("planar" in flag for flag in solution.flags)
     assert trajectory_error(solution.state.cam_from_world, scene.cam_from_world) < 5e-3
     room = observe(make_scene(size=(96, 160)), noise_px=0.05)
     assert not classify.measure(room, [scene.focal_px], 0).planar
