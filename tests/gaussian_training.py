@@ -1,5 +1,6 @@
 """The scene of gaussian_scene.py in training: what the tests of the Gaussian stage start from."""
 
+import gaussian_scene as truth
 import numpy as np
 import torch
 
@@ -8,7 +9,6 @@ from stages.gaussians.model import GaussianScene
 from stages.gaussians.observations import Observations
 from stages.gaussians.optimise import Trainer
 from stages.gaussians.options import GaussiansOptions
-from tests import gaussian_scene as truth
 
 TRAIN = [k for k in range(truth.T) if k != 4]
 CANONICAL = TRAIN.index(truth.T // 2)

@@ -8,7 +8,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from conftest import write_frames
 from numpy.testing import assert_allclose
+from synthetic import Scene, flow_arrays, make_scene, observe, rotation_error_deg, trajectory_error
 
 from stages.ba import dba, kernel, reduced, twoview
 from stages.ba.dba import FocalPrior, Level, State, Unknowns
@@ -24,8 +26,6 @@ from stages.shared.cameras import read_cameras
 from stages.shared.errors import InputError
 from stages.shared.images import write_image
 from stages.shared.sequences import check_sequence, sequence_to_json
-from tests.conftest import write_frames
-from tests.synthetic import Scene, flow_arrays, make_scene, observe, rotation_error_deg, trajectory_error
 
 OPTIONS = BAOptions()
 

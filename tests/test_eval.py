@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import finished_run as run
 import numpy as np
 import pytest
 
@@ -9,7 +10,6 @@ from stages.eval import score_poses
 from stages.eval.tables import read_rows
 from stages.shared import lie
 from stages.shared.cameras import Cameras, make_cameras
-from tests import finished_run as run
 
 
 def _candidate(cameras: Cameras | None, failure: str | None = None) -> score_poses.Candidate:

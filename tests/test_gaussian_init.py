@@ -1,15 +1,15 @@
 """Where Gaussians start: dense depth, labels, skinning and its inverse, the cap, masks that nothing can carry."""
 
+import gaussian_scene as truth
 import numpy as np
 import pytest
 import torch
+from gaussian_training import CANONICAL, TRAIN, image_at, new_scene, psnr
 
 from stages.gaussians.initialise import cloud_within, dynamic_share, initial_cloud, lift, near_plane_of
 from stages.gaussians.model import GaussianScene
 from stages.gaussians.observations import dense_depth, with_movers
 from stages.gaussians.skinning import skin, to_canonical
-from tests import gaussian_scene as truth
-from tests.gaussian_training import CANONICAL, TRAIN, image_at, new_scene, psnr
 
 
 def test_static_gaussians_never_move_and_labels_are_right() -> None:

@@ -2,8 +2,10 @@
 
 from pathlib import Path
 
+import gaussian_scene as truth
 import numpy as np
 import pytest
+from gaussian_training import psnr
 from PIL import Image
 
 from stages.control.deformation import save_deformation, save_points
@@ -20,8 +22,6 @@ from stages.shared.cameras import make_cameras, write_cameras
 from stages.shared.errors import InputError
 from stages.shared.images import read_rgb
 from stages.shared.split import SplitOptions
-from tests import gaussian_scene as truth
-from tests.gaussian_training import psnr
 
 
 def test_the_novel_path_circles_and_keeps_its_point() -> None:

@@ -3,9 +3,11 @@
 from dataclasses import replace
 from pathlib import Path
 
+import gaussian_scene as truth
 import numpy as np
 import pytest
 import torch
+from gaussian_training import CANONICAL, OPTIONS, TRAIN, image_at, new_scene, psnr, trained
 
 from stages.gaussians import checkpoint, optimise
 from stages.gaussians.densify import densify
@@ -15,8 +17,6 @@ from stages.gaussians.model import Cloud, GaussianScene, scene_from_tensors, sce
 from stages.gaussians.optimise import Trainer
 from stages.gaussians.options import GaussiansOptions
 from stages.shared.artifacts import read_metadata, read_model, write_model
-from tests import gaussian_scene as truth
-from tests.gaussian_training import CANONICAL, OPTIONS, TRAIN, image_at, new_scene, psnr, trained
 
 
 def test_held_out_frame_is_rendered_and_the_mover_needs_its_motion() -> None:

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import finished_run as run
 import kornia
 import numpy as np
 import pytest
@@ -16,7 +17,6 @@ from stages.eval.truth import moving_pixels
 from stages.shared import lie, sintel
 from stages.shared.alignment import DegenerateError
 from stages.shared.cameras import pixel_grid
-from tests import finished_run as run
 
 
 def _evo(estimated: np.ndarray, true: np.ndarray) -> tuple[float, float, float]:

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import reference_rasterizer as reference
 import torch
 from torch import Tensor
 
@@ -9,7 +10,6 @@ from stages.gaussians import sh
 from stages.gaussians.rasterize import choose_device, drawing_order, rasterize
 from stages.gaussians.ssim import Target, ssim, ssim_torch
 from stages.shared.errors import InputError
-from tests import reference_rasterizer as reference
 
 WIDTH, HEIGHT = 53, 37  # neither a multiple of the tile
 NAMES = ("means", "quats", "scales", "opacities", "colours", "viewmat")

@@ -9,6 +9,7 @@ import subprocess
 from pathlib import Path
 from typing import Any
 
+import finished_run as run
 import pyarrow.parquet as pq
 import pytest
 import yaml
@@ -18,7 +19,6 @@ from stages.eval import overview, published, report, summaries
 from stages.eval.options import ReportOptions
 from stages.eval.tables import decimal
 from stages.shared.artifacts import write_json
-from tests import finished_run as run
 
 PUBLISHED = REPO / "workflow" / "resources" / "published.yaml"
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")

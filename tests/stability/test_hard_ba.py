@@ -6,7 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import write_frames
 from numpy.testing import assert_allclose
+from synthetic import PLANE, flow_arrays, make_scene, observe, rotation_error_deg, trajectory_error
 
 from stages.ba import classify, dba, kernel, reduced, residuals, twoview
 from stages.ba.dba import FocalPrior, Level, State, Unknowns
@@ -20,8 +22,6 @@ from stages.shared.artifacts import read_dense, read_metadata, write_dense, writ
 from stages.shared.cameras import read_cameras
 from stages.shared.images import write_image
 from stages.shared.sequences import check_sequence, sequence_to_json
-from tests.conftest import write_frames
-from tests.synthetic import PLANE, flow_arrays, make_scene, observe, rotation_error_deg, trajectory_error
 
 OPTIONS = BAOptions()
 

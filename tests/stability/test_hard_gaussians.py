@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
+import reference_rasterizer as reference
 import torch
 from torch import Tensor
 
 from stages.gaussians import projection_kernels
 from stages.gaussians.rasterize import Rendering, rasterize
-from tests import reference_rasterizer as reference
 
 WIDTH, HEIGHT = 48, 40
 NAMES = ("means", "quats", "scales", "opacities", "colors")
