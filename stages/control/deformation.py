@@ -3,6 +3,7 @@
 Both map times 0..1 to a rotation and a translation per control point, relative to the canonical frame.
 """
 
+import abc
 import itertools
 import math
 from collections.abc import Mapping
@@ -18,7 +19,7 @@ from stages.control import quaternions
 from stages.shared.artifacts import read_model, read_table, write_model, write_table
 
 
-class Deformation(torch.nn.Module):
+class Deformation(torch.nn.Module, abc.ABC):
     """Canonical control points with their motion.
 
     Attributes:
@@ -39,9 +40,9 @@ class Deformation(torch.nn.Module):
         self.register_buffer("extent", (points - centre).abs().max().clamp_min(log_radii.exp().max()))
         self.log_radii = torch.nn.Parameter(log_radii.clone())
 
+    @abc.abstractmethod
     def raw_motion(self, times: Tensor) -> Tensor:
         """Motion [B, P, 7] at times [B]: quaternion minus identity, translation in extents."""
-        raise NotImplementedError
 
     def forward(self, times: Tensor) -> tuple[Tensor, Tensor]:
         """Unit quaternions wxyz [B, P, 4] and translations [B, P, 3] in scene units at times [B] in 0..1."""

@@ -11,7 +11,7 @@ from stages.shared.artifacts import write_json
 from stages.shared.cli import In, Out
 from stages.shared.errors import InputError
 from stages.shared.figures import contact_sheet, overlay_mask, spread
-from stages.shared.images import read_mask, read_rgb, write_image
+from stages.shared.images import read_mask, read_rgb, write_figure
 from stages.shared.log import logger, progress
 from stages.shared.sequences import Sequence, check_sequence, sequence_to_json
 
@@ -27,7 +27,7 @@ def main(
     check_truth(sequence)
     for warning in sequence.warnings:
         logger.warning("%s: %s", frames, warning)
-    write_image(figure, draw(sequence))
+    write_figure(figure, draw(sequence))
     write_json(output, sequence_to_json(sequence) | {"frames_sha256": digest, "missing_truth": missing_truth(sequence)})
 
 

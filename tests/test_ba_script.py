@@ -1,0 +1,81 @@
+"""The pose script: every artifact, a second round, and refusals."""
+
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from conftest import write_frames
+from synthetic import flow_arrays, make_scene, trajectory_error
+
+from stages.ba.options import BAOptions
+from stages.ba.solve import main
+from stages.shared.artifacts import read_dense, read_metadata, read_table, write_dense, write_json
+from stages.shared.cameras import read_cameras
+from stages.shared.errors import InputError
+from stages.shared.images import write_image
+from stages.shared.sequences import check_sequence, sequence_to_json
+
+
+@pytest.fixture
+def artifacts(tmp_path: Path) -> dict[str, Path]:
+    """Input files of the script for a small exact scene with a mover."""
+    scene = make_scene(T=6, size=(64, 96), disc_radius=0.6)
+    frames = write_frames(tmp_path / "clip", count=6, size=(64, 96))
+    write_json(tmp_path / "sequence.json", sequence_to_json(check_sequence("clip", frames)))
+    source, target, flow, confidence = flow_arrays(scene)
+    columns = {"source": source, "target": target, "flow": flow.astype(np.float16)}
+    columns["confidence"] = confidence.astype(np.float16)
+    write_dense(tmp_path / "pairs.arrow", columns, {"width": 96, "height": 64, "scale": 1.0})
+    for k, mask in enumerate(scene.dynamic, start=1):
+        write_image(tmp_path / "masks" / f"frame_{k:04d}.png", mask)
+    return {"sequence": tmp_path / "sequence.json", "flow": tmp_path / "pairs.arrow", "masks": tmp_path / "masks"}
+
+
+def outputs(folder: Path) -> dict[str, Path]:
+    """Where a run of the script writes."""
+    names = {"poses": "poses.parquet", "trajectory": "trajectory.tum", "depth": "depth.arrow"}
+    names |= {"convergence": "convergence.parquet", "figure": "ba.png"}
+    return {key: folder / name for key, name in names.items()}
+
+
+def test_the_script_writes_every_artifact_and_continues_a_round(artifacts: dict[str, Path], tmp_path: Path) -> None:
+    options = BAOptions(stride_px=4, depth_stride_px=2)
+    first, second = outputs(tmp_path / "one"), outputs(tmp_path / "two")
+    main(**artifacts, **first, options=options)
+    previous = {"previous_poses": first["poses"], "previous_depth": first["depth"]}
+    main(**artifacts, **second, options=options, **previous)
+    scene = make_scene(T=6, size=(64, 96), disc_radius=0.6)
+    for paths in (first, second):
+        cameras = read_cameras(paths["poses"])
+        assert trajectory_error(cameras.cam_from_world, scene.cam_from_world) < 5e-3
+        assert list(cameras.status) == ["estimated"] * 6
+        assert (np.linalg.eigvalsh(cameras.covariance[1:]) > 0).all()
+        assert len(paths["trajectory"].read_text().splitlines()) == 6
+        depth = read_dense(paths["depth"])
+        assert depth["inverse_depth"].shape == (6, 32, 48)
+        assert read_metadata(paths["depth"])["stride_px"] == 2
+        assert set(read_table(paths["convergence"])) > {"iteration", "cost", "damping", "seconds"}
+        assert cv2.imread(str(paths["figure"])).shape[1] == 1200
+    metadata = read_metadata(second["poses"])
+    assert metadata["focal"]["decision"] in ("estimated", "weakly observed")
+    assert metadata["camera"] == "moving"
+
+
+def test_a_missing_mask_is_named(artifacts: dict[str, Path], tmp_path: Path) -> None:
+    (artifacts["masks"] / "frame_0003.png").unlink()
+    with pytest.raises(InputError, match=r"frame_0003\.png"):
+        main(**artifacts, **outputs(tmp_path / "out"), options=BAOptions())
+
+
+def test_true_intrinsics_without_truth_are_refused(artifacts: dict[str, Path], tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="intrinsics"):
+        main(**artifacts, **outputs(tmp_path / "out"), options=BAOptions(intrinsics="truth"))
+
+
+def test_options_stay_light() -> None:
+    import subprocess
+
+    code = "import sys, stages.ba.options; assert not {'numba', 'cv2', 'scipy', 'torch'} & set(sys.modules)"
+    subprocess.run([sys.executable, "-c", code], check=True)

@@ -1,0 +1,121 @@
+"""Where bundle adjustment starts and what it measures: two-view motion, chains, special cameras, depth."""
+
+import cv2
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from synthetic import Scene, make_scene, observe, rotation_error_deg, trajectory_error
+
+from stages.ba import dba, twoview
+from stages.ba.dba import State
+from stages.ba.depth import contact_inverse_depth, depth_maps, fill
+from stages.ba.estimate import Problem, estimate
+from stages.ba.graph import FlowGraph, static_areas
+from stages.ba.initialise import Hypothesis, chain, initial_state
+from stages.ba.options import BAOptions
+from stages.shared import lie
+
+OPTIONS = BAOptions()
+
+
+def true_state(scene: Scene, graph: FlowGraph) -> State:
+    """The exact solution on a graph."""
+    return State(scene.cam_from_world, graph.resample(1 / scene.depth), scene.focal_px)
+
+
+def test_sampson_jacobian_equals_finite_differences() -> None:
+    rng = np.random.default_rng(0)
+    x, y = rng.normal(0, 0.3, (20, 2)), rng.normal(0, 0.3, (20, 2))
+    R, t = lie.exp_so3(np.array([0.1, -0.2, 0.05])), np.array([0.6, 0.0, 0.8])
+    _, J = twoview._sampson_jacobian(R, t, x, y)
+    basis, h = twoview._tangent_basis(t), 1e-6
+    for k in range(5):
+        step = h * np.eye(5)[k]
+        ends = [twoview.sampson_errors(lie.exp_so3(s * step[:3]) @ R, t + s * step[3:] @ basis, x, y) for s in (1, -1)]
+        assert_allclose(J[:, k], (ends[0] - ends[1]) / (2 * h), atol=1e-7)
+
+
+def test_two_view_motion_survives_outliers_and_the_twisted_pair() -> None:
+    rng = np.random.default_rng(0)
+    R, t = lie.exp_so3(np.array([0.02, -0.05, 0.01])), np.array([0.9, 0.1, 0.42])
+    t = t / np.linalg.norm(t)
+    points = np.concatenate([rng.uniform(-2, 2, (400, 2)), rng.uniform(3, 9, (400, 1))], axis=1)
+    moved = points @ R.T + 0.3 * t
+    x, y = points[:, :2] / points[:, 2:], moved[:, :2] / moved[:, 2:]
+    y[:120] += rng.normal(0, 0.05, (120, 2))
+    fit = twoview.estimate_motion(x, y, np.ones(400), 400.0, 0.3, seed=0)
+    assert fit is not None
+    assert np.degrees(np.linalg.norm(lie.log_so3(fit.R.T @ R))) < 0.02
+    assert np.degrees(np.arccos(fit.t @ t)) < 0.2
+    d, _ = twoview.triangulate(fit.R, 0.3 * fit.t, x[120:], y[120:])
+    assert_allclose(d * points[120:, 2], 1.0, rtol=0.02)
+
+
+def test_a_fifth_of_moving_pixels_does_not_win_the_two_view_fit() -> None:
+    scene = make_scene(size=(96, 160), disc_radius=0.5)
+    assert scene.dynamic.mean() > 0.15
+    x, y, w = twoview.pair_rays(observe(scene, masked=False), 3, 4, scene.focal_px)
+    fit = twoview.estimate_motion(x, y, w, scene.focal_px, 0.3, seed=0)
+    relative = scene.cam_from_world[4] @ lie.inverse(scene.cam_from_world[3])
+    assert fit is not None
+    assert np.degrees(np.linalg.norm(lie.log_so3(fit.R.T @ relative[:3, :3]))) < 0.05
+
+
+def test_a_chain_of_exact_pairs_is_the_trajectory_up_to_scale() -> None:
+    scene = make_scene(size=(96, 160))
+    graph = observe(scene)
+    poses, lost = chain(graph, Hypothesis(scene.focal_px, 0.2, 0), seed=0)
+    assert lost == 0
+    assert trajectory_error(poses, scene.cam_from_world) < 0.02
+    state = initial_state(graph, poses, scene.focal_px)
+    truth = graph.resample(1 / scene.depth)
+    ratio = state.inverse_depth / truth
+    seen = np.array([graph.weights[graph.source == i].sum(axis=0) for i in range(graph.T)]) > 1
+    assert np.percentile(np.abs(ratio[seen] / np.median(ratio[seen]) - 1), 80) < 0.1
+
+
+def test_a_rotating_camera_is_recognised_and_solved_without_translation() -> None:
+    scene = make_scene(motion="rotate", size=(96, 160))
+    solution = estimate(Problem(observe(scene, noise_px=0.1), masked=True), OPTIONS)
+    assert solution.camera == "rotating"
+    assert rotation_error_deg(solution.state.cam_from_world, scene.cam_from_world) < 0.01
+    assert solution.state.focal_px == pytest.approx(scene.focal_px, rel=0.01)
+    assert np.all(solution.state.cam_from_world[:, :3, 3] == 0)
+
+
+def test_a_nearly_still_camera_keeps_the_focal_length_of_the_prior() -> None:
+    scene = make_scene(motion="still", size=(96, 160))
+    solution = estimate(Problem(observe(scene, noise_px=0.02), masked=True), OPTIONS)
+    assert solution.camera == "near-still"
+    assert solution.focal["decision"] == "held at prior"
+    assert solution.state.focal_px == pytest.approx(1.1 * 160)
+    assert trajectory_error(solution.state.cam_from_world, scene.cam_from_world) < 0.05
+
+
+def test_measured_depth_is_true_and_its_variance_covers_the_error() -> None:
+    scene = make_scene(size=(96, 160), disc_radius=0.6)
+    graph, fine = observe(scene, noise_px=0.2), observe(scene, stride=2, noise_px=0.2)
+    state = true_state(scene, graph)
+    static = static_areas(scene.dynamic, fine.width, fine.height)
+    maps = depth_maps(fine, graph, dba.normalise(state), static, observable=True)
+    truth = fine.resample(1 / scene.depth).reshape(maps.inverse_depth.shape) / np.median(state.inverse_depth)
+    known = ~maps.filled
+    error = np.abs(maps.inverse_depth - truth)[known]
+    assert np.median(error / truth[known]) < 0.05
+    assert np.mean(error < 3 * np.sqrt(maps.variance[known])) > 0.95
+    dynamic = np.stack(
+        [cv2.resize(frame.astype(np.float32), (80, 48), interpolation=cv2.INTER_AREA) for frame in scene.dynamic]
+    )
+    assert maps.filled[dynamic > 0.9].all()
+    assert (maps.variance[maps.filled] == 1.0).all()
+
+
+def test_a_moving_object_stands_where_it_touches_the_ground() -> None:
+    # Ground whose inverse depth grows downwards; far wall above; an object whose feet are at row 14.
+    inverse_depth = np.where(np.arange(20) < 10, 0.1, 0.1 * (np.arange(20) - 8))[:, None] * np.ones((1, 24))
+    region = np.zeros((20, 24), bool)
+    region[4:15, 8:14] = True
+    assert contact_inverse_depth(region, inverse_depth, ~region) == pytest.approx(0.7)
+    filled = fill(inverse_depth, region, region)
+    assert_allclose(filled[region], 0.7)
+    assert_allclose(filled[~region], inverse_depth[~region])
