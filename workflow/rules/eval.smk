@@ -9,6 +9,8 @@ rule colmap:
         stats="<results>/{dataset}/{seq}/stats/colmap.json",
     log:
         "<logs>/{dataset}/{seq}/colmap.log",
+    # On one thread it would hold back every stage that wants all cores: it waits for them instead.
+    priority: -1
     conda:
         "../envs/motionsplat.yaml"
     resources:
