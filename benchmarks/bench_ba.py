@@ -5,7 +5,6 @@ builds the same reduced system in float64 with einsum and index_add (checked to 
 poses and one free 3-D point per pixel, seen in the same frames.
 """
 
-import statistics
 import time
 from collections.abc import Callable
 
@@ -13,6 +12,7 @@ import numpy as np
 import pycolmap
 import torch
 
+from benchmarks.timing import alternated
 from stages.ba import dba, reduced
 from stages.ba.dba import FocalPrior, State, Unknowns
 from stages.ba.graph import FlowGraph, build_graph
@@ -145,18 +145,6 @@ def ceres_seconds(graph: FlowGraph, state: State, iterations: int = 3) -> float:
     began = time.perf_counter()
     pycolmap.create_default_bundle_adjuster(options, config, rec).solve()
     return (time.perf_counter() - began) / (iterations + 1)
-
-
-def alternated(works: dict[str, Callable[[], object]], rounds: int) -> dict[str, float]:
-    """Median seconds of each work after a warm-up; every round runs all of them."""
-    seconds: dict[str, list[float]] = {name: [] for name in works}
-    for turn in range(rounds + 1):
-        for name, work in works.items():
-            began = time.perf_counter()
-            work()
-            if turn:
-                seconds[name].append(time.perf_counter() - began)
-    return {name: statistics.median(values) for name, values in seconds.items()}
 
 
 def full_step(graph: FlowGraph, state: State) -> Callable[[], object]:

@@ -4,9 +4,7 @@ Run as `python -m benchmarks.bench_rasterizer`. Times are medians of alternated 
 both sides start from the same projected splats and include sorting and binning.
 """
 
-import statistics
 import time
-from collections.abc import Callable
 
 import numpy as np
 import torch
@@ -14,6 +12,7 @@ from numba import njit, prange
 from torch import Tensor
 
 from benchmarks import torch_rasterizer
+from benchmarks.timing import alternated
 from stages.gaussians import raster_adjoint, raster_kernels
 from stages.gaussians.rasterize import drawing_order
 from stages.gaussians.ssim import Target, ssim, ssim_torch
@@ -22,18 +21,6 @@ FLOP_PER_PAIR = 93
 """Forward 31 and backward 62 per (pixel, Gaussian) pair that contributes, counted by hand over the inner loops."""
 CASES = ((20_000, 512, 218, 5), (100_000, 1024, 436, 3))
 GATES = {"rasteriser": 60.0, "SSIM": 5.0, "limit": 20.0}
-
-
-def alternated(works: dict[str, Callable[[], object]], rounds: int) -> dict[str, float]:
-    """Median seconds of each work; every round runs all of them, so that they share the machine's moods."""
-    seconds: dict[str, list[float]] = {name: [] for name in works}
-    for turn in range(rounds + 1):
-        for name, work in works.items():
-            began = time.perf_counter()
-            work()
-            if turn:
-                seconds[name].append(time.perf_counter() - began)
-    return {name: statistics.median(values) for name, values in seconds.items()}
 
 
 def random_splats(N: int, width: int, height: int) -> dict[str, Tensor]:
