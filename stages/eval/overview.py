@@ -1,12 +1,13 @@
 """The first screen of the report: one sentence, the headline figures, what failed, and the groups of tables."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from stages.eval import published, report_tables, summaries
+from stages.eval.sections import Figure
 from stages.eval.tables import Row, Table, decimal
 
 Rows = Mapping[str, list[Row]]
@@ -24,12 +25,14 @@ class Tile:
 
 @dataclass(frozen=True)
 class Group:
-    """Tables on one subject: `tables` in view, `more` folded away."""
+    """Tables and charts on one subject: `tables` in view, `more` folded away; `sentence` says what they show."""
 
     name: str
     title: str
     tables: list[Table]
     more: list[Table]
+    figures: list[Figure] = field(default_factory=list)
+    sentence: str = ""
 
     @property
     def text(self) -> str:
@@ -44,6 +47,8 @@ TEXTS = {
     "masks": "How well the pixels called dynamic match those that truly move.",
     "checks": "How well poses and depth explain the optical flow (needs no truth), and flow and depth against truth.",
     "time": "What every stage cost, from the start of its process to the end.",
+    "tradeoff": "The same sequences run again under other settings. One point per setting: how accurate, in how long.",
+    "growth": "Time and memory of every stage while one size grows.",
     "effects": "Only what a scene calls for is modelled; what is left out costs nothing.",
 }
 

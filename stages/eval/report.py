@@ -7,9 +7,10 @@ import jinja2
 import markupsafe
 import yaml
 
-from stages.eval import overview, provenance
+from stages.eval import overview, provenance, tradeoff_report
 from stages.eval.effects import decision_rows, simulation_rows
 from stages.eval.options import ReportOptions
+from stages.eval.overview import Group
 from stages.eval.sections import build_section
 from stages.eval.tables import Row, read_rows
 from stages.shared import cli
@@ -30,6 +31,8 @@ def main(
     tables: Annotated[Path, Out("folder for the tables as CSV and Parquet")],
     options: ReportOptions,
     manifests: Annotated[Path | None, In("folder with what the simulator drew, <sequence>.json")] = None,
+    sweep: Annotated[Path | None, In("table of the sweep: accuracy and cost of every setting")] = None,
+    growth: Annotated[Path | None, In("table of the scaling: cost of every stage over sizes")] = None,
 ) -> None:
     """Write the report. It needs no network, no other file, and only the results that are there."""
     rows, protocols = gather(sequences)
@@ -37,6 +40,7 @@ def main(
     rows["simulation"] = [row for folder in sequences for row in simulation_rows(manifests, folder.name)]
     numbers = yaml.safe_load(published_numbers.read_text())
     groups = overview.build_groups(rows, protocols, numbers)
+    groups[-1:-1] = comparison_groups(sweep, growth, rows["poses"])
     every = {table.name: table for group in groups for table in [*group.tables, *group.more]}
     shown = []
     for folder in progress(sequences, "sequences"):
@@ -61,6 +65,18 @@ def main(
     with atomic(output) as partial:
         partial.write_text(page, encoding="utf-8")
     logger.info("report: %s, %.1f MB", output, len(page.encode()) / 1e6)
+
+
+def comparison_groups(sweep: Path | None, growth: Path | None, poses: list[Row]) -> list[Group]:
+    """The groups of the sweep and of the scaling, where they were run."""
+    groups = []
+    if sweep:
+        sentence, figures, tables = tradeoff_report.sweep_part(read_rows(sweep), poses)
+        groups.append(Group("tradeoff", "Accuracy against time", tables, [], figures, sentence))
+    if growth:
+        figures, tables = tradeoff_report.growth_part(read_rows(growth))
+        groups.append(Group("growth", "Growth of time and memory", tables, [], figures))
+    return groups
 
 
 def gather(folders: list[Path]) -> tuple[dict[str, list[Row]], dict[str, str]]:

@@ -1,0 +1,151 @@
+"""The parts of the report on what accuracy costs: sentence, charts and tables of the sweep, and of the growth."""
+
+from collections.abc import Mapping, Sequence
+
+from stages.eval import growth, pictures, summaries, tradeoff, tradeoff_plots
+from stages.eval.sections import Figure
+from stages.eval.tables import Column, Row, Table
+from stages.eval.tradeoff import Point
+from stages.eval.tradeoff_plots import Measure
+
+CAMERA = Measure("camera error (ATE, % of path)", "ATE (% of path)")
+COLOUR = Measure("held-out colour error (RMS, % of range)", "PSNR (dB)", decibel=True)
+SECONDS = {CAMERA: "poses_wall_s", COLOUR: "wall_s"}
+TITLES = {
+    "presets": "Presets",
+    "knobs": "Single knobs",
+    "inputs": "What each input costs",
+    "masks": "Effect of masks on pose error",
+    "claims": "Claims of the paper",
+}
+CHOICES = ("presets", "knobs")
+"""The groups that a user chooses among: the front is theirs. The others show what an input or a part is worth."""
+NOTE = (
+    "Unweighted means over the swept sequences; seconds are wall and CPU time of all stages up to the result, shared "
+    "ones counted in full, COLMAP and evaluation left out; to poses: up to the last adjustment. PSNR and SSIM of "
+    "held-out frames. Scored: sequences with an ATE; failed: no or partial poses."
+)
+GROWTH_NOTE = (
+    "value = factor x size ^ exponent, least squares on logarithms over the measured sizes; 0: constant, 1: linear. "
+    "Start of the process is included, which flattens short stages; fewer than three sizes fix no exponent."
+)
+COLUMNS = (
+    Column("setting", "setting"),
+    Column("ate_percent", "ATE", "% of path", 2),
+    Column("rpe_rot_deg", "RPE", "degrees", 3),
+    Column("focal_abs_percent", "focal error", "%, size", 1),
+    Column("iou", "mask IoU", "0..1", 3),
+    Column("psnr_db", "PSNR", "dB", 2),
+    Column("psnr_static_db", "PSNR static", "dB", 2),
+    Column("psnr_dynamic_db", "PSNR dynamic", "dB", 2),
+    Column("ssim", "SSIM", "0..1", 3),
+    Column("poses_wall_s", "wall to poses", "s", 1),
+    Column("poses_cpu_s", "CPU to poses", "s", 1),
+    Column("wall_s", "wall", "s", 1),
+    Column("cpu_s", "CPU", "s", 1),
+    Column("peak_mb", "peak memory", "MB", 0),
+    Column("model_mb", "model", "MB", 2),
+    *(Column("n", "scored"), Column("sequences", "of"), Column("failed", "failed")),
+    Column("front", "on the front"),
+)
+
+
+def sweep_part(costs: Sequence[Row], poses: Sequence[Row]) -> tuple[str, list[Figure], list[Table]]:
+    """The sentence, the charts and a table per group of settings.
+
+    Args:
+        costs: rows of the sweep's table, one per sequence and setting.
+        poses: rows of the pose table, for COLMAP on the same sequences.
+    """
+    rows = tradeoff.means(costs)
+    swept = {row["sequence"] for row in costs}
+    baseline = [row for row in poses if row["sequence"] in swept and str(row["method"]).startswith("COLMAP")]
+    sentences, figures, on_front = [], [], {}
+    for measure in (CAMERA, COLOUR):
+        points = [p for row in rows if row["group"] in CHOICES and (p := _point(row, measure))]
+        presets = [p for row in rows if row["group"] == "presets" and (p := _point(row, measure))]
+        rivals = _rivals(baseline) if measure is CAMERA else []
+        if points:
+            sentences.append(tradeoff.next_tenth(points, measure.name))
+            figures.append(_overall(points, presets, rivals, measure))
+            on_front[measure] = {p.name for p in tradeoff.pareto_front(points)}
+    figures += [_knob(rows, knob) for knob in dict.fromkeys(row["knob"] for row in rows if row["knob"])]
+    groups = dict.fromkeys(row["group"] for row in rows)
+    return " ".join(sentences), figures, [_table(group, rows, on_front) for group in groups]
+
+
+def _point(row: Row, measure: Measure) -> Point | None:
+    """A setting's mean as a point, None where the error is not known."""
+    value, seconds = row["psnr_db" if measure.decibel else "ate_percent"], row[SECONDS[measure]]
+    if value is None or seconds is None:
+        return None
+    error = 100 * 10 ** (-value / 20) if measure.decibel else value
+    complete = row["failed"] == 0
+    label = str(row["setting"] if row["knob"] is None else row["value"])
+    return Point(seconds, error, row["setting"], label, complete, bool(row["is_default"]))
+
+
+def _rivals(rows: Sequence[Row]) -> list[Point]:
+    means = [row for row in summaries.pose_means(list(rows)) if row["ate_percent"] is not None]
+    return [
+        Point(row["wall_s"], row["ate_percent"], row["method"], row["method"], row["n"] == row["sequences"])
+        for row in means
+    ]
+
+
+def _overall(points: list[Point], presets: list[Point], rivals: list[Point], measure: Measure) -> Figure:
+    content = tradeoff_plots.draw_overall(points, presets, rivals, measure)
+    what = measure.label.partition(" (")[0]
+    words = [f"{p.name}: {float(measure.shown([p.error])[0]):.3g} in {p.seconds:.0f} s" for p in [*presets, *rivals]]
+    alt = f"{measure.label} against seconds for {len(points)} settings. {'; '.join(words)}"
+    return Figure(f"{what} against time", pictures.data_uri(content, "image/svg+xml"), alt)
+
+
+def _knob(rows: Sequence[Row], knob: str) -> Figure:
+    """One knob against both measures; a value's label stands beside its point."""
+    panels, words = [], []
+    chosen = [row for row in rows if row["knob"] == knob]
+    for measure in (CAMERA, COLOUR):
+        values = [p for row in chosen if (p := _point(row, measure))]
+        others = [p for row in rows if row["group"] in CHOICES and (p := _point(row, measure))]
+        if values:
+            panels.append((measure, values, others))
+            shown = measure.shown([p.error for p in values])
+            listed = ", ".join(f"{p.label}: {y:.3g} in {p.seconds:.0f} s" for p, y in zip(values, shown, strict=True))
+            words.append(f"{measure.label} of {listed}")
+    content = tradeoff_plots.draw_knob(panels)
+    return Figure(knob, pictures.data_uri(content, "image/svg+xml"), f"{knob}. {'; '.join(words)}")
+
+
+def _table(group: str, rows: Sequence[Row], on_front: Mapping[Measure, set[str]]) -> Table:
+    """The settings of a group, with the configured run for comparison."""
+    chosen = [row for row in rows if row["group"] == group]
+    if not any(row["is_default"] for row in chosen):
+        configured = next((row for row in rows if row["is_default"]), None)
+        chosen = [*([configured | {"setting": "as configured"}] if configured else []), *chosen]
+    names = {CAMERA: "ATE", COLOUR: "PSNR"}
+    listed = [
+        row | {"front": ", ".join(names[m] for m, found in on_front.items() if row["setting"] in found)}
+        for row in chosen
+    ]
+    return Table(f"sweep_{group}", TITLES.get(group, group), NOTE, COLUMNS, listed)
+
+
+def growth_part(rows: Sequence[Row]) -> tuple[list[Figure], list[Table]]:
+    """Time and memory against every axis, and the fitted exponents."""
+    figures = []
+    for axis in dict.fromkeys(row["axis"] for row in rows):
+        for measure, label in (("wall_s", "wall time (s)"), ("peak_mb", "peak memory (MB)")):
+            series = growth.series_of(rows, axis, measure)
+            content = tradeoff_plots.draw_growth(series, (axis, label))
+            ends = [f"{stage} {values[0]:.3g} to {values[-1]:.3g}" for stage, (_, values) in series.items()]
+            alt = f"{label} of every stage against {axis}: {', '.join(ends)}"
+            title = f"{label.partition(' (')[0].capitalize()} against {axis}"
+            figures.append(Figure(title, pictures.data_uri(content, "image/svg+xml"), alt))
+    exponents = [Column(f"{m}_exponent", words, "exponent", 2) for m, words in growth.MEASURES.items()]
+    deviations = [Column(f"{m}_deviation", words, "max % off the fit", 0) for m, words in growth.MEASURES.items()]
+    sizes = Column("from", "from"), Column("to", "to"), Column("points", "sizes")
+    columns = (Column("axis", "what grows"), Column("stage", "stage"), *sizes, *exponents)
+    last = Column("wall_s", "wall at the largest", "s", 1)
+    table = Table("growth", "Growth of cost", GROWTH_NOTE, (*columns, last, *deviations), growth.fit_rows(rows))
+    return figures, [table]

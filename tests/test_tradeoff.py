@@ -1,0 +1,135 @@
+"""What accuracy costs: the front, the price of the next tenth, and the growth, against numbers that are known."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from stages.eval import growth, tradeoff, tradeoff_report
+from stages.eval.tradeoff import Point
+
+METRICS = (
+    *("rpe_rot_deg", "focal_error_percent", "iou", "psnr_static_db", "psnr_dynamic_db", "ssim"),
+    *("cpu_s", "poses_cpu_s", "peak_mb", "model_mb"),
+)
+
+
+def cost_row(setting: str, ate: float | None, seconds: float, psnr: float = 20.0, **changes: Any) -> dict[str, Any]:
+    """A row of the sweep's table."""
+    row: dict[str, Any] = {
+        "sequence": "a",
+        "group": "presets",
+        "setting": setting,
+        "knob": None,
+        "value": None,
+        "is_default": False,
+    }
+    row |= dict.fromkeys(METRICS, 1.0) | {"ate_percent": ate, "psnr_db": psnr, "status": "ok"}
+    return row | {"poses_wall_s": seconds / 2, "wall_s": seconds} | changes
+
+
+def _point(seconds: float, error: float, name: str = "p", complete: bool = True, is_default: bool = False) -> Point:
+    return Point(seconds, error, name, name, complete, is_default)
+
+
+def test_front_holds_what_no_complete_point_beats_in_both() -> None:
+    rng = np.random.default_rng(0)
+    points = [_point(s, e, str(k)) for k, (s, e) in enumerate(rng.integers(0, 12, (60, 2)).astype(float))]
+    found = {(p.seconds, p.error) for p in tradeoff.pareto_front(points)}
+
+    def beaten(p: Point) -> bool:
+        return any(
+            q.seconds <= p.seconds and q.error <= p.error and (q.seconds, q.error) != (p.seconds, p.error)
+            for q in points
+        )
+
+    assert found == {(p.seconds, p.error) for p in points if not beaten(p)}
+    assert len(tradeoff.pareto_front(points)) == len(found)  # equal points once
+    fast_but_failing = _point(-1, -1, complete=False)
+    assert tradeoff.pareto_front([*points, fast_but_failing]) == tradeoff.pareto_front(points)
+
+
+def test_next_tenth_is_priced_by_measured_settings_alone() -> None:
+    start = _point(10, 1.0, "balanced", is_default=True)
+    slower = _point(30, 0.81, "accurate")  # two tenths: 0.9 * 0.9
+    assert "the next tenth costs 10.0 s: accurate gives 0.81 in 30 s, 19 % less for 20 s more" in tradeoff.next_tenth(
+        [start, slower], "ATE"
+    )
+    words = tradeoff.next_tenth([start, slower, _point(9, 0.5, "lucky")], "ATE")
+    assert "costs no time: lucky" in words
+    assert "no measured setting is a tenth better" in tradeoff.next_tenth([start, _point(20, 0.95, "b")], "ATE")
+    assert "faster or better" in tradeoff.next_tenth([start, _point(20, 2.0, "b")], "ATE")
+    failing = _point(10, 1.0, "balanced", complete=False, is_default=True)
+    assert "no price" in tradeoff.next_tenth([failing, slower], "ATE")
+
+
+def test_settings_are_means_over_sequences_and_failures_are_counted() -> None:
+    rows = [
+        cost_row("fast", 1.0, 10, focal_error_percent=-4.0),
+        cost_row("fast", 3.0, 20, psnr=30.0, sequence="b", focal_error_percent=2.0),
+        cost_row("fast", 99.0, 30, psnr=25.0, sequence="c", status="partial"),
+        cost_row("fast", None, 40, psnr=25.0, sequence="d", status="failed"),
+    ]
+    (mean,) = tradeoff.means(rows)
+    assert (mean["ate_percent"], mean["focal_abs_percent"]) == (2.0, 3.0)
+    assert (mean["psnr_db"], mean["wall_s"]) == (25.0, 25.0)
+    assert (mean["n"], mean["sequences"], mean["failed"]) == (2, 4, 2)
+
+
+def _costs() -> list[dict[str, Any]]:
+    knob: dict[str, Any] = {"group": "knobs", "knob": "ba.stride_px"}
+    return [
+        cost_row("fast", 2.0, 30, 19.0),
+        cost_row("balanced", 1.0, 60, 21.0, is_default=True),
+        cost_row("accurate", 0.5, 180, 22.0),
+        *(cost_row(f"ba.stride_px={v}", a, s, **knob, value=v) for v, a, s in (("4", 0.7, 90), ("16", 1.5, 50))),
+        cost_row("ba.stride_px=8", 1.0, 60, 21.0, **knob, value="8", is_default=True),
+        cost_row("true", 0.2, 10, group="masks"),
+    ]
+
+
+def test_the_report_draws_settings_beside_colmap_and_lists_every_group() -> None:
+    pose = {"status": "ok", "rpe_trans": 0.1, "rpe_rot_deg": 0.1, "focal_error_percent": 1.0, "cpu_s": 9.0, "ate": 0.1}
+    poses = [
+        {"sequence": "a", "method": "COLMAP global", "ate_percent": 7.0, "wall_s": 77.0, **pose},
+        {"sequence": "not swept", "method": "COLMAP global", "ate_percent": 900.0, "wall_s": 1.0, **pose},
+    ]
+    sentence, figures, tables = tradeoff_report.sweep_part(_costs(), poses)
+    assert "(1.00 in 30 s) the next tenth costs" in sentence
+    assert [figure.title for figure in figures] == ["ATE against time", "PSNR against time", "ba.stride_px"]
+    assert "COLMAP global: 7 in 77 s" in figures[0].alt
+    assert "PSNR (dB) of 4: 20 in 90 s" in figures[2].alt
+    assert [table.title for table in tables] == ["Presets", "Single knobs", "Effect of masks on pose error"]
+    fronts = {row["setting"]: row["front"] for row in tables[0].rows}
+    assert fronts == {"fast": "ATE, PSNR", "balanced": "ATE, PSNR", "accurate": "ATE, PSNR"}
+    masks = tables[2].rows
+    assert [row["setting"] for row in masks] == ["as configured", "true"]
+    assert masks[1]["front"] == ""  # truth is no choice
+
+
+def test_power_laws_are_recovered_and_two_points_are_no_fit() -> None:
+    n = np.array([10.0, 20, 40, 80])
+    law = growth.fit_power_law(n, 3 * n**1.7)
+    assert law is not None
+    assert (law.exponent, law.factor) == pytest.approx((1.7, 3.0))
+    assert law.deviation_percent == pytest.approx(0, abs=1e-9)
+    bent = growth.fit_power_law(n, np.array([1.0, 2, 4, 16]))
+    assert bent is not None
+    assert bent.deviation_percent > 10
+    assert growth.fit_power_law(n[:2], n[:2]) is None
+
+
+def test_growth_is_tabled_and_drawn_per_axis() -> None:
+    rows = [
+        {"axis": axis, "n": n, "stage": stage, "wall_s": n**power, "cpu_s": 2.0 * n**power, "peak_mb": 100.0}
+        for axis, sizes in (("frames", (5, 10, 20)), ("pixels", (1e4, 2e4)))
+        for n in sizes
+        for stage, power in (("flow", 1.0), ("ba", 1.5))
+    ]
+    figures, (table,) = tradeoff_report.growth_part(rows)
+    found = {(row["axis"], row["stage"]): row for row in table.rows}
+    assert found["frames", "ba"]["wall_s_exponent"] == pytest.approx(1.5)
+    assert found["frames", "ba"]["peak_mb_exponent"] == pytest.approx(0, abs=1e-12)
+    assert found["pixels", "flow"]["wall_s_exponent"] is None
+    assert len(figures) == 4
+    assert "flow 5 to 20" in figures[0].alt
