@@ -11,10 +11,13 @@ from typing import Any, Literal
 from pydantic import Field
 
 from stages.ba.options import BAOptions
+from stages.comparisons import ScalingOptions, SweepOptions
 from stages.control.options import ControlOptions
 from stages.eval.options import ColmapOptions, EvaluateOptions, ReportOptions
 from stages.flow.options import FlowOptions, MotionOptions
 from stages.gaussians.options import GaussiansOptions, RenderOptions
+from stages.inspect.options import InspectOptions
+from stages.presets import PRESETS, Preset, override, value_of
 from stages.scene.options import SceneOptions
 from stages.segment.options import SegmentOptions
 from stages.shared.errors import InputError
@@ -35,6 +38,7 @@ class Config(Options):
     )
     pass_: Literal["clean", "final"] = Field("final", alias="pass", description="which MPI-Sintel pass to read")
     sequences: Literal["all"] | list[str] = Field("all", description="'all' or a list of names within the dataset")
+    preset: Preset = Field("balanced", description="fast, balanced or accurate; your own values win over the preset's")
     rounds: int = Field(2, ge=1, le=5, description="how often motion, masks and poses are estimated in turn")
     intrinsics: Literal["estimate", "truth"] = Field("estimate", description="focal length: estimate it or use truth")
     holdout_every: int = Field(8, ge=2, description="one frame in this many is held out from training")
@@ -42,6 +46,7 @@ class Config(Options):
     device: Literal["auto", "cpu", "cuda"] = Field("auto", description="where to train and render")
     seed: int = Field(0, ge=0, description="seed of everything random")
     simulate: SimulateOptions = SimulateOptions()
+    inspect: InspectOptions = InspectOptions()
     flow: FlowOptions = FlowOptions()
     motion: MotionOptions = MotionOptions()
     segment: SegmentOptions = SegmentOptions()
@@ -53,18 +58,30 @@ class Config(Options):
     evaluate: EvaluateOptions = EvaluateOptions()
     colmap: ColmapOptions = ColmapOptions()
     report: ReportOptions = ReportOptions()
+    sweep: SweepOptions = SweepOptions()
+    scaling: ScalingOptions = ScalingOptions()
 
 
 SHARED_KEYS = ("intrinsics", "holdout_every", "holdout_first", "device", "seed")
 
 
-def load(raw: Mapping[str, Any]) -> Config:
-    """Check a parsed config.yaml (merged with its overrides).
+def load(raw: Mapping[str, Any], mine: Mapping[str, Any] | None = None, where: str = "config.yaml") -> Config:
+    """Check a parsed config.yaml (merged with its overrides) and apply its preset.
+
+    Args:
+        mine: what the user's own files and flags set. It wins over the preset, as does any value that is no default.
 
     Raises:
         InputError: one line for the first thing that is wrong.
     """
-    return validate(Config, raw, "config.yaml")
+    config = validate(Config, raw, where)
+    values, defaults = config.model_dump(by_alias=True), Config().model_dump(by_alias=True)
+    open_values = {
+        name: value
+        for name, value in PRESETS[config.preset].items()
+        if value_of(mine or {}, name) is None and value_of(values, name) == value_of(defaults, name)
+    }
+    return validate(Config, override(raw, open_values), where)
 
 
 def section(config: Config, name: str) -> Options:

@@ -8,6 +8,7 @@ import numpy as np
 from stages.eval import evaluate
 from stages.eval.options import EvaluateOptions
 from stages.inspect import check
+from stages.inspect.options import InspectOptions
 from stages.shared import lie, sintel
 from stages.shared.artifacts import write_dense, write_json, write_table
 from stages.shared.cameras import centred_intrinsics, make_cameras, pixel_grid, project, unproject, write_cameras
@@ -142,7 +143,7 @@ def finish(root: Path, name: str = "wall", truth: bool = True) -> Path:
     """Dataset, results of all stages and their evaluation; returns the result folder."""
     frames = write_dataset(root, name, truth)
     folder = root / "results" / name
-    check.main(frames, folder / "sequence.json", folder / "figures" / "inspect.png")
+    check.main(frames, folder / "sequence.json", folder / "figures" / "inspect.png", InspectOptions())
     write_results(folder)
     parts = [folder / "round1", folder]
     evaluate.main(

@@ -16,13 +16,14 @@ from stages.eval.options import ColmapOptions
 from stages.eval.score_poses import colmap_candidates
 from stages.eval.truth import true_cameras
 from stages.inspect import check
+from stages.inspect.options import InspectOptions
 from stages.shared.artifacts import read_metadata, read_table
 from stages.shared.cameras import centred_intrinsics
 from stages.shared.sequences import read_sequence
 
 
 def _inspect(frames: Path, folder: Path) -> Path:
-    check.main(frames, folder / "sequence.json", folder / "inspect.png")
+    check.main(frames, folder / "sequence.json", folder / "inspect.png", InspectOptions())
     return folder / "sequence.json"
 
 

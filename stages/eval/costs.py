@@ -1,6 +1,6 @@
 """What every stage cost, from the time files that the stages write."""
 
-import re
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -11,9 +11,18 @@ BEFORE, REPEATED = ("inspect", "flow"), ("motion", "segment", "ba")
 AFTER = ("scene", "control", "gaussians", "render", "colmap")
 
 
-def time_rows(name: str, files: Sequence[Path], rounds: int) -> list[Row]:
-    """A row per file `<folder>/<sequence>/[roundN/]stats/<stage>.json`, in the order in which the stages run."""
-    return sorted((_time_row(name, path, rounds) for path in files), key=_stage_order)
+def time_rows(name: str, files: Sequence[Path]) -> list[Row]:
+    """A row per file `.../stats/<stage>.json`, in the order in which the stages run.
+
+    Args:
+        files: those of a repeated stage in the order of the rounds; their folders say nothing, for runs share them.
+    """
+    seen: Counter[str] = Counter()
+    rows = []
+    for path in files:
+        seen[path.stem] += 1
+        rows.append(_time_row(name, path, seen[path.stem]))
+    return sorted(rows, key=_stage_order)
 
 
 def seconds_to_poses(rows: Sequence[Row], rounds: int) -> list[tuple[float, float]]:
@@ -25,10 +34,8 @@ def seconds_to_poses(rows: Sequence[Row], rounds: int) -> list[tuple[float, floa
     return spent
 
 
-def _time_row(name: str, path: Path, rounds: int) -> Row:
-    """The last round has no folder of its own."""
-    content, folder = read_json(path), path.parent.parent.name
-    number = int(folder.removeprefix("round")) if re.fullmatch(r"round\d+", folder) else rounds
+def _time_row(name: str, path: Path, number: int) -> Row:
+    content = read_json(path)
     costs = {key: content[key] for key in ("wall_s", "cpu_s", "peak_mb", "gpu_peak_mb", "output_mb")}
     return {"sequence": name, "stage": path.stem, "round": number if path.stem in REPEATED else None} | costs
 

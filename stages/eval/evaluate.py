@@ -54,7 +54,7 @@ def main(
     depth: Annotated[Path, In("inverse depth of the last round")],
     colmap: Annotated[Path, In("poses of the baseline")],
     renders: Annotated[Path, In("folder of rendered views, a folder per split")],
-    stage_stats: Annotated[list[Path], In("seconds and memory of the stages, stats/<stage>.json")],
+    stage_stats: Annotated[list[Path], In("seconds and memory of the stages, stats/<stage>.json, rounds in order")],
     poses_table: Annotated[Path, Out("pose errors, a row per method")],
     images_table: Annotated[Path, Out("image scores, a row per method, split and region")],
     masks_table: Annotated[Path, Out("mask scores, a row per round and method")],
@@ -67,7 +67,7 @@ def main(
 ) -> None:
     """Write one row per method and protocol; what cannot be scored is a row that says why."""
     frames = read_sequence(sequence)
-    times = costs.time_rows(frames.name, stage_stats, len(poses))
+    times = costs.time_rows(frames.name, stage_stats)
     write_rows(time_table, times, TIME, {"unit": "seconds and MB"})
     seconds = costs.seconds_to_poses(times, len(poses))
     candidates = [*score_poses.own_candidates(poses, seconds), *score_poses.colmap_candidates(colmap)]

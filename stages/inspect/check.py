@@ -1,11 +1,13 @@
 """The input check: decode every frame, read every truth file's header, and write down what there is."""
 
 import hashlib
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 
+from stages.inspect.options import InspectOptions
 from stages.shared import cli, sintel
 from stages.shared.artifacts import write_json
 from stages.shared.cli import In, Out
@@ -20,15 +22,25 @@ def main(
     frames: Annotated[Path, In("folder of PNG or JPG frames; MPI-Sintel truth is found beside it")],
     output: Annotated[Path, Out("sequence.json: frames, size, conversions, truth and its gaps")],
     figure: Annotated[Path, Out("picture for the report")],
+    options: InspectOptions,
 ) -> None:
     """Check one sequence completely, so that no later stage stumbles over its files."""
-    sequence = check_sequence(frames.resolve().name, frames)
+    sequence = first_frames(check_sequence(frames.resolve().name, frames), options)
     digest = frames_digest(sequence)
     check_truth(sequence)
     for warning in sequence.warnings:
         logger.warning("%s: %s", frames, warning)
     write_figure(figure, draw(sequence))
     write_json(output, sequence_to_json(sequence) | {"frames_sha256": digest, "missing_truth": missing_truth(sequence)})
+
+
+def first_frames(sequence: Sequence, options: InspectOptions) -> Sequence:
+    """The sequence cut to so many frames as the options ask for, with the truth of these."""
+    if options.max_frames == "all":
+        return sequence
+    numbers = sequence.numbers[: options.max_frames]
+    truth = {kind: {n: path for n, path in files.items() if n in numbers} for kind, files in sequence.truth.items()}
+    return replace(sequence, frames=sequence.frames[: options.max_frames], numbers=numbers, truth=truth)
 
 
 def frames_digest(sequence: Sequence) -> str:

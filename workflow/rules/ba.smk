@@ -1,18 +1,18 @@
 rule ba:
     input:
         unpack(previous_cameras),
-        sequence=rules.inspect.output.sequence,
-        flow=rules.flow.output.flow,
-        masks=rules.segment.output.masks,
+        sequence=artifact("inspect", "sequence.json"),
+        flow=artifact("flow", "flow/pairs.arrow"),
+        masks=artifact("segment", "masks"),
     output:
-        poses="<results>/{dataset}/{seq}/{round}ba/poses.parquet",
-        trajectory="<results>/{dataset}/{seq}/{round}ba/trajectory.tum",
-        depth="<results>/{dataset}/{seq}/{round}ba/depth.arrow",
-        convergence="<results>/{dataset}/{seq}/{round}ba/convergence.parquet",
-        figure="<results>/{dataset}/{seq}/{round}figures/ba.png",
-        stats="<results>/{dataset}/{seq}/{round}stats/ba.json",
+        poses="<results>/{dataset}/{seq}/{setting}{round}ba/poses.parquet",
+        trajectory="<results>/{dataset}/{seq}/{setting}{round}ba/trajectory.tum",
+        depth="<results>/{dataset}/{seq}/{setting}{round}ba/depth.arrow",
+        convergence="<results>/{dataset}/{seq}/{setting}{round}ba/convergence.parquet",
+        figure="<results>/{dataset}/{seq}/{setting}{round}figures/ba.png",
+        stats="<results>/{dataset}/{seq}/{setting}{round}stats/ba.json",
     log:
-        "<logs>/{dataset}/{seq}/{round}ba.log",
+        "<logs>/{dataset}/{seq}/{setting}{round}ba.log",
     conda:
         "../envs/motionsplat.yaml"
     threads: 4

@@ -4,10 +4,13 @@ import re
 import sys
 from pathlib import Path
 
+from snakemake.common.configfile import load_configfile
+from snakemake.utils import update_config
+
 REPO = Path(workflow.basedir)
 sys.path.insert(0, str(REPO))
 
-from stages import config as settings
+from stages import config as configuration, settings
 from stages.shared.digest import code_digest
 from stages.shared.errors import InputError
 
@@ -20,26 +23,79 @@ os.environ.update(
 )
 
 
+def own_values():
+    """What the user's own files and flags set, the shipped file aside: it wins over a preset."""
+    values = {}
+    for path in workflow.overwrite_configfiles:
+        if path.resolve() != (REPO / "config.yaml").resolve():
+            update_config(values, load_configfile(path))
+    update_config(values, dict(workflow.config_settings.config))
+    return values
+
+
 try:
-    CONFIG = settings.load(config)
-    SEQUENCES = settings.find_sequences(CONFIG)
-    FOLDERS = settings.frame_folders(CONFIG)
+    MINE = own_values()
+    CONFIGURED = settings.configured(config, MINE)
+    CONFIG = CONFIGURED.config
+    SEQUENCES = configuration.find_sequences(CONFIG)
+    FOLDERS = configuration.frame_folders(CONFIG)
+    SWEPT, SCALED = settings.compared(config, MINE)
 except InputError as error:
     sys.stderr.write(f"{error}\n")
     sys.exit(2)
 
-DATASET = settings.dataset_name(CONFIG)
+DATASET = configuration.dataset_name(CONFIG)
+SETTINGS = {setting.folder: setting for setting in [CONFIGURED, *SWEPT, *SCALED]}
 
 
 wildcard_constraints:
     dataset=re.escape(DATASET),
     seq="|".join(map(re.escape, SEQUENCES)),
+    setting=f"({'|'.join(map(re.escape, SETTINGS))})",
     round=r"(round\d+/)?",
+
+
+def setting_of(wildcards):
+    """The setting of a job; the configured one for rules without settings."""
+    return SETTINGS[getattr(wildcards, "setting", "")]
 
 
 def flags(section):
     """The command-line flags of one script: Snakemake reruns it when they change."""
-    return settings.flags(CONFIG, section)
+    return lambda wildcards: configuration.flags(setting_of(wildcards).config, section)
+
+
+def round_number(wildcards):
+    """The round of a job, 1, 2, ...; the last round has no prefix, nor have stages that run once."""
+    digits = re.sub(r"\D", "", getattr(wildcards, "round", ""))
+    return int(digits or setting_of(wildcards).config.rounds)
+
+
+def artifact_path(wildcards, stage, name, number):
+    """A file or folder that a stage makes in a round under the job's setting, where the stage is run for it."""
+    home = settings.find_home(
+        list(SETTINGS.values()), setting_of(wildcards), stage, number
+    )
+    return f"<results>/{wildcards.dataset}/{wildcards.seq}/{home}{name}"
+
+
+def artifact(stage, name):
+    """The input function of a file or folder that a stage makes, under the job's setting and in its round."""
+    return lambda wildcards: artifact_path(
+        wildcards, stage, name, round_number(wildcards)
+    )
+
+
+def artifacts(stage, name):
+    """The input function of what a stage makes in every round, in order; of one file if rounds do not repeat it."""
+
+    def of_rounds(wildcards):
+        rounds = setting_of(wildcards).config.rounds
+        first = 1 if stage in settings.REPEATED else rounds
+        numbers = range(first, rounds + 1)
+        return [artifact_path(wildcards, stage, name, number) for number in numbers]
+
+    return of_rounds
 
 
 def megabytes(base, bytes_per_pixel):
@@ -47,21 +103,25 @@ def megabytes(base, bytes_per_pixel):
 
     def of_job(wildcards):
         sequence = SEQUENCES[wildcards.seq]
-        pixels = len(sequence.frames) * sequence.width * sequence.height
+        frames = len(sequence.frames)
+        if hasattr(wildcards, "setting"):
+            limit = setting_of(wildcards).config.inspect.max_frames
+            frames = frames if limit == "all" else min(frames, limit)
+        pixels = frames * sequence.width * sequence.height
         return base + round(bytes_per_pixel * pixels / 1e6)
 
     return of_job
 
 
 def previous_cameras(wildcards):
-    """Poses and depth of the round before, for the next one; nothing in the first. The last round has no prefix."""
-    number = int(re.sub(r"\D", "", wildcards.round) or CONFIG.rounds)
+    """Poses and depth of the round before, for the next one; nothing in the first."""
+    number = round_number(wildcards)
     if number == 1:
         return {}
-    folder = f"<results>/{wildcards.dataset}/{wildcards.seq}/round{number - 1}/ba"
+    names = {"previous_poses": "ba/poses.parquet", "previous_depth": "ba/depth.arrow"}
     return {
-        "previous_poses": f"{folder}/poses.parquet",
-        "previous_depth": f"{folder}/depth.arrow",
+        key: artifact_path(wildcards, "ba", name, number - 1)
+        for key, name in names.items()
     }
 
 
@@ -74,7 +134,7 @@ def previous_flags(wildcards, input):
 
 def scene_file(wildcards):
     """The scene file of a simulated sequence."""
-    return settings.scene_files(CONFIG)[wildcards.seq]
+    return configuration.scene_files(CONFIG)[wildcards.seq]
 
 
 def frame_folder(wildcards):
@@ -84,31 +144,18 @@ def frame_folder(wildcards):
 
 def frame_source(wildcards):
     """What `inspect` depends on: the frames, or the manifest that the simulator writes last."""
-    if DATASET == settings.SIMULATED:
+    if DATASET == configuration.SIMULATED:
         return {"manifest": f"simulated/{wildcards.seq}.json"}
     return {"frames": [str(path) for path in SEQUENCES[wildcards.seq].frames]}
 
 
 def stage_stats(wildcards):
-    """The time files of every stage up to the evaluation, of all rounds."""
-    folder = f"<results>/{wildcards.dataset}/{wildcards.seq}"
-    once = [
-        f"{folder}/stats/{name}.json"
-        for name in (
-            "inspect",
-            "flow",
-            "scene",
-            "control",
-            "gaussians",
-            "render",
-            "colmap",
-        )
-    ]
-    rounds = ["", *(f"round{number}/" for number in range(1, CONFIG.rounds))]
-    return once + [
-        f"{folder}/{part}stats/{name}.json"
-        for part in rounds
-        for name in ("motion", "segment", "ba")
+    """The time files of every stage up to the evaluation, those of a repeated stage in the order of the rounds."""
+    return [
+        path
+        for stage in settings.UPSTREAM
+        if stage != "evaluate"
+        for path in artifacts(stage, f"stats/{stage}.json")(wildcards)
     ]
 
 

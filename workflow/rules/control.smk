@@ -1,18 +1,18 @@
 rule control:
     input:
-        sequence=rules.inspect.output.sequence,
-        flow=rules.flow.output.flow,
-        masks="<results>/{dataset}/{seq}/masks",
-        poses="<results>/{dataset}/{seq}/ba/poses.parquet",
-        depth="<results>/{dataset}/{seq}/ba/depth.arrow",
-        scene=rules.scene.output.scene,
+        sequence=artifact("inspect", "sequence.json"),
+        flow=artifact("flow", "flow/pairs.arrow"),
+        masks=artifact("segment", "masks"),
+        poses=artifact("ba", "ba/poses.parquet"),
+        depth=artifact("ba", "ba/depth.arrow"),
+        scene=artifact("scene", "scene.json"),
     output:
-        points="<results>/{dataset}/{seq}/control/points.parquet",
-        deformation="<results>/{dataset}/{seq}/control/deformation.safetensors",
-        figure="<results>/{dataset}/{seq}/figures/control.png",
-        stats="<results>/{dataset}/{seq}/stats/control.json",
+        points="<results>/{dataset}/{seq}/{setting}control/points.parquet",
+        deformation="<results>/{dataset}/{seq}/{setting}control/deformation.safetensors",
+        figure="<results>/{dataset}/{seq}/{setting}figures/control.png",
+        stats="<results>/{dataset}/{seq}/{setting}stats/control.json",
     log:
-        "<logs>/{dataset}/{seq}/control.log",
+        "<logs>/{dataset}/{seq}/{setting}control.log",
     conda:
         "../envs/motionsplat.yaml"
     threads: 4

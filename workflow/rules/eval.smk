@@ -1,14 +1,11 @@
-ROUNDS = [*(f"round{number}/" for number in range(1, CONFIG.rounds)), ""]
-
-
 rule colmap:
     input:
-        sequence=rules.inspect.output.sequence,
+        sequence=artifact("inspect", "sequence.json"),
     output:
-        poses="<results>/{dataset}/{seq}/colmap/poses.parquet",
-        stats="<results>/{dataset}/{seq}/stats/colmap.json",
+        poses="<results>/{dataset}/{seq}/{setting}colmap/poses.parquet",
+        stats="<results>/{dataset}/{seq}/{setting}stats/colmap.json",
     log:
-        "<logs>/{dataset}/{seq}/colmap.log",
+        "<logs>/{dataset}/{seq}/{setting}colmap.log",
     # On one thread it would hold back every stage that wants all cores: it waits for them instead.
     priority: -1
     conda:
@@ -25,36 +22,32 @@ rule colmap:
 
 rule evaluate:
     input:
-        sequence=rules.inspect.output.sequence,
-        flow=rules.flow.output.flow,
-        priors=expand(
-            "<results>/{{dataset}}/{{seq}}/{round}motion/prior.arrow", round=ROUNDS
-        ),
-        masks=expand("<results>/{{dataset}}/{{seq}}/{round}masks", round=ROUNDS),
-        poses=expand(
-            "<results>/{{dataset}}/{{seq}}/{round}ba/poses.parquet", round=ROUNDS
-        ),
-        depth="<results>/{dataset}/{seq}/ba/depth.arrow",
-        colmap=rules.colmap.output.poses,
-        renders=rules.render.output.renders,
+        sequence=artifact("inspect", "sequence.json"),
+        flow=artifact("flow", "flow/pairs.arrow"),
+        priors=artifacts("motion", "motion/prior.arrow"),
+        masks=artifacts("segment", "masks"),
+        poses=artifacts("ba", "ba/poses.parquet"),
+        depth=artifact("ba", "ba/depth.arrow"),
+        colmap=artifact("colmap", "colmap/poses.parquet"),
+        renders=artifact("render", "renders"),
         stage_stats=stage_stats,
     output:
-        poses="<results>/{dataset}/{seq}/eval/poses.parquet",
-        images="<results>/{dataset}/{seq}/eval/images.parquet",
-        masks="<results>/{dataset}/{seq}/eval/masks.parquet",
-        checks="<results>/{dataset}/{seq}/eval/checks.parquet",
-        time="<results>/{dataset}/{seq}/eval/time.parquet",
-        trajectory="<results>/{dataset}/{seq}/eval/trajectory.parquet",
-        frames="<results>/{dataset}/{seq}/eval/frames.parquet",
+        poses="<results>/{dataset}/{seq}/{setting}eval/poses.parquet",
+        images="<results>/{dataset}/{seq}/{setting}eval/images.parquet",
+        masks="<results>/{dataset}/{seq}/{setting}eval/masks.parquet",
+        checks="<results>/{dataset}/{seq}/{setting}eval/checks.parquet",
+        time="<results>/{dataset}/{seq}/{setting}eval/time.parquet",
+        trajectory="<results>/{dataset}/{seq}/{setting}eval/trajectory.parquet",
+        frames="<results>/{dataset}/{seq}/{setting}eval/frames.parquet",
         figure=report(
-            "<results>/{dataset}/{seq}/figures/trajectory.png",
+            "<results>/{dataset}/{seq}/{setting}figures/trajectory.png",
             caption="../report/trajectory.rst",
             category="Poses",
             labels={"sequence": "{seq}", "figure": "trajectory"},
         ),
-        stats="<results>/{dataset}/{seq}/stats/evaluate.json",
+        stats="<results>/{dataset}/{seq}/{setting}stats/evaluate.json",
     log:
-        "<logs>/{dataset}/{seq}/evaluate.log",
+        "<logs>/{dataset}/{seq}/{setting}evaluate.log",
     conda:
         "../envs/motionsplat.yaml"
     resources:
@@ -73,7 +66,7 @@ rule evaluate:
 
 rule report:
     input:
-        tables=expand(rules.evaluate.output, seq=SEQUENCES, dataset=DATASET),
+        tables=expand(rules.evaluate.output, seq=SEQUENCES, dataset=DATASET, setting=""),
         published=str(REPO / "workflow/resources/published.yaml"),
         page=expand(
             str(REPO / "stages/eval/templates/{file}"),
@@ -96,7 +89,7 @@ rule report:
         code=code_digest("stages.eval.report"),
         flags=flags("report"),
         sequences=evaluated_folders,
-        manifests="--manifests simulated" if DATASET == settings.SIMULATED else "",
+        manifests="--manifests simulated" if DATASET == configuration.SIMULATED else "",
     shell:
         "python -m stages.eval.report --sequences {params.sequences} --published-numbers {input.published}"
         " {params.manifests} --output {output.html} --tables {output.tables} {params.flags} --log {log}"

@@ -1,12 +1,12 @@
 rule flow:
     input:
-        sequence=rules.inspect.output.sequence,
+        sequence=artifact("inspect", "sequence.json"),
     output:
-        flow="<results>/{dataset}/{seq}/flow/pairs.arrow",
-        figure="<results>/{dataset}/{seq}/figures/flow.png",
-        stats="<results>/{dataset}/{seq}/stats/flow.json",
+        flow="<results>/{dataset}/{seq}/{setting}flow/pairs.arrow",
+        figure="<results>/{dataset}/{seq}/{setting}figures/flow.png",
+        stats="<results>/{dataset}/{seq}/{setting}stats/flow.json",
     log:
-        "<logs>/{dataset}/{seq}/flow.log",
+        "<logs>/{dataset}/{seq}/{setting}flow.log",
     conda:
         "../envs/motionsplat.yaml"
     threads: 4
@@ -23,14 +23,14 @@ rule flow:
 rule motion:
     input:
         unpack(previous_cameras),
-        sequence=rules.inspect.output.sequence,
-        flow=rules.flow.output.flow,
+        sequence=artifact("inspect", "sequence.json"),
+        flow=artifact("flow", "flow/pairs.arrow"),
     output:
-        prior="<results>/{dataset}/{seq}/{round}motion/prior.arrow",
-        figure="<results>/{dataset}/{seq}/{round}figures/motion.png",
-        stats="<results>/{dataset}/{seq}/{round}stats/motion.json",
+        prior="<results>/{dataset}/{seq}/{setting}{round}motion/prior.arrow",
+        figure="<results>/{dataset}/{seq}/{setting}{round}figures/motion.png",
+        stats="<results>/{dataset}/{seq}/{setting}{round}stats/motion.json",
     log:
-        "<logs>/{dataset}/{seq}/{round}motion.log",
+        "<logs>/{dataset}/{seq}/{setting}{round}motion.log",
     conda:
         "../envs/motionsplat.yaml"
     threads: 4

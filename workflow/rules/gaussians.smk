@@ -1,20 +1,20 @@
 rule train:
     input:
-        sequence=rules.inspect.output.sequence,
-        masks="<results>/{dataset}/{seq}/masks",
-        poses="<results>/{dataset}/{seq}/ba/poses.parquet",
-        depth="<results>/{dataset}/{seq}/ba/depth.arrow",
-        scene=rules.scene.output.scene,
-        points=rules.control.output.points,
-        deformation=rules.control.output.deformation,
+        sequence=artifact("inspect", "sequence.json"),
+        masks=artifact("segment", "masks"),
+        poses=artifact("ba", "ba/poses.parquet"),
+        depth=artifact("ba", "ba/depth.arrow"),
+        scene=artifact("scene", "scene.json"),
+        points=artifact("control", "control/points.parquet"),
+        deformation=artifact("control", "control/deformation.safetensors"),
     output:
-        ply="<results>/{dataset}/{seq}/gaussians/gaussians.ply",
-        model="<results>/{dataset}/{seq}/gaussians/model.safetensors",
-        convergence="<results>/{dataset}/{seq}/gaussians/convergence.parquet",
-        figure="<results>/{dataset}/{seq}/figures/gaussians.png",
-        stats="<results>/{dataset}/{seq}/stats/gaussians.json",
+        ply="<results>/{dataset}/{seq}/{setting}gaussians/gaussians.ply",
+        model="<results>/{dataset}/{seq}/{setting}gaussians/model.safetensors",
+        convergence="<results>/{dataset}/{seq}/{setting}gaussians/convergence.parquet",
+        figure="<results>/{dataset}/{seq}/{setting}figures/gaussians.png",
+        stats="<results>/{dataset}/{seq}/{setting}stats/gaussians.json",
     log:
-        "<logs>/{dataset}/{seq}/gaussians.log",
+        "<logs>/{dataset}/{seq}/{setting}gaussians.log",
     conda:
         "../envs/motionsplat.yaml"
     threads: 4
@@ -33,20 +33,20 @@ rule train:
 
 rule render:
     input:
-        sequence=rules.inspect.output.sequence,
-        poses="<results>/{dataset}/{seq}/ba/poses.parquet",
-        model=rules.train.output.model,
+        sequence=artifact("inspect", "sequence.json"),
+        poses=artifact("ba", "ba/poses.parquet"),
+        model=artifact("gaussians", "gaussians/model.safetensors"),
     output:
-        renders=directory("<results>/{dataset}/{seq}/renders"),
+        renders=directory("<results>/{dataset}/{seq}/{setting}renders"),
         video=report(
-            "<results>/{dataset}/{seq}/figures/render.gif",
+            "<results>/{dataset}/{seq}/{setting}figures/render.gif",
             caption="../report/render.rst",
             category="Rendering",
             labels={"sequence": "{seq}", "figure": "fly-through"},
         ),
-        stats="<results>/{dataset}/{seq}/stats/render.json",
+        stats="<results>/{dataset}/{seq}/{setting}stats/render.json",
     log:
-        "<logs>/{dataset}/{seq}/render.log",
+        "<logs>/{dataset}/{seq}/{setting}render.log",
     conda:
         "../envs/motionsplat.yaml"
     threads: 4

@@ -2,16 +2,16 @@ rule inspect:
     input:
         unpack(frame_source),
     output:
-        sequence="<results>/{dataset}/{seq}/sequence.json",
+        sequence="<results>/{dataset}/{seq}/{setting}sequence.json",
         figure=report(
-            "<results>/{dataset}/{seq}/figures/inspect.png",
+            "<results>/{dataset}/{seq}/{setting}figures/inspect.png",
             caption="../report/inspect.rst",
             category="Input",
             labels={"sequence": "{seq}", "figure": "frames"},
         ),
-        stats="<results>/{dataset}/{seq}/stats/inspect.json",
+        stats="<results>/{dataset}/{seq}/{setting}stats/inspect.json",
     log:
-        "<logs>/{dataset}/{seq}/inspect.log",
+        "<logs>/{dataset}/{seq}/{setting}inspect.log",
     conda:
         "../envs/motionsplat.yaml"
     resources:
@@ -19,6 +19,7 @@ rule inspect:
     params:
         code=code_digest("stages.inspect.check"),
         folder=frame_folder,
+        flags=flags("inspect"),
     shell:
         "python -m stages.inspect.check --frames {params.folder} --output {output.sequence}"
-        " --figure {output.figure} --log {log} --stats {output.stats}"
+        " --figure {output.figure} {params.flags} --log {log} --stats {output.stats}"

@@ -1,16 +1,16 @@
 rule scene:
     input:
-        sequence=rules.inspect.output.sequence,
-        flow=rules.flow.output.flow,
-        masks="<results>/{dataset}/{seq}/masks",
-        poses="<results>/{dataset}/{seq}/ba/poses.parquet",
-        depth="<results>/{dataset}/{seq}/ba/depth.arrow",
+        sequence=artifact("inspect", "sequence.json"),
+        flow=artifact("flow", "flow/pairs.arrow"),
+        masks=artifact("segment", "masks"),
+        poses=artifact("ba", "ba/poses.parquet"),
+        depth=artifact("ba", "ba/depth.arrow"),
     output:
-        scene="<results>/{dataset}/{seq}/scene.json",
-        figure="<results>/{dataset}/{seq}/figures/scene.png",
-        stats="<results>/{dataset}/{seq}/stats/scene.json",
+        scene="<results>/{dataset}/{seq}/{setting}scene.json",
+        figure="<results>/{dataset}/{seq}/{setting}figures/scene.png",
+        stats="<results>/{dataset}/{seq}/{setting}stats/scene.json",
     log:
-        "<logs>/{dataset}/{seq}/scene.log",
+        "<logs>/{dataset}/{seq}/{setting}scene.log",
     conda:
         "../envs/motionsplat.yaml"
     resources:

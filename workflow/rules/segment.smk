@@ -1,14 +1,14 @@
 rule segment:
     input:
-        sequence=rules.inspect.output.sequence,
-        flow=rules.flow.output.flow,
-        prior=rules.motion.output.prior,
+        sequence=artifact("inspect", "sequence.json"),
+        flow=artifact("flow", "flow/pairs.arrow"),
+        prior=artifact("motion", "motion/prior.arrow"),
     output:
-        masks=directory("<results>/{dataset}/{seq}/{round}masks"),
-        figure="<results>/{dataset}/{seq}/{round}figures/segment.png",
-        stats="<results>/{dataset}/{seq}/{round}stats/segment.json",
+        masks=directory("<results>/{dataset}/{seq}/{setting}{round}masks"),
+        figure="<results>/{dataset}/{seq}/{setting}{round}figures/segment.png",
+        stats="<results>/{dataset}/{seq}/{setting}{round}stats/segment.json",
     log:
-        "<logs>/{dataset}/{seq}/{round}segment.log",
+        "<logs>/{dataset}/{seq}/{setting}{round}segment.log",
     conda:
         "../envs/motionsplat.yaml"
     threads: 4

@@ -1,0 +1,35 @@
+"""Options that say which settings a sweep compares and over which sizes the growth of cost is measured."""
+
+from typing import Any, Literal
+
+from pydantic import Field
+
+from stages.presets import Overrides, Preset
+from stages.shared.options import Options
+
+Knobs = dict[str, list[Any]]
+"""Values to try by the dotted name of an option, as in {"ba.stride_px": [4, 8, 16]}."""
+
+
+class SweepOptions(Options):
+    """What `snakemake sweep` compares."""
+
+    sequences: Literal["first", "all"] | list[str] = Field(
+        "first", description="which of the chosen sequences: first, all, or a list of names"
+    )
+    presets: list[Preset] = Field([], description="presets to run")
+    knobs: Knobs = Field({}, description="options to vary one at a time: the values to try beside the configured one")
+    runs: dict[str, dict[str, Overrides | None] | None] = Field(
+        {}, description="group, name, and the options in which that run differs"
+    )
+
+
+class ScalingOptions(Options):
+    """What `snakemake scaling` measures."""
+
+    sequences: Literal["first", "all"] | list[str] = Field(
+        "first", description="which of the chosen sequences: first, all, or a list of names"
+    )
+    axes: dict[Literal["frames", "pixels", "gaussians", "control points"], Knobs] = Field(
+        {}, description="what grows, and the options that make it grow"
+    )

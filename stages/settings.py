@@ -1,0 +1,161 @@
+"""Settings: sets of overrides under which the same sequences run again, sharing every stage that does not differ."""
+
+import functools
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from stages import config as configuration
+from stages.comparisons import Knobs
+from stages.config import SHARED_KEYS, Config
+from stages.presets import Overrides, override, value_of
+from stages.shared.errors import InputError
+
+UPSTREAM = {
+    "inspect": None,
+    "colmap": "inspect",
+    "flow": "inspect",
+    "motion": "flow",
+    "segment": "motion",
+    "ba": "segment",
+    "scene": "ba",
+    "control": "scene",
+    "gaussians": "control",
+    "render": "gaussians",
+    "evaluate": "render",
+}
+"""The stage that each stage follows. What it reads from others lies further up; COLMAP aside, it is one chain."""
+
+REPEATED = ("motion", "segment", "ba")
+"""Stages that every round repeats."""
+
+
+@dataclass(frozen=True, eq=False)
+class Setting:
+    """One way to run a sequence.
+
+    Attributes:
+        folder: where its results lie within the sequence's folder: "" for the configured run, or "settings/<name>/".
+        group, name: what it is compared with, and what it is called there.
+        knob, value: the option that is varied and its value, if it is one of a series.
+        overrides: the options in which it differs from the configured run, by dotted name.
+    """
+
+    folder: str
+    config: Config
+    group: str = ""
+    name: str = ""
+    knob: str | None = None
+    value: Any = None
+    overrides: Overrides = field(default_factory=dict)
+
+
+def configured(raw: Mapping[str, Any], mine: Mapping[str, Any] | None = None) -> Setting:
+    """The run that config.yaml describes; `mine` holds what the user's own files and flags set.
+
+    Raises:
+        InputError: one line for the first option that is wrong.
+    """
+    return Setting("", configuration.load(raw, mine))
+
+
+def compared(raw: Mapping[str, Any], mine: Mapping[str, Any] | None = None) -> tuple[list[Setting], list[Setting]]:
+    """The settings of the sweep and of the scaling.
+
+    Raises:
+        InputError: one line for the first setting that is wrong.
+    """
+    config = configuration.load(raw, mine)
+    sweep = [*_presets(config), *_series("knobs", config.sweep.knobs, config), *_runs(config)]
+    scaling = [run for axis, knobs in config.scaling.axes.items() for run in _series(axis, knobs, config)]
+    settings = [[_setting(raw, mine, *run) for run in runs] for runs in (sweep, scaling)]
+    _refuse_equal_folders(settings[0] + settings[1])
+    return settings[0], settings[1]
+
+
+def _presets(config: Config) -> Iterator[tuple[str, str, str | None, Any, Overrides]]:
+    yield from (("presets", preset, None, None, {"preset": preset}) for preset in config.sweep.presets)
+
+
+def _series(group: str, knobs: Knobs, config: Config) -> Iterator[tuple[str, str, str | None, Any, Overrides]]:
+    """One run per value of each knob, the configured value among them."""
+    values = config.model_dump(mode="json", by_alias=True)
+    for knob, wanted in knobs.items():
+        present = value_of(values, knob)
+        for value in [*wanted, *([present] if wanted and present not in wanted else [])]:
+            text = ",".join(map(str, value)) if isinstance(value, list) else str(value)
+            yield group, f"{knob}={text}", knob, value, {knob: value}
+
+
+def _runs(config: Config) -> Iterator[tuple[str, str, str | None, Any, Overrides]]:
+    for group, runs in config.sweep.runs.items():
+        yield from ((group, name, None, None, changes) for name, changes in (runs or {}).items() if changes is not None)
+
+
+def _setting(
+    raw: Mapping[str, Any],
+    mine: Mapping[str, Any] | None,
+    group: str,
+    name: str,
+    knob: str | None,
+    value: Any,
+    overrides: Overrides,
+) -> Setting:
+    where = f"config.yaml, setting '{name}' of '{group}'"
+    for option in overrides:
+        _refuse_data(option, where)
+    chosen = override(mine or {}, {name: value for name, value in overrides.items() if name != "preset"})
+    config = configuration.load(override(raw, overrides), chosen, where)
+    words = name if knob else f"{group}-{name}"
+    return Setting(
+        f"settings/{re.sub(r'[^A-Za-z0-9_.,=+-]+', '_', words)}/", config, group, name, knob, value, overrides
+    )
+
+
+def _refuse_data(option: str, where: str) -> None:
+    """A setting changes how a sequence is processed, never which sequences there are."""
+    section, _, _ = option.partition(".")
+    if section not in (*UPSTREAM, *SHARED_KEYS, "rounds", "preset"):
+        expected = f"an option of {', '.join(UPSTREAM)}, or one of {', '.join(SHARED_KEYS)}, rounds"
+        raise InputError(where, expected, f"'{option}'", "write it as section.option")
+
+
+def _refuse_equal_folders(settings: Sequence[Setting]) -> None:
+    found: dict[str, Setting] = {}
+    for setting in settings:
+        other = found.setdefault(setting.folder, setting)
+        if other.overrides != setting.overrides:
+            raise InputError(
+                "config.yaml: sweep", "names that differ", f"'{other.name}', '{setting.name}'", "rename one"
+            )
+
+
+def find_home(settings: Sequence[Setting], setting: Setting, stage: str, number: int) -> str:
+    """Where the results of a stage under a setting lie: in the folder of the first setting that makes the same ones.
+
+    Args:
+        settings: all, the configured one first.
+        number: the round that is meant (1, 2, ...); ignored by stages that rounds do not repeat.
+
+    Returns:
+        "", or a prefix that ends with "/": "settings/<name>/", "round1/", "settings/<name>/round1/".
+    """
+    wanted = identity(setting, stage, number)
+    for other in settings:
+        if (stage not in REPEATED or number <= other.config.rounds) and identity(other, stage, number) == wanted:
+            last = stage not in REPEATED or number == other.config.rounds
+            return other.folder + ("" if last else f"round{number}/")
+    raise KeyError(f"{setting.folder} is none of the settings")
+
+
+@functools.cache
+def identity(setting: Setting, stage: str, number: int) -> tuple[Any, ...]:
+    """All flags that the results of a stage depend on: its own and those of every stage before it."""
+    flags = configuration.flags(setting.config, stage)
+    before = "ba" if stage == "motion" and number > 1 else UPSTREAM[stage]
+    if before is None:
+        return stage, flags
+    if before == "ba":
+        number = number - 1 if stage == "motion" else setting.config.rounds
+    return stage, flags, identity(setting, before, number)
