@@ -18,7 +18,7 @@ def test_static_gaussians_never_move_and_labels_are_right() -> None:
     n = scene.n_static
     assert 0 < n < len(scene.means)
     for time in (0.0, 0.3, 1.0):
-        means, quats = scene.at(time)
+        means, quats, _ = scene.at(time)
         assert torch.equal(means[:n], scene.means[:n])
         assert torch.equal(quats[:n], scene.gaussians["quats"][:n])
         offset = means[n:] - torch.tensor(truth.square_centre(time), dtype=torch.float32)

@@ -8,12 +8,15 @@ import numpy as np
 import pytest
 import torch
 from gaussian_training import CANONICAL, OPTIONS, TRAIN, image_at, new_scene, psnr, trained
+from scipy.ndimage import binary_dilation
 
 from stages.gaussians import checkpoint, optimise
+from stages.gaussians.colours import ColourTable
 from stages.gaussians.densify import densify
 from stages.gaussians.exposure import Exposure
 from stages.gaussians.initialise import initial_cloud
 from stages.gaussians.model import Cloud, GaussianScene, scene_from_tensors, scene_tensors
+from stages.gaussians.observations import Observations
 from stages.gaussians.optimise import Trainer
 from stages.gaussians.options import GaussiansOptions
 from stages.shared.artifacts import read_metadata, read_model, write_model
@@ -64,11 +67,19 @@ def test_densify_keeps_the_cap() -> None:
     assert len(densify(small_cloud(), gradient, max_gaussians=10)[0].means) == 200
 
 
+def coloured_scene(seen: Observations) -> GaussianScene:
+    """A new scene whose control points may change colour."""
+    scene = new_scene(seen)
+    assert scene.deformation is not None
+    scene.colours = ColourTable(torch.tensor(seen.times), len(scene.deformation.points))
+    return scene
+
+
 def test_a_killed_training_resumes_to_the_same_result(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(optimise, "DENSIFY_EVERY", 8)
     options = GaussiansOptions(steps=40, stride_px=4)
     seen = truth.observations(TRAIN)
-    straight = Trainer(new_scene(seen), seen, options, arap_weight=0.01)
+    straight = Trainer(coloured_scene(seen), seen, options, arap_weight=0.01)
     saved: dict[int, tuple[dict[str, np.ndarray], int]] = {}
 
     def keep(trainer: Trainer) -> None:
@@ -77,7 +88,7 @@ def test_a_killed_training_resumes_to_the_same_result(monkeypatch: pytest.Monkey
             saved[21] = (arrays, trainer.scene.n_static)
 
     straight.run(keep)
-    resumed = Trainer(new_scene(seen), seen, options, arap_weight=0.01)
+    resumed = Trainer(coloured_scene(seen), seen, options, arap_weight=0.01)
     checkpoint.restore(resumed, *saved[21])
     assert resumed.step == 21
     resumed.run(lambda _: None)
@@ -104,7 +115,9 @@ def test_the_model_file_renders_the_same(tmp_path: Path, sh_degree: int) -> None
     cloud.sh[:, 1:] = 0.2 * torch.randn(cloud.sh[:, 1:].shape, generator=torch.manual_seed(0))
     exposure = Exposure(torch.tensor(truth.TIMES))
     exposure.log_gains.data[3:] = 0.2
-    scene = GaussianScene(cloud, truth.true_motion(), torch.tensor([0.1, 0.2, 0.3]), 0.02, 4, exposure)
+    colours = ColourTable(torch.tensor(truth.TIMES), len(truth.true_motion().points))
+    colours.table.data = 0.3 * torch.randn(colours.table.shape, generator=torch.manual_seed(1))
+    scene = GaussianScene(cloud, truth.true_motion(), torch.tensor([0.1, 0.2, 0.3]), 0.02, 4, colours, exposure)
     write_model(tmp_path / "model.safetensors", *scene_tensors(scene))
     again = scene_from_tensors(
         read_model(tmp_path / "model.safetensors"), read_metadata(tmp_path / "model.safetensors")
@@ -128,3 +141,36 @@ def test_exposure_drift_is_compensated_between_frames_too() -> None:
     assert scores[1] > scores[0] + 2
     assert exposure is not None
     assert torch.allclose(exposure(0.5), (exposure(0.4) * exposure(0.6)).sqrt(), rtol=0.05)
+
+
+def test_a_mover_that_darkens_is_followed_between_frames_and_the_rest_keeps_its_colour() -> None:
+    """The square crosses a shadow in mid-clip: a colour per control point and frame, smooth over the held-out time."""
+    light = 0.4 + 0.6 * (2 * truth.TIMES - 1) ** 2
+    seen = truth.observations(TRAIN)
+    shade = np.where(seen.masks, light[TRAIN][:, None, None], 1)[..., None]
+    shaded = replace(seen, images=(seen.images * shade).astype(np.float32))
+    image, _, mask = truth.ray_cast(truth.cameras()[4], truth.TIMES[4])
+    expected = np.where(mask[..., None], light[4] * image, image)
+    scores = []
+    for scene in (new_scene(shaded), coloured_scene(shaded)):
+        Trainer(scene, shaded, GaussiansOptions(steps=120), arap_weight=0.0).run(lambda _: None)
+        found = image_at(scene, 4)
+        away = ~binary_dilation(mask, iterations=4)
+        scores.append((psnr(found, expected, mask), psnr(found, expected, away)))
+    assert scores[1][0] > scores[0][0] + 3
+    assert scores[1][1] > scores[0][1] - 1
+
+
+def test_colours_over_time_have_the_gradient_of_their_formula() -> None:
+    generator = torch.manual_seed(0)
+    index = torch.randint(5, (20, 3), generator=generator)
+    weights = torch.softmax(torch.randn(20, 3, dtype=torch.float64, generator=generator), dim=-1)
+    colours = ColourTable(torch.linspace(0, 1, 4), 5).double()
+    colours.table.data = torch.randn(colours.table.shape, dtype=torch.float64, generator=generator)
+    at_knot = (weights[..., None] * colours.table[2][index]).sum(1)
+    assert torch.allclose(colours(2 / 3, weights, index), at_knot, atol=1e-7)
+
+    def shown(table: torch.Tensor) -> torch.Tensor:
+        return torch.func.functional_call(colours, {"table": table}, (0.4, weights, index))
+
+    assert torch.autograd.gradcheck(shown, colours.table)

@@ -99,10 +99,8 @@ class TableDeformation(Deformation):
         self.table = torch.nn.Parameter(torch.zeros(len(knots), len(points), 7))
 
     def raw_motion(self, times: Tensor) -> Tensor:
-        knots = self.knots.cpu().numpy()
-        inside = np.clip(times.detach().cpu().numpy().astype(float), knots[0], knots[-1])
-        basis = CubicSpline(knots, np.eye(len(knots)), bc_type="natural")(inside)
-        return torch.einsum("bf,fpc->bpc", torch.as_tensor(basis).to(self.table), self.table)
+        basis = spline_basis(self.knots, times.detach().cpu().numpy())
+        return torch.einsum("bf,fpc->bpc", basis.to(self.table), self.table)
 
     def bending(self) -> Tensor:
         """Mean squared second difference of the translations between knots, in squared scene units; 0 below 3 knots."""
@@ -111,6 +109,16 @@ class TableDeformation(Deformation):
         steps = torch.diff(self.knots).to(self.table) * (len(self.knots) - 1)
         speeds = torch.diff(self.table[..., 4:], dim=0) * self.extent / steps[:, None, None]
         return torch.diff(speeds, dim=0).square().sum(-1).mean()
+
+
+def spline_basis(knots: Tensor, times: np.ndarray) -> Tensor:
+    """Weights [B, F] of the values at F >= 2 ascending knots in a natural cubic spline at times [B].
+
+    Times before the first and after the last knot take its value.
+    """
+    ascending = knots.cpu().numpy().astype(float)
+    inside = np.clip(times.astype(float), ascending[0], ascending[-1])
+    return torch.as_tensor(CubicSpline(ascending, np.eye(len(ascending)), bc_type="natural")(inside))
 
 
 def _encode(x: Tensor, frequencies: int) -> Tensor:

@@ -10,11 +10,12 @@ from torch import Tensor
 
 from stages.control.deformation import Deformation, deformation_from_tensors, deformation_tensors
 from stages.control.lbs import blend, lbs_weights, neighbours
+from stages.gaussians.colours import ColourTable
 from stages.gaussians.exposure import Exposure
 from stages.gaussians.rasterize import Rendering, rasterize
 
-DEFORMATION, EXPOSURE = "deformation.", "exposure."
-"""Prefixes of the motion's and the gains' tensors in the model file."""
+DEFORMATION, COLOURS, EXPOSURE = "deformation.", "colours.", "exposure."
+"""Prefixes of the tensors of the motion, of its colours and of the gains in the model file."""
 
 
 @dataclass
@@ -55,11 +56,15 @@ class GaussianScene(torch.nn.Module):
         background: Tensor,
         near_plane: float,
         neighbours: int,
+        colours: ColourTable | None = None,
         exposure: Exposure | None = None,
     ) -> None:
-        """background: [3] colour behind everything. neighbours: control points per dynamic Gaussian."""
+        """background: [3] colour behind everything. neighbours: control points per dynamic Gaussian.
+
+        colours: of the control points over time, None where they keep theirs; likewise the exposure.
+        """
         super().__init__()
-        self.deformation, self.exposure = deformation, exposure
+        self.deformation, self.colours, self.exposure = deformation, colours, exposure
         self.near_plane, self.neighbours = near_plane, neighbours
         self.register_buffer("background", background)
         self.set_cloud(cloud)
@@ -106,32 +111,32 @@ class GaussianScene(torch.nn.Module):
         """Degree of the view-dependent colour."""
         return round((1 + self.gaussians["sh_rest"].shape[1]) ** 0.5) - 1
 
-    def at(self, time: float, detach: bool = False) -> tuple[Tensor, Tensor]:
-        """Means [N, 3] and quats [N, 4] at `time` 0..1; `detach` stops gradients into the motion model."""
-        means, quats = self.means, self.gaussians["quats"]
-        if self.deformation is None or self.n_static == len(means):
-            return means, quats
+    def at(self, time: float, detach: bool = False) -> tuple[Tensor, Tensor, Tensor]:
+        """Means [N, 3], quats [N, 4] and constant SH coefficients [N, 1, 3] at `time` 0..1.
+
+        `detach` stops gradients into the motion model.
+        """
+        means, quats, sh_dc = self.means, self.gaussians["quats"], self.gaussians["sh_dc"]
+        n = self.n_static
+        if self.deformation is None or n == len(means):
+            return means, quats, sh_dc
         with torch.set_grad_enabled(torch.is_grad_enabled() and not detach):
             point_quats, translations = self.deformation(means.new_tensor([time]))
-            weights = self._weights(means[self.n_static :])
-        moved, turned = blend(
-            means[self.n_static :],
-            quats[self.n_static :],
-            self.deformation.points,
-            point_quats[0],
-            translations[0],
-            weights,
-            self.index,
-        )
-        return torch.cat([means[: self.n_static], moved]), torch.cat([quats[: self.n_static], turned])
+            weights = self._weights(means[n:])
+        motion = (self.deformation.points, point_quats[0], translations[0], weights, self.index)
+        moved, turned = blend(means[n:], quats[n:], *motion)
+        if self.colours is not None:
+            lit = sh_dc[n:] + self.colours(time, weights, self.index)[:, None]
+            sh_dc = torch.cat([sh_dc[:n], lit])
+        return torch.cat([means[:n], moved]), torch.cat([quats[:n], turned]), sh_dc
 
     def render(
         self, time: float, viewmat: Tensor, K: Tensor, width: int, height: int, detach: bool = False
     ) -> Rendering:
         """The scene at `time` 0..1 from one camera [4, 4], [3, 3]; see `rasterize` for what comes back."""
-        means, quats = self.at(time, detach)
+        means, quats, sh_dc = self.at(time, detach)
         values = self.gaussians
-        sh = values["sh_dc"] if self.sh_degree == 0 else torch.cat([values["sh_dc"], values["sh_rest"]], dim=1)
+        sh = sh_dc if self.sh_degree == 0 else torch.cat([sh_dc, values["sh_rest"]], dim=1)
         rendering = rasterize(
             means,
             quats,
@@ -165,6 +170,8 @@ def scene_tensors(scene: GaussianScene) -> tuple[dict[str, np.ndarray], dict[str
     tensors["background"] = scene.background.cpu().numpy()
     if scene.deformation is not None:
         tensors |= {DEFORMATION + name: value for name, value in deformation_tensors(scene.deformation).items()}
+    if scene.colours is not None:
+        tensors |= {COLOURS + name: value.cpu().numpy() for name, value in scene.colours.state_dict().items()}
     if scene.exposure is not None:
         tensors |= {EXPOSURE + name: value.cpu().numpy() for name, value in scene.exposure.state_dict().items()}
     settings = {"near_plane": scene.near_plane, "neighbours": scene.neighbours, "sh_degree": scene.sh_degree}
@@ -179,9 +186,12 @@ def scene_from_tensors(tensors: Mapping[str, np.ndarray], metadata: Mapping[str,
     cloud = Cloud(**{name: values[name].bool() if name == "dynamic" else values[name] for name in names})
     motion = {name.removeprefix(DEFORMATION): tensors[name] for name in tensors if name.startswith(DEFORMATION)}
     deformation = deformation_from_tensors(motion) if motion else None
-    exposure = None
+    colours, exposure = None, None
+    if COLOURS + "knots" in values:
+        colours = ColourTable(values[COLOURS + "knots"], values[COLOURS + "table"].shape[1])
+        colours.load_state_dict({name: values[COLOURS + name] for name in ("knots", "table")})
     if EXPOSURE + "knots" in values:
         exposure = Exposure(values[EXPOSURE + "knots"])
         exposure.load_state_dict({name: values[EXPOSURE + name] for name in ("knots", "log_gains")})
     settings = (metadata["near_plane"], metadata["neighbours"])
-    return GaussianScene(cloud, deformation, values["background"], *settings, exposure)
+    return GaussianScene(cloud, deformation, values["background"], *settings, colours, exposure)

@@ -26,6 +26,8 @@ LEARNING_RATES = {
 }
 """Adam's step per parameter: footprints, logarithms, radians / 2, logits, SH coefficients."""
 MOTION_RATE = 5e-4
+COLOUR_RATE = 2e-2
+"""Of the control points' colours over time, SH coefficients."""
 RADIUS_RATE = 2e-3
 EXPOSURE_RATE = 2e-2
 FINAL_RATE = 0.05
@@ -116,6 +118,8 @@ class Trainer:
             motion = dict(self.motion.named_parameters())
             groups.append({"params": [motion.pop("log_radii")], "rate": RADIUS_RATE, "name": "log_radii"})
             groups.append({"params": list(motion.values()), "rate": MOTION_RATE, "name": "motion"})
+        if self.scene.colours is not None:
+            groups.append({"params": [self.scene.colours.table], "rate": COLOUR_RATE, "name": "colours"})
         if self.scene.exposure is not None:
             groups.append({"params": [self.scene.exposure.log_gains], "rate": EXPOSURE_RATE, "name": "exposure"})
         return torch.optim.Adam(groups, lr=0.0, eps=1e-15, fused=True)

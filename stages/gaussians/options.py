@@ -15,6 +15,7 @@ class GaussiansOptions(SplitOptions):
     max_gaussians: int = Field(80_000, ge=1, description="hard cap of initialisation and densification")
     densify: bool = Field(True, description="split Gaussians where the image gradient is high, prune transparent ones")
     neighbours: int = Field(4, ge=1, le=16, description="control points that move one Gaussian")
+    colour_table: bool = Field(True, description="let control points change their colour over time, as shading does")
     detach: bool = Field(False, description="keep the photometric loss from the motion, as the paper reads literally")
     learning_rate: float = Field(1.0, gt=0, le=10, description="factor on all step sizes")
     ssim_weight: float = Field(0.2, ge=0, le=1, description="share of D-SSIM in the photometric loss; the rest is L1")

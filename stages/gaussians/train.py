@@ -71,6 +71,7 @@ def _new_scene(
     import torch
 
     from stages.control.deformation import load_deformation
+    from stages.gaussians.colours import ColourTable
     from stages.gaussians.exposure import Exposure
     from stages.gaussians.initialise import cloud_within, near_plane_of
     from stages.gaussians.inputs import canonical_row
@@ -101,9 +102,12 @@ def _new_scene(
     )
     if stride_px > options.stride_px:
         logger.warning("one Gaussian per %d px, not %d, to stay within max_gaussians", stride_px, options.stride_px)
-    exposure = Exposure(torch.as_tensor(seen.times)) if needs["exposure"]["needed"] else None
+    times = torch.as_tensor(seen.times)
+    colours = ColourTable(times, len(motion.points)) if motion is not None and options.colour_table else None
+    exposure = Exposure(times) if needs["exposure"]["needed"] else None
     background = torch.as_tensor(seen.images.mean(axis=(0, 1, 2)))
-    scene = GaussianScene(cloud, motion, background, near_plane_of(seen), options.neighbours, exposure).to(device)
+    scene = GaussianScene(cloud, motion, background, near_plane_of(seen), options.neighbours, colours, exposure)
+    scene = scene.to(device)
     counts = (len(cloud.means), scene.n_static, len(cloud.means) - scene.n_static)
     logger.info("%s; %d Gaussians to start with: %d static, %d dynamic", backend_name(device), *counts)
     return scene, seen

@@ -1,0 +1,32 @@
+"""Colour that changes with time: shading that moves over the movers, which no constant colour can follow."""
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from stages.control.deformation import spline_basis
+
+
+class ColourTable(torch.nn.Module):
+    """An offset of colour per control point and training frame; Gaussians blend it as they blend the motion.
+
+    Attributes:
+        knots: [F] ascending times in 0..1, F >= 2. table: [F, P, 3] offsets of the constant SH coefficient, trained.
+    """
+
+    knots: Tensor
+
+    def __init__(self, knots: Tensor, P: int) -> None:
+        super().__init__()
+        self.register_buffer("knots", knots.to(torch.float64))
+        self.table = torch.nn.Parameter(torch.zeros(len(knots), P, 3))
+
+    def forward(self, time: float, weights: Tensor, index: Tensor) -> Tensor:
+        """Offsets [N, 3] at `time` 0..1, by a natural cubic spline between the frames.
+
+        Args:
+            weights: [N, K] skinning weights; they get no gradient, so that colour never drives the motion's kernels.
+            index: [N, K] control points.
+        """
+        of_points = torch.einsum("f,fpc->pc", spline_basis(self.knots, np.array([time]))[0].to(self.table), self.table)
+        return torch.nn.functional.embedding_bag(index, of_points, mode="sum", per_sample_weights=weights.detach())
