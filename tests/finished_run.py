@@ -153,7 +153,7 @@ def finish(root: Path, name: str = "wall", truth: bool = True) -> Path:
         masks=[part / "masks" for part in parts],
         poses=[part / "ba/poses.parquet" for part in parts],
         depth=folder / "ba/depth.arrow",
-        colmap=folder / "colmap/poses.parquet",
+        colmap=[folder / "colmap/poses.parquet"],
         renders=folder / "renders",
         stage_stats=stats_files(folder),
         **{f"{kind}_table": folder / f"eval/{kind}.parquet" for kind in TABLES},

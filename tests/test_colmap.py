@@ -1,6 +1,7 @@
 """The baseline: right on an easy scene, and failures that stay in the table."""
 
 import shutil
+import sqlite3
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -19,6 +20,7 @@ from stages.inspect import check
 from stages.inspect.options import InspectOptions
 from stages.shared.artifacts import read_metadata, read_table
 from stages.shared.cameras import centred_intrinsics
+from stages.shared.images import write_image
 from stages.shared.sequences import read_sequence
 
 
@@ -40,7 +42,7 @@ def sequence(rendered: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_both_mappers_find_the_cameras_and_repeat_themselves(sequence: Path, tmp_path: Path) -> None:
-    options = ColmapOptions(window=5)
+    options = ColmapOptions(window=5, upsample=(1,))
     first, second = tmp_path / "first.parquet", tmp_path / "second.parquet"
     colmap.main(sequence, first, options)
     frames = read_sequence(sequence)
@@ -82,13 +84,41 @@ def test_enlarged_frames_give_intrinsics_of_the_original_frames(
     np.testing.assert_allclose(candidate.cameras.Ks[0], centred_intrinsics(100, 80, 60), atol=1e-12)
 
 
+def test_masked_variants_have_no_features_on_dynamic_pixels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The left half is dynamic: COLMAP's own database must hold no point there, at both sizes."""
+    seen: dict[int, np.ndarray] = {}
+
+    def spy(step: Callable, arguments: tuple, _seconds: float) -> Any:
+        step(*arguments)
+        with sqlite3.connect(arguments[2]) as database:
+            (shape,) = set(database.execute("select cols from keypoints"))
+            points = [np.frombuffer(row[0], np.float32) for row in database.execute("select data from keypoints")]
+        seen[len(seen) + 1] = np.concatenate(points).reshape(-1, shape[0])[:, 0]
+        raise baseline.StepFailed("enough seen")
+
+    monkeypatch.setattr(colmap, "run_limited", spy)
+    noise = cv2.GaussianBlur(np.random.default_rng(0).integers(0, 256, (120, 160, 3), dtype=np.uint8), (0, 0), 1.5)
+    for number in range(1, 4):
+        write_image(tmp_path / f"clip/frame_{number:04d}.png", noise)
+        write_image(tmp_path / f"masks/frame_{number:04d}.png", np.arange(160) < np.full((120, 1), 80))
+    sequence, output = _inspect(tmp_path / "clip", tmp_path), tmp_path / "poses.parquet"
+    colmap.main(sequence, output, ColmapOptions(window=1), masks=tmp_path / "masks")
+    assert all(len(seen[factor]) > 30 for factor in (1, 2))
+    assert all(seen[factor].min() >= 80 * factor - 1 for factor in (1, 2))
+    methods = [candidate.method for candidate in colmap_candidates(output)]
+    assert methods[0] == "COLMAP global, our masks"
+    assert methods[-1] == "COLMAP incremental, frames x2, our masks"
+    colmap.main(sequence, output, ColmapOptions(window=1, upsample=(1,)))
+    assert seen[3].min() < 70
+
+
 def test_frames_without_texture_are_a_failed_row_with_a_reason(tmp_path: Path) -> None:
     frames = tmp_path / "grey"
     frames.mkdir()
     for number in range(1, 5):
         cv2.imwrite(str(frames / f"frame_{number:04d}.png"), np.full((60, 80, 3), 128, np.uint8))
     output = tmp_path / "poses.parquet"
-    colmap.main(_inspect(frames, tmp_path), output, ColmapOptions())
+    colmap.main(_inspect(frames, tmp_path), output, ColmapOptions(upsample=(1,)))
     outcomes = read_metadata(output)["variants"]
     assert [outcome["method"] for outcome in outcomes] == ["COLMAP global", "COLMAP incremental"]
     assert all(outcome["registered"] == 0 and outcome["failure"] for outcome in outcomes)
@@ -97,7 +127,7 @@ def test_frames_without_texture_are_a_failed_row_with_a_reason(tmp_path: Path) -
 
 def test_a_variant_that_hangs_is_stopped(sequence: Path, tmp_path: Path) -> None:
     output = tmp_path / "poses.parquet"
-    colmap.main(sequence, output, ColmapOptions(time_limit_s=1))
+    colmap.main(sequence, output, ColmapOptions(time_limit_s=1, upsample=(1,)))
     for outcome in read_metadata(output)["variants"]:
         assert "stopped after 1 s" in outcome["failure"]
     assert not list(tmp_path.glob(".colmap-*"))

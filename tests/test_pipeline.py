@@ -20,7 +20,7 @@ OPTIONS = {
     "control": {"control_points": 32, "steps": 60},
     "gaussians": {"steps": 60},
     "render": {"novel_views": 4},
-    "colmap": {"mappers": ["global"], "window": 3},
+    "colmap": {"mappers": ["global"], "window": 3, "upsample": [1], "upsample_masked": [1]},
 }
 FRAMES, WIDTH, HEIGHT = 8, 256, 112
 
@@ -112,7 +112,8 @@ def test_report_and_snakemakes_own(finished: Path) -> None:
 
 def test_every_stage_says_what_it_cost(finished: Path) -> None:
     table = read_table(results(finished, "moving") / "eval/time.parquet")
-    stages = {"inspect", "flow", "motion", "segment", "ba", "scene", "control", "gaussians", "render", "colmap"}
+    stages = {"inspect", "flow", "motion", "segment", "ba", "scene", "control", "gaussians", "render"}
+    stages |= {"colmap", "colmap_masked"}
     assert stages <= {str(stage).rsplit("/", maxsplit=1)[-1] for stage in table["stage"]}
     assert np.all(table["wall_s"] > 0)
     assert np.all(table["peak_mb"] > 20)

@@ -10,10 +10,10 @@ from conftest import copy_sources, run_snakemake, write_frames
 
 EVERY_RULE = {
     *("simulate", "inspect", "flow", "motion", "segment", "ba", "scene", "control", "train", "render"),
-    *("colmap", "evaluate", "report", "all"),
+    *("colmap", "colmap_masked", "evaluate", "report", "all"),
 }
 AFTER_FLOW = EVERY_RULE - {"simulate", "inspect", "flow", "colmap"}
-AFTER_SCENE = AFTER_FLOW - {"motion", "segment", "ba", "scene"}
+AFTER_SCENE = AFTER_FLOW - {"motion", "segment", "ba", "scene", "colmap_masked"}
 
 
 def planned(result: subprocess.CompletedProcess[str]) -> set[str]:
@@ -62,7 +62,7 @@ def test_plain_snakemake_plans_every_stage(repo_copy: Path) -> None:
         ("gaussians: {steps: 33}", AFTER_SCENE - {"control"}),
         ("holdout_every: 7", AFTER_SCENE | {"scene"}),
         ("simulate: {seed: 5}", EVERY_RULE),
-        ("colmap: {seed: 5}", {"colmap", "evaluate", "report", "all"}),
+        ("colmap: {seed: 5}", {"colmap", "colmap_masked", "evaluate", "report", "all"}),
         ("report: {title: Mine}", {"report", "all"}),
         ("flow: {}", set()),
     ],

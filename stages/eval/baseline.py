@@ -54,14 +54,18 @@ def _send_result(sender: Connection, step: Callable[..., Any], arguments: tuple[
         sender.send((f"{type(error).__name__}: {error}", None))
 
 
-def find_matches(images: Path, database: Path, options: ColmapOptions) -> None:
+def find_matches(images: Path, masks: Path | None, database: Path, options: ColmapOptions) -> None:
     """SIFT features of every image of a folder and verified matches between them, written to `database`.
+
+    `masks` holds <image name>.png for every image, black where features are left out (COLMAP's ImageReader masks).
 
     One pinhole camera for all frames, focal length unknown, principal point at the centre: what our own stage assumes.
     """
     pycolmap = _quiet_pycolmap(options.seed)
     reader, extraction = pycolmap.ImageReaderOptions(), pycolmap.FeatureExtractionOptions()
     reader.camera_model = "SIMPLE_PINHOLE"
+    if masks:
+        reader.mask_path = masks
     matching, verification = pycolmap.FeatureMatchingOptions(), pycolmap.TwoViewGeometryOptions()
     verification.ransac.random_seed = options.seed
     extraction.use_gpu = matching.use_gpu = False

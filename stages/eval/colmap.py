@@ -17,7 +17,7 @@ from stages.shared import cli, lie
 from stages.shared.artifacts import write_table
 from stages.shared.cameras import scale_intrinsics
 from stages.shared.cli import In, Out
-from stages.shared.images import read_rgb, write_image
+from stages.shared.images import read_mask, read_rgb, write_image
 from stages.shared.log import logger
 from stages.shared.sequences import Sequence, read_sequence
 
@@ -28,13 +28,16 @@ def main(
     sequence: Annotated[Path, In("sequence.json of the input check")],
     output: Annotated[Path, Out("table: a row per variant and registered frame; outcomes and seconds in its metadata")],
     options: ColmapOptions,
+    masks: Annotated[
+        Path | None, In("folder of dynamic masks: run only the variants that leave these pixels out")
+    ] = None,
 ) -> None:
     """Run COLMAP's mappers on the frames; a variant that fails or runs out of time is recorded with its reason."""
     frames = read_sequence(sequence)
     variants: list[Variant] = []
-    for factor in options.upsample:
+    for factor in options.upsample_masked if masks else options.upsample:
         with tempfile.TemporaryDirectory(dir=output.parent, prefix=".colmap-") as scratch:
-            variants += run_variants(frames, factor, options, Path(scratch))
+            variants += run_variants(frames, masks, factor, options, Path(scratch))
     rows = [row for variant in variants for row in variant.rows]
     outcomes = [variant.outcome(len(frames.frames)) for variant in variants]
     for outcome in outcomes:
@@ -60,20 +63,27 @@ class Variant:
         return about | {"registered": len(self.rows), "total": total}
 
 
-def run_variants(frames: Sequence, factor: int, options: ColmapOptions, scratch: Path) -> list[Variant]:
+def run_variants(
+    frames: Sequence, masks: Path | None, factor: int, options: ColmapOptions, scratch: Path
+) -> list[Variant]:
     """Features and matches once, then each mapper, on frames enlarged by `factor`; seconds include the shared part."""
-    images, database = scratch / "images", scratch / "database.db"
+    images, database, still = scratch / "images", scratch / "database.db", scratch / "masks" if masks else None
     for path, number in zip(frames.frames, frames.numbers, strict=True):
-        write_image(images / f"frame_{number:04d}.png", _enlarge(read_rgb(path), factor))
-    _, shared_failure, shared_wall_s, shared_cpu_s = _timed(find_matches, (images, database, options), options)
+        name = f"frame_{number:04d}.png"
+        write_image(images / name, _enlarge(read_rgb(path), factor))
+        if masks and still:
+            static = ~read_mask(masks / name)
+            write_image(still / f"{name}.png", static.repeat(factor, axis=0).repeat(factor, axis=1))
+    matching = images, still, database, options
+    _, shared_failure, shared_wall_s, shared_cpu_s = _timed(find_matches, matching, options)
     variants = []
     for mapper in options.mappers:
         rows, failure, wall_s, cpu_s = [], shared_failure, 0.0, 0.0
         if failure is None:
             arguments = (images, database, mapper, options.seed)
             found, failure, wall_s, cpu_s = _timed(reconstruct, arguments, options, shared_wall_s)
-            rows = _rows(_method(mapper, factor), factor, *found) if found else []
-        names = _method(mapper, factor), _protocol(factor, options)
+            rows = _rows(_method(mapper, factor, masks), factor, *found) if found else []
+        names = _method(mapper, factor, masks), _protocol(factor, masks, options)
         variants.append(Variant(*names, rows, failure, shared_wall_s + wall_s, shared_cpu_s + cpu_s))
     return variants
 
@@ -96,15 +106,16 @@ def _children_cpu_s() -> float:
     return usage.ru_utime + usage.ru_stime
 
 
-def _method(mapper: str, factor: int) -> str:
-    return f"COLMAP {mapper}" + (f", frames x{factor}" if factor > 1 else "")
+def _method(mapper: str, factor: int, masks: Path | None) -> str:
+    return f"COLMAP {mapper}" + (f", frames x{factor}" if factor > 1 else "") + (", our masks" if masks else "")
 
 
-def _protocol(factor: int, options: ColmapOptions) -> str:
+def _protocol(factor: int, masks: Path | None, options: ColmapOptions) -> str:
     pairs = f"the next {options.window} frames" if options.matching == "sequential" else "all others"
     size = "frames as they are" if factor == 1 else f"frames enlarged {factor} times (cubic)"
+    left_out = "no features on pixels that our masks call dynamic (their time not counted)" if masks else "no masks"
     return (
-        f"pycolmap, {size}, matched with {pairs}, one shared unknown focal, no masks, one thread, seed {options.seed}"
+        f"pycolmap, {size}, matched with {pairs}, one shared unknown focal, {left_out}, one thread, seed {options.seed}"
     )
 
 

@@ -8,7 +8,7 @@ from stages.eval.tables import Row
 from stages.shared.artifacts import read_json
 
 BEFORE, REPEATED = ("inspect", "flow"), ("motion", "segment", "ba")
-AFTER = ("scene", "control", "gaussians", "render", "colmap")
+AFTER = ("scene", "control", "gaussians", "render", "colmap", "colmap_masked")
 
 
 def time_rows(name: str, files: Sequence[Path]) -> list[Row]:
@@ -32,6 +32,11 @@ def seconds_to_poses(rows: Sequence[Row], rounds: int) -> list[tuple[float, floa
         part = [row for row in rows if row["stage"] == "flow" or (row["round"] or rounds + 1) <= k]
         spent.append((sum(row["wall_s"] for row in part), sum(row["cpu_s"] for row in part)))
     return spent
+
+
+def is_ours(row: Row) -> bool:
+    """Whether a row of the time table is a stage of ours and not the baseline."""
+    return not str(row["stage"]).startswith("colmap")
 
 
 def _time_row(name: str, path: Path, number: int) -> Row:

@@ -1,5 +1,6 @@
 """Score one sequence: poses, images, masks, depth and flow against whatever truth there is, and what it cost."""
 
+from collections.abc import Mapping
 from collections.abc import Sequence as Rows
 from pathlib import Path
 from typing import Annotated
@@ -9,6 +10,7 @@ import numpy as np
 from stages.eval import (
     costs,
     image_metrics,
+    lpips,
     mask_metrics,
     score_geometry,
     score_images,
@@ -33,7 +35,7 @@ POSES = (
     *("focal_error_percent", "path", "wall_s", "cpu_s", "status", "note", "protocol"),
 )
 IMAGES = (
-    *("sequence", "method", "split", "region", "psnr_db", "ssim", "frames", "width", "height"),
+    *("sequence", "method", "split", "region", "psnr_db", "ssim", "lpips", "frames", "width", "height"),
     *("mask_source", "protocol"),
 )
 MASKS = (
@@ -52,7 +54,7 @@ def main(
     masks: Annotated[list[Path], In("folders of refined masks, one per round, in order")],
     poses: Annotated[list[Path], In("tables of estimated poses, one per round, in order")],
     depth: Annotated[Path, In("inverse depth of the last round")],
-    colmap: Annotated[Path, In("poses of the baseline")],
+    colmap: Annotated[list[Path], In("poses of the baseline, without and with our masks")],
     renders: Annotated[Path, In("folder of rendered views, a folder per split")],
     stage_stats: Annotated[list[Path], In("seconds and memory of the stages, stats/<stage>.json, rounds in order")],
     poses_table: Annotated[Path, Out("pose errors, a row per method")],
@@ -70,14 +72,17 @@ def main(
     times = costs.time_rows(frames.name, stage_stats)
     write_rows(time_table, times, TIME, {"unit": "seconds and MB"})
     seconds = costs.seconds_to_poses(times, len(poses))
-    candidates = [*score_poses.own_candidates(poses, seconds), *score_poses.colmap_candidates(colmap)]
+    candidates = [*score_poses.own_candidates(poses, seconds), *score_poses.colmap_candidates(*colmap)]
     paths = _write_poses(frames, candidates, poses_table, trajectory_table)
     with atomic(figure) as partial:
         partial.write_bytes(draw_trajectories(paths, "png"))
     own_masks = [score_masks.read_masks(folder) for folder in masks]
-    _write_pictures(frames, priors, own_masks, renders, (masks_table, images_table, frames_table), options)
+    pairs = read_dense(flow)
+    mask_frames = _write_masks(frames, priors, own_masks, masks_table)
+    image_frames = _write_images(frames, renders, pairs, own_masks[-1], images_table, options)
+    write_rows(frames_table, [*image_frames, *mask_frames], FRAMES, {})
     grid = read_dense(depth), read_metadata(depth)["stride_px"]
-    checks = score_geometry.score_geometry(frames, read_dense(flow), read_cameras(poses[-1]), *grid, own_masks[-1])
+    checks = score_geometry.score_geometry(frames, pairs, read_cameras(poses[-1]), *grid, own_masks[-1])
     _log_rows("checks", checks)
     write_rows(checks_table, checks, CHECKS, {})
 
@@ -95,27 +100,35 @@ def _write_poses(
     return paths
 
 
-def _write_pictures(
-    frames: Sequence,
-    priors: list[Path],
-    own_masks: list[dict[int, np.ndarray]],
-    renders: Path,
-    tables: tuple[Path, Path, Path],
-    options: EvaluateOptions,
-) -> None:
-    """Scores of masks and images, and of their single frames."""
-    masks_table, images_table, frames_table = tables
-    moving, source = true_masks(frames)
+def _write_masks(
+    frames: Sequence, priors: list[Path], own_masks: list[dict[int, np.ndarray]], table: Path
+) -> list[Row]:
+    """Scores of the masks of every round; those of single frames are returned."""
     own_priors = [score_masks.read_prior_masks(path, frames.width, frames.height) for path in priors]
     by_round = [{"motion prior": p, "refined masks": m} for p, m in zip(own_priors, own_masks, strict=True)]
-    mask_rows, mask_frames = score_masks.score_masks(frames.name, by_round, moving, source)
-    write_rows(masks_table, mask_rows, MASKS, {"protocol": mask_metrics.PROTOCOL})
-    regions = (moving, source) if moving else (own_masks[-1], "our own masks")
-    image_rows, image_frames = score_images.score_images(frames, renders, *regions, options)
-    write_rows(images_table, image_rows, IMAGES, {"protocol": image_metrics.PROTOCOL})
-    image_scores = _long(image_frames, "images", ("psnr_db", "ssim"))
-    mask_scores = _long(mask_frames, "masks", ("iou", "boundary_f"))
-    write_rows(frames_table, [*image_scores, *mask_scores], FRAMES, {})
+    rows, of_frames = score_masks.score_masks(frames.name, by_round, *true_masks(frames))
+    write_rows(table, rows, MASKS, {"protocol": mask_metrics.PROTOCOL})
+    return _long(of_frames, "masks", ("iou", "boundary_f"))
+
+
+def _write_images(
+    frames: Sequence,
+    renders: Path,
+    flow: Mapping[str, np.ndarray],
+    own_masks: dict[int, np.ndarray],
+    table: Path,
+    options: EvaluateOptions,
+) -> list[Row]:
+    """Scores of the renders and of the image baselines; those of single frames are returned."""
+    moving, source = true_masks(frames)
+    regions = (moving, source) if moving else (own_masks, "our own masks")
+    rows, of_frames = score_images.score_images(frames, renders, flow, regions, options)
+    write_rows(table, rows, IMAGES, {"protocol": f"{image_metrics.PROTOCOL}. {_lpips_protocol(options)}"})
+    return _long(of_frames, "images", ("psnr_db", "ssim"))
+
+
+def _lpips_protocol(options: EvaluateOptions) -> str:
+    return lpips.PROTOCOL if options.lpips_weights else "LPIPS: n/a (no weights)"
 
 
 def _log_rows(name: str, rows: Rows[Row]) -> None:

@@ -2,7 +2,7 @@
 
 from typing import Literal
 
-from pydantic import Field
+from pydantic import Field, FilePath
 
 from stages.shared.options import Options
 from stages.shared.split import SplitOptions
@@ -10,6 +10,11 @@ from stages.shared.split import SplitOptions
 
 class EvaluateOptions(SplitOptions):
     """Scores of poses, images and masks."""
+
+    lpips_weights: FilePath | None = Field(
+        None,
+        description="file with the state dict of lpips.LPIPS(net='alex'), as torch saves it; without it LPIPS is n/a",
+    )
 
 
 class ColmapOptions(Options):
@@ -19,7 +24,10 @@ class ColmapOptions(Options):
         ("global", "incremental"), min_length=1, description="COLMAP's global (GLOMAP) and incremental mapping"
     )
     upsample: tuple[Literal[1, 2, 4], ...] = Field(
-        (1,), min_length=1, description="run on frames enlarged by these factors; 2 helps small frames, costs 3-4 times"
+        (1, 2), min_length=1, description="run on frames enlarged by these factors; 2 helps small frames, costs 3 times"
+    )
+    upsample_masked: tuple[Literal[1, 2, 4], ...] = Field(
+        (1, 2), description="the same with features on dynamic pixels left out, by our masks; none of it if empty"
     )
     matching: Literal["sequential", "exhaustive"] = Field(
         "sequential", description="match every frame with the next `window` frames, or with all"

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from stages.eval import published, report_tables, summaries
+from stages.eval.costs import is_ours
 from stages.eval.sections import Figure
 from stages.eval.tables import Row, Table, decimal
 
@@ -87,7 +88,7 @@ def tiles(rows: Rows) -> list[Tile]:
     copied = _mean(test, split="test", region="whole", method="nearest training frame")
     masks = summaries.mask_means(rows["masks"])
     mask = _mean(masks[-2:], method="refined masks")
-    own = [row for row in rows["time"] if row["stage"] != "colmap"]
+    own = [row for row in rows["time"] if is_ours(row)]
     seconds, peak_mb = _per_sequence(own, "wall_s", sum), _per_sequence(own, "peak_mb", max)
     rivals = [row for row in summaries.pose_means(rows["poses"]) if _rival(row)]
     best = min(rivals, key=lambda row: row["ate_percent"], default=None)

@@ -14,7 +14,11 @@ ERRORS = (
     Column("rpe_rot_deg", "RPE", "degrees", 3),
 )
 SECONDS = Column("wall_s", "wall", "s", 1), Column("cpu_s", "CPU", "s", 1)
-IMAGE_SCORES = (Column("psnr_db", "PSNR", "dB", 2), Column("ssim", "SSIM", "0..1", 3))
+IMAGE_SCORES = (
+    Column("psnr_db", "PSNR", "dB", 2),
+    Column("ssim", "SSIM", "0..1", 3),
+    Column("lpips", "LPIPS", "0 is best", 3),
+)
 MASK_SCORES = (
     Column("iou", "IoU", "0..1", 3),
     Column("boundary_f", "boundary F", "0..1", 3),
@@ -59,7 +63,7 @@ def image_tables(rows: list[Row], protocol: str) -> tuple[Table, Table]:
     what = Column("split", "split"), Column("region", "pixels"), METHOD
     masks = "; ".join(dict.fromkeys(row["mask_source"] for row in rows if row["mask_source"]))
     regions = f"Static and dynamic pixels by: {masks or 'none'}."
-    note = f"{protocol}. LPIPS: n/a (no weights). {statements(rows, 'split')} {regions}"
+    note = f"{protocol}. {statements(rows, 'split', 'method')} {regions}"
     means = summaries.image_means(rows)
     mean = Table("images_mean", "Images, mean over sequences", note, (*what, *IMAGE_SCORES, N), means)
     size = Column("width", "width", "px"), Column("height", "height", "px")
@@ -116,11 +120,11 @@ def simulation_table(rows: list[Row]) -> Table:
     return Table("simulation", "Effects the simulator drew", note, columns, rows)
 
 
-def statements(rows: Sequence[Row], name: str) -> str:
-    """Every distinct protocol of the rows once, after the `name` that it belongs to."""
+def statements(rows: Sequence[Row], *names: str) -> str:
+    """Every distinct protocol of the rows once, after the values of `names` that it belongs to."""
     found: dict[str, list[str]] = {}
     for row in rows:
-        names = found.setdefault(row["protocol"], [])
-        if row[name] not in names:
-            names.append(row[name])
-    return " ".join(f"{', '.join(names)}: {protocol}." for protocol, names in found.items())
+        whose, listed = " ".join(str(row[name]) for name in names), found.setdefault(row["protocol"], [])
+        if whose not in listed:
+            listed.append(whose)
+    return " ".join(f"{', '.join(whose)}: {protocol}." for protocol, whose in found.items())

@@ -1,16 +1,17 @@
 """Rows of the image table: renders against frames, whole and on static and dynamic pixels."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 
-from stages.eval import image_metrics
+from stages.eval import image_baselines, image_metrics
+from stages.eval.lpips import Distance, load_lpips
+from stages.eval.options import EvaluateOptions
 from stages.shared.images import read_rgb
 from stages.shared.sequences import Sequence
-from stages.shared.split import SplitOptions, held_out
 
 REGIONS = ("whole", "static", "dynamic")
 SPLITS = {
@@ -21,52 +22,72 @@ SPLITS = {
 
 
 def score_images(
-    sequence: Sequence, renders: Path, masks: Mapping[int, np.ndarray], mask_source: str, options: SplitOptions
+    sequence: Sequence,
+    renders: Path,
+    flow: Mapping[str, np.ndarray],
+    regions: tuple[Mapping[int, np.ndarray], str],
+    options: EvaluateOptions,
 ) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """Rows per split and region, and rows per frame.
 
     Args:
         renders: folder with train/, test/, right/ (each may be missing), files frame_%04d.png.
-        masks: dynamic pixels [H, W] by frame number, for the regions; `mask_source` says whose they are.
+        flow: columns of flow/pairs.arrow, for the baselines of held-out frames.
+        regions: dynamic pixels [H, W] by frame number, and whose they are.
     """
+    distance = load_lpips(options.lpips_weights) if options.lpips_weights else None
     table: list[dict[str, Any]] = []
     frames: list[dict[str, Any]] = []
-    for split in SPLITS:
+    for method, split, protocol, pairs in _pairs(sequence, renders, flow, options):
+        about = {"sequence": sequence.name, "method": method, "split": split, "protocol": protocol}
+        masks = regions[0] if split != "right" else {}  # the masks belong to the left eye
+        rows, per_frame = _score(about, pairs, masks, regions[1], distance)
+        table, frames = table + rows, frames + per_frame
+    return table, frames
+
+
+def _pairs(
+    sequence: Sequence, renders: Path, flow: Mapping[str, np.ndarray], options: EvaluateOptions
+) -> Iterator[tuple[str, str, str, dict[int, tuple[np.ndarray, np.ndarray]]]]:
+    """Method, split, protocol, and image and truth by frame number: our renders, then the baselines."""
+    for split, protocol in SPLITS.items():
         found = {int(path.stem.removeprefix("frame_")): path for path in sorted((renders / split).glob("frame_*.png"))}
         truth = true_images(sequence, split)
         pairs = {number: (read_rgb(path), read_rgb(truth[number])) for number, path in found.items() if number in truth}
-        rows, per_frame = _score(sequence, "ours", split, pairs, masks, mask_source)
-        table, frames = table + rows, frames + per_frame
-    copies = _nearest_training_frames(sequence, options)
-    rows, per_frame = _score(sequence, "nearest training frame", "test", copies, masks, mask_source)
-    return table + rows, frames + per_frame
+        yield "ours", split, protocol, pairs
+    made = list(image_baselines.made_frames(sequence, flow, options))
+    for method, protocol in image_baselines.PROTOCOLS.items():
+        pairs = {frame.number: (frame.images[method], frame.truth) for frame in made if method in frame.images}
+        yield method, "test", f"{SPLITS['test']}; {protocol}", pairs
 
 
 def _score(
-    sequence: Sequence,
-    method: str,
-    split: str,
+    about: dict[str, Any],
     pairs: Mapping[int, tuple[np.ndarray, np.ndarray]],
     masks: Mapping[int, np.ndarray],
     mask_source: str,
+    distance: Distance | None,
 ) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Rows per region and rows per frame of one method and split."""
     scores: dict[str, list[tuple[float, float]]] = {region: [] for region in REGIONS}
-    frames = []
+    frames, distances = [], []
     for number, (image, truth) in pairs.items():
-        mask = masks.get(number) if split != "right" else None  # the masks belong to the left eye
-        of_regions = score_frame(image, truth, mask)
+        of_regions = score_frame(image, truth, masks.get(number))
         for region, score in of_regions.items():
             scores[region].append(score)
+        if distance:
+            distances.append(distance(image, reduced(truth, image)))
         psnr, ssim = of_regions["whole"]
-        frames.append({"method": method, "split": split, "frame": number, "psnr_db": psnr, "ssim": ssim})
+        frames.append({**about, "frame": number, "psnr_db": psnr, "ssim": ssim})
     rows = []
     for region, values in scores.items():
         if values:
             psnr, ssim = np.mean(values, axis=0).tolist()
             height, width = next(iter(pairs.values()))[0].shape[:2]
-            row: dict[str, Any] = {"sequence": sequence.name, "method": method, "split": split, "region": region}
-            row |= {"psnr_db": psnr, "ssim": ssim, "frames": len(values), "width": width, "height": height}
-            rows.append(row | {"protocol": SPLITS[split], "mask_source": None if region == "whole" else mask_source})
+            lpips = float(np.mean(distances)) if distances and region == "whole" else None
+            row: dict[str, Any] = about | {"region": region, "psnr_db": psnr, "ssim": ssim, "lpips": lpips}
+            row |= {"frames": len(values), "width": width, "height": height}
+            rows.append(row | {"mask_source": None if region == "whole" else mask_source})
     return rows, frames
 
 
@@ -79,8 +100,7 @@ def score_frame(image: np.ndarray, truth: np.ndarray, mask: np.ndarray | None) -
         mask: dynamic pixels [H', W'], or None.
     """
     height, width = image.shape[:2]
-    if truth.shape[:2] != (height, width):
-        truth = cv2.resize(truth, (width, height), interpolation=cv2.INTER_AREA)
+    truth = reduced(truth, image)
     if mask is not None and mask.shape != (height, width):
         mask = cv2.resize(mask.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST) > 0
     x, y = image / 255, truth / 255
@@ -93,19 +113,16 @@ def score_frame(image: np.ndarray, truth: np.ndarray, mask: np.ndarray | None) -
     return scores
 
 
+def reduced(truth: np.ndarray, image: np.ndarray) -> np.ndarray:
+    """The truth [H', W', 3] at the size of `image` [H, W, 3]."""
+    height, width = image.shape[:2]
+    if truth.shape == image.shape:
+        return truth
+    return np.asarray(cv2.resize(truth, (width, height), interpolation=cv2.INTER_AREA))
+
+
 def true_images(sequence: Sequence, split: str) -> dict[int, Path]:
     """The files that renders of a split are held against, by frame number."""
     if split == "right":
         return sequence.truth.get("clean_right", {})
     return dict(zip(sequence.numbers, sequence.frames, strict=True))
-
-
-def _nearest_training_frames(sequence: Sequence, options: SplitOptions) -> dict[int, tuple[np.ndarray, np.ndarray]]:
-    """What a held-out frame scores if one copies the nearest training frame: the least that any method must beat."""
-    test = held_out(len(sequence.frames), options)
-    train = np.flatnonzero(~test)
-    pairs = {}
-    for k in np.flatnonzero(test):
-        nearest = train[np.argmin(np.abs(train - k))]
-        pairs[sequence.numbers[k]] = read_rgb(sequence.frames[nearest]), read_rgb(sequence.frames[k])
-    return pairs

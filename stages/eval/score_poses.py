@@ -1,6 +1,6 @@
 """Rows of the pose table: ours in every round, COLMAP in every variant."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -53,10 +53,13 @@ def own_candidates(tables: Sequence[Path], seconds: Sequence[tuple[float, float]
     return candidates
 
 
-def colmap_candidates(table: Path) -> list[Candidate]:
-    """Every variant of the baseline, failed ones too."""
+def colmap_candidates(*tables: Path) -> list[Candidate]:
+    """Every variant of the baseline in these tables, failed ones too."""
+    return [candidate for table in tables for candidate in _variants(table)]
+
+
+def _variants(table: Path) -> Iterator[Candidate]:
     rows = read_table(table)
-    candidates = []
     for variant in read_metadata(table)["variants"]:
         chosen = {name: column[rows["method"] == variant["method"]] for name, column in rows.items()}
         cameras = None
@@ -66,8 +69,7 @@ def colmap_candidates(table: Path) -> list[Candidate]:
             Ks = intrinsics(chosen["fx"], chosen["fy"], chosen["cx"], chosen["cy"])
             cameras = make_cameras(lie.from_parts(R, t), Ks, chosen["frame"])
         names = variant["method"], variant["protocol"], variant["total"]
-        candidates.append(Candidate(*names, cameras, variant["failure"], variant["wall_s"], variant["cpu_s"]))
-    return candidates
+        yield Candidate(*names, cameras, variant["failure"], variant["wall_s"], variant["cpu_s"])
 
 
 def score(name: str, candidate: Candidate, truth: Cameras | None) -> dict[str, Any]:

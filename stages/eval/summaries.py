@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from stages.eval.costs import is_ours
 from stages.eval.tables import Row
 
 
@@ -37,7 +38,7 @@ def pose_means(rows: Sequence[Row]) -> list[Row]:
 
 def image_means(rows: Sequence[Row]) -> list[Row]:
     """Means per split, region and method."""
-    return mean_rows(rows, ("split", "region", "method"), ("psnr_db", "ssim"))
+    return mean_rows(rows, ("split", "region", "method"), ("psnr_db", "ssim", "lpips"))
 
 
 def mask_means(rows: Sequence[Row]) -> list[Row]:
@@ -50,7 +51,7 @@ def time_means(rows: Sequence[Row]) -> list[Row]:
     """Mean cost of every stage and, last, of all of ours together: sums, but the greatest of the peaks."""
     keys = ("wall_s", "cpu_s", "peak_mb", "gpu_peak_mb", "output_mb")
     means = mean_rows(rows, ("stage", "round"), keys)
-    ours = [row for row in means if row["stage"] != "colmap"]
+    ours = [row for row in means if is_ours(row)]
     total: Row = {"stage": "total without COLMAP", "round": None, "n": max((row["n"] for row in ours), default=0)}
     total["is_total"] = True
     for key in keys:

@@ -15,9 +15,37 @@ rule colmap:
     params:
         code=code_digest("stages.eval.colmap"),
         flags=flags("colmap"),
+        masks="",
     shell:
         "python -m stages.eval.colmap --sequence {input.sequence} --output {output.poses}"
-        " {params.flags} --log {log} --stats {output.stats}"
+        " {params.masks} {params.flags} --log {log} --stats {output.stats}"
+
+
+# Apart from the rule above, which need not wait for the masks; for the configured run alone.
+use rule colmap as colmap_masked with:
+    input:
+        sequence=artifact("inspect", "sequence.json"),
+        masks=artifact("segment", "masks"),
+    output:
+        poses="<results>/{dataset}/{seq}/colmap_masked/poses.parquet",
+        stats="<results>/{dataset}/{seq}/stats/colmap_masked.json",
+    log:
+        "<logs>/{dataset}/{seq}/colmap_masked.log",
+    params:
+        code=code_digest("stages.eval.colmap"),
+        flags=flags("colmap"),
+        masks=lambda wildcards, input: f"--masks {input.masks}",
+
+
+def masked_baseline(name):
+    """What COLMAP with our masks makes for the configured run; nothing for others, or where it is switched off."""
+
+    def of_job(wildcards):
+        wanted = CONFIG.colmap.upsample_masked and not wildcards.setting
+        folder = f"<results>/{wildcards.dataset}/{wildcards.seq}"
+        return [f"{folder}/{name}"] if wanted else []
+
+    return of_job
 
 
 rule evaluate:
@@ -29,8 +57,10 @@ rule evaluate:
         poses=artifacts("ba", "ba/poses.parquet"),
         depth=artifact("ba", "ba/depth.arrow"),
         colmap=artifact("colmap", "colmap/poses.parquet"),
+        masked=masked_baseline("colmap_masked/poses.parquet"),
         renders=artifact("render", "renders"),
         stage_stats=stage_stats,
+        masked_stats=masked_baseline("stats/colmap_masked.json"),
     output:
         poses="<results>/{dataset}/{seq}/{setting}eval/poses.parquet",
         images="<results>/{dataset}/{seq}/{setting}eval/images.parquet",
@@ -58,7 +88,8 @@ rule evaluate:
     shell:
         "python -m stages.eval.evaluate --sequence {input.sequence} --flow {input.flow} --priors {input.priors}"
         " --masks {input.masks} --poses {input.poses} --depth {input.depth} --colmap {input.colmap}"
-        " --renders {input.renders} --stage-stats {input.stage_stats} --poses-table {output.poses}"
+        " {input.masked} --renders {input.renders} --stage-stats {input.stage_stats} {input.masked_stats}"
+        " --poses-table {output.poses}"
         " --images-table {output.images} --masks-table {output.masks} --checks-table {output.checks}"
         " --time-table {output.time} --trajectory-table {output.trajectory} --frames-table {output.frames}"
         " --figure {output.figure} {params.flags} --log {log} --stats {output.stats}"
