@@ -5,19 +5,22 @@ from pathlib import Path
 import gaussian_scene as truth
 import numpy as np
 import pytest
+import torch
 from gaussian_training import psnr
 from PIL import Image
 
 from stages.control.deformation import save_deformation, save_points
-from stages.gaussians import checkpoint, render, train
+from stages.gaussians import checkpoint, render, train, view
 from stages.gaussians.checkpoint import Checkpoint
 from stages.gaussians.inputs import read_observations, read_usable_cameras
 from stages.gaussians.optimise import Trainer
-from stages.gaussians.options import GaussiansOptions, RenderOptions
+from stages.gaussians.options import GaussiansOptions, RenderOptions, ViewOptions
+from stages.gaussians.ply import read_ply
+from stages.gaussians.rasterize import rasterize
 from stages.gaussians.video import MAX_BYTES, write_gif
 from stages.gaussians.views import novel_path, right_eye
 from stages.shared import lie
-from stages.shared.artifacts import read_model, read_table
+from stages.shared.artifacts import read_metadata, read_model, read_table, write_table
 from stages.shared.cameras import make_cameras, write_cameras
 from stages.shared.errors import InputError
 from stages.shared.images import read_rgb
@@ -69,8 +72,9 @@ def write_inputs(folder: Path) -> dict[str, Path]:
 
 
 def outputs(folder: Path) -> dict[str, Path]:
-    names = {"ply": "gaussians.ply", "model": "model.safetensors", "convergence": "convergence.parquet"}
-    return {name: folder / file for name, file in (names | {"figure": "figure.png"}).items()}
+    names = {"ply": "gaussians.ply", "model": "model.safetensors", "half": "model_half.safetensors"}
+    names |= {"convergence": "convergence.parquet", "figure": "figure.png"}
+    return {name: folder / file for name, file in names.items()}
 
 
 def test_the_scripts_train_and_render(tmp_path: Path) -> None:
@@ -82,14 +86,52 @@ def test_the_scripts_train_and_render(tmp_path: Path) -> None:
     assert results["figure"].stat().st_size < 300_000
     assert not list((tmp_path / "out").glob(".*"))  # no checkpoint is left
     renders, video = tmp_path / "out" / "renders", tmp_path / "out" / "video.gif"
-    render.main(inputs["sequence"], inputs["poses"], results["model"], renders, video, RenderOptions(novel_views=5))
+    chosen = RenderOptions(novel_views=5, export_frames=(5, 6))
+    render.main(inputs["sequence"], inputs["poses"], results["model"], renders, video, chosen)
     found = {split.name: sorted(path.name for path in split.iterdir()) for split in renders.iterdir()}
     assert found["test"] == ["frame_0005.png"]
     assert len(found["train"]) == 9
     assert len(found["novel"]) == 5
     assert "right" not in found
+    assert found["splats"] == ["frame_0005.ply", "frame_0006.ply"]
     expected, _, mask = truth.ray_cast(truth.cameras()[4], truth.TIMES[4])
     assert psnr(read_rgb(renders / "test" / "frame_0005.png") / 255, expected, np.ones_like(mask)) > 27
+    check_exports(inputs, results, renders, tmp_path / "views")
+
+
+def check_exports(inputs: dict[str, Path], results: dict[str, Path], renders: Path, views: Path) -> None:
+    """Half precision is half the size and looks the same; PLY and views show what the renders show."""
+    cost = read_metadata(results["half"])
+    assert results["half"].stat().st_size < 0.56 * results["model"].stat().st_size
+    assert abs(cost["psnr_loss_db"]) < 0.1
+    table = read_table(inputs["poses"])
+    write_table(
+        views / "cameras.parquet", {name: values[4:6] for name, values in table.items()} | {"time": truth.TIMES[4:6]}
+    )
+    options = ViewOptions(splats=True)
+    images = {}
+    for name in ("model", "half"):
+        view.main(results[name], views / "cameras.parquet", views / name, options)
+        images[name] = [read_rgb(views / name / f"frame_000{n}.png") / 255 for n in (5, 6)]
+    assert np.array_equal(images["model"][0], read_rgb(renders / "test" / "frame_0005.png") / 255)
+    assert np.array_equal(images["model"][1], read_rgb(renders / "train" / "frame_0006.png") / 255)
+    assert psnr(images["half"][0], images["model"][0], np.ones(images["half"][0].shape[:2], bool)) > 45
+    exported = renders / "splats" / "frame_0005.ply"
+    assert exported.read_bytes() == (views / "model" / "frame_0005.ply").read_bytes()
+    assert psnr(splat_image(exported), images["model"][0], np.ones(images["half"][0].shape[:2], bool)) > 45
+    view.main(results["model"], views / "cameras.parquet", views / "still", ViewOptions(at_time=0.0, width_px=48))
+    with Image.open(views / "still" / "frame_0005.png") as still:
+        assert still.size == (48, truth.HEIGHT)
+
+
+def splat_image(path: Path) -> np.ndarray:
+    """A PLY from the camera of frame 5, over the background of the model."""
+    means, quats, log_scales, logits, sh = (torch.tensor(values) for values in read_ply(path))
+    camera = torch.tensor(truth.cameras()[4:5]), torch.tensor(truth.K[None])
+    background = torch.tensor(read_model(path.parents[2] / "model.safetensors")["background"])[None]
+    view = (*camera, truth.WIDTH, truth.HEIGHT)
+    rendered = rasterize(means, quats, log_scales.exp(), logits.sigmoid(), sh, *view, 0, backgrounds=background)
+    return rendered.colour[0].numpy()
 
 
 def test_a_killed_script_leaves_no_result_and_goes_on_from_its_checkpoint(

@@ -15,10 +15,11 @@ from stages.gaussians.colours import ColourTable
 from stages.gaussians.densify import densify
 from stages.gaussians.exposure import Exposure
 from stages.gaussians.initialise import initial_cloud
-from stages.gaussians.model import Cloud, GaussianScene, scene_from_tensors, scene_tensors
+from stages.gaussians.model import Cloud, GaussianScene
 from stages.gaussians.observations import Observations
 from stages.gaussians.optimise import Trainer
 from stages.gaussians.options import GaussiansOptions
+from stages.gaussians.storage import halved, scene_from_tensors, scene_tensors
 from stages.shared.artifacts import read_metadata, read_model, write_model
 
 
@@ -124,6 +125,19 @@ def test_the_model_file_renders_the_same(tmp_path: Path, sh_degree: int) -> None
     )
     assert again.sh_degree == sh_degree
     assert np.array_equal(image_at(scene, 7), image_at(again, 7))
+
+
+@pytest.mark.parametrize("unit", [1e-6, 1e6])
+def test_half_precision_is_independent_of_the_unit_of_the_scene(unit: float) -> None:
+    """float16 ends at 65504 and has 6e-8 as its smallest step: positions in raw units overflow or vanish."""
+    cloud = small_cloud()
+    cloud.means *= unit
+    scene = GaussianScene(cloud, None, torch.zeros(3), 0.02 * unit, 4)
+    tensors, settings = halved(*scene_tensors(scene))
+    again = scene_from_tensors(tensors, settings)
+    assert (cloud.means / unit).abs().max() < 10
+    assert ((again.means - scene.means).abs() <= scene.means.abs() / 1024 + 1e-6 * unit).all()
+    assert sum(values.nbytes for values in tensors.values()) < 31 * len(cloud.means)
 
 
 def test_exposure_drift_is_compensated_between_frames_too() -> None:

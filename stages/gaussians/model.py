@@ -1,21 +1,15 @@
 """The 4D scene: static and dynamic Gaussians in the canonical frame, and the motion of the dynamic ones."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor
 
-from stages.control.deformation import Deformation, deformation_from_tensors, deformation_tensors
+from stages.control.deformation import Deformation
 from stages.control.lbs import blend, lbs_weights, neighbours
 from stages.gaussians.colours import ColourTable
 from stages.gaussians.exposure import Exposure
 from stages.gaussians.rasterize import Rendering, rasterize
-
-DEFORMATION, COLOURS, EXPOSURE = "deformation.", "colours.", "exposure."
-"""Prefixes of the tensors of the motion, of its colours and of the gains in the model file."""
 
 
 @dataclass
@@ -160,38 +154,3 @@ class GaussianScene(torch.nn.Module):
         assert self.deformation is not None
         offsets = means.detach()[:, None] - self.deformation.points[self.index]
         return lbs_weights(offsets.square().sum(-1), self.deformation.log_radii, self.index)
-
-
-def scene_tensors(scene: GaussianScene) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """Arrays and metadata for `gaussians/model.safetensors`."""
-    cloud = scene.cloud()
-    tensors = {name: value.cpu().numpy() for name, value in vars(cloud).items()}
-    tensors["dynamic"] = tensors["dynamic"].astype(np.uint8)
-    tensors["background"] = scene.background.cpu().numpy()
-    if scene.deformation is not None:
-        tensors |= {DEFORMATION + name: value for name, value in deformation_tensors(scene.deformation).items()}
-    if scene.colours is not None:
-        tensors |= {COLOURS + name: value.cpu().numpy() for name, value in scene.colours.state_dict().items()}
-    if scene.exposure is not None:
-        tensors |= {EXPOSURE + name: value.cpu().numpy() for name, value in scene.exposure.state_dict().items()}
-    settings = {"near_plane": scene.near_plane, "neighbours": scene.neighbours, "sh_degree": scene.sh_degree}
-    counts = {"n_static": scene.n_static, "n_dynamic": len(scene.anchors) - scene.n_static}
-    return tensors, settings | counts
-
-
-def scene_from_tensors(tensors: Mapping[str, np.ndarray], metadata: Mapping[str, Any]) -> GaussianScene:
-    """Rebuild what `scene_tensors` took apart."""
-    values = {name: torch.from_numpy(np.array(value)) for name, value in tensors.items()}
-    names = Cloud.__dataclass_fields__
-    cloud = Cloud(**{name: values[name].bool() if name == "dynamic" else values[name] for name in names})
-    motion = {name.removeprefix(DEFORMATION): tensors[name] for name in tensors if name.startswith(DEFORMATION)}
-    deformation = deformation_from_tensors(motion) if motion else None
-    colours, exposure = None, None
-    if COLOURS + "knots" in values:
-        colours = ColourTable(values[COLOURS + "knots"], values[COLOURS + "table"].shape[1])
-        colours.load_state_dict({name: values[COLOURS + name] for name in ("knots", "table")})
-    if EXPOSURE + "knots" in values:
-        exposure = Exposure(values[EXPOSURE + "knots"])
-        exposure.load_state_dict({name: values[EXPOSURE + name] for name in ("knots", "log_gains")})
-    settings = (metadata["near_plane"], metadata["neighbours"])
-    return GaussianScene(cloud, deformation, values["background"], *settings, colours, exposure)

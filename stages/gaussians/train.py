@@ -26,6 +26,7 @@ def main(
     deformation: Annotated[Path, In("control/deformation.safetensors")],
     ply: Annotated[Path, Out("canonical splats for viewers")],
     model: Annotated[Path, Out("the whole 4D model")],
+    half: Annotated[Path, Out("the same in half precision, with what that costs in its metadata")],
     convergence: Annotated[Path, Out("table of step, loss, PSNR, Gaussians, seconds")],
     figure: Annotated[Path, Out("picture for the report: renders beside frames, PSNR over steps")],
     options: GaussiansOptions,
@@ -38,9 +39,9 @@ def main(
     from stages.gaussians.checkpoint import Checkpoint
     from stages.gaussians.figure import training_figure, write_figure
     from stages.gaussians.inputs import read_observations
-    from stages.gaussians.model import scene_tensors
     from stages.gaussians.optimise import Trainer
     from stages.gaussians.ply import write_ply
+    from stages.gaussians.storage import scene_tensors
 
     needs = read_json(scene)
     seen = read_observations(sequence, masks, poses, depth, options)
@@ -52,11 +53,26 @@ def main(
 
     tensors, settings = scene_tensors(gaussians)
     settings |= {"median_depth": float(np.median(seen.depths)), "options": options.model_dump()}
+    settings |= {"width": trainer.width, "height": trainer.height}
     write_table(convergence, vars(trainer.history), {"units": "seconds of training, dB", "device": str(trainer.device)})
     write_figure(figure, training_figure(trainer, seen))
     write_ply(ply, *(tensors[name] for name in ("means", "quats", "log_scales", "logits", "sh")))
+    _write_half(half, gaussians, seen, settings)
     write_model(model, tensors, settings)
     checkpoint.remove()
+
+
+def _write_half(path: Path, scene: "GaussianScene", seen: "Observations", settings: dict[str, Any]) -> None:
+    """The scene in half precision, with the PSNR of training frames and what of it the precision costs."""
+    from stages.gaussians.storage import halved, scene_from_tensors, scene_tensors, training_psnr
+
+    tensors, small_settings = halved(scene_tensors(scene)[0], settings)
+    small = scene_from_tensors(tensors, small_settings).to(scene.background.device)
+    psnr_db = training_psnr(small, seen)
+    loss_db = training_psnr(scene, seen) - psnr_db
+    write_model(path, tensors, small_settings | {"training_psnr_db": psnr_db, "psnr_loss_db": loss_db})
+    megabytes = path.stat().st_size / 1e6
+    logger.info("half precision: %.2f MB, %.2f dB on training frames, %.3f dB lost", megabytes, psnr_db, loss_db)
 
 
 def _new_scene(

@@ -10,6 +10,7 @@ rule train:
     output:
         ply="<results>/{dataset}/{seq}/{setting}gaussians/gaussians.ply",
         model="<results>/{dataset}/{seq}/{setting}gaussians/model.safetensors",
+        half="<results>/{dataset}/{seq}/{setting}gaussians/model_half.safetensors",
         convergence="<results>/{dataset}/{seq}/{setting}gaussians/convergence.parquet",
         figure="<results>/{dataset}/{seq}/{setting}figures/gaussians.png",
         stats="<results>/{dataset}/{seq}/{setting}stats/gaussians.json",
@@ -27,8 +28,8 @@ rule train:
     shell:
         "python -m stages.gaussians.train --sequence {input.sequence} --masks {input.masks} --poses {input.poses}"
         " --depth {input.depth} --scene {input.scene} --points {input.points} --deformation {input.deformation}"
-        " --ply {output.ply} --model {output.model} --convergence {output.convergence} --figure {output.figure}"
-        " {params.flags} --log {log} --stats {output.stats}"
+        " --ply {output.ply} --model {output.model} --half {output.half} --convergence {output.convergence}"
+        " --figure {output.figure} {params.flags} --log {log} --stats {output.stats}"
 
 
 rule render:

@@ -1,0 +1,83 @@
+"""What to render: moments and cameras, and the function that renders them."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from stages.gaussians.figure import to_uint8
+from stages.gaussians.inputs import frame_times
+from stages.gaussians.model import GaussianScene
+from stages.gaussians.options import RenderOptions
+from stages.gaussians.rasterize import backend_name, choose_device
+from stages.gaussians.storage import scene_from_tensors
+from stages.gaussians.views import novel_path, right_eye
+from stages.shared import lie, sintel
+from stages.shared.alignment import DegenerateError
+from stages.shared.artifacts import read_metadata, read_model
+from stages.shared.cameras import Cameras
+from stages.shared.log import logger
+from stages.shared.sequences import Sequence
+from stages.shared.split import held_out
+
+
+@dataclass(frozen=True)
+class Shot:
+    """One image to render: into which folder, under which number, when (0..1) and from which camera."""
+
+    split: str
+    number: int
+    time: float
+    cam_from_world: np.ndarray
+    K: np.ndarray
+
+
+def planned_shots(content: Sequence, cameras: Cameras, distance: float, options: RenderOptions) -> list[Shot]:
+    """Every frame at its pose, the fly-through around a point at `distance` (scene units), and the true right eye."""
+    T = len(content.frames)
+    times, is_test = frame_times(T), held_out(T, options)
+    shots = [
+        Shot("test" if is_test[k] else "train", content.numbers[k], times[k], cameras.cam_from_world[k], cameras.Ks[k])
+        for k in range(T)
+    ]
+    moments = np.linspace(0, 1, options.novel_views)
+    path = novel_path(cameras.cam_from_world, moments, options.orbit_share * distance, distance)
+    shots += [Shot("novel", n + 1, moments[n], path[n], cameras.Ks[0]) for n in range(len(moments))]
+    rows, eyes = right_cameras(content, cameras.cam_from_world)
+    return shots + [
+        Shot("right", content.numbers[k], times[k], eye, cameras.Ks[k]) for k, eye in zip(rows, eyes, strict=True)
+    ]
+
+
+def right_cameras(content: Sequence, cam_from_world: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Frames [n] with a true right eye and its cameras [n, 4, 4] in our world; none without truth or scale."""
+    both = set(content.truth.get("camdata_right", {})) & set(content.truth.get("clean_right", {}))
+    rows = np.array([k for k, number in enumerate(content.numbers) if number in both], int)
+    if len(rows) == 0 or not content.has_truth("camdata_left"):
+        return rows[:0], np.zeros((0, 4, 4))
+
+    def true_cameras(kind: str, frames: np.ndarray) -> np.ndarray:
+        poses = [sintel.read_cam(content.truth[kind][content.numbers[k]])[1] for k in frames]
+        return lie.from_parts(np.stack(poses)[:, :, :3], np.stack(poses)[:, :, 3])
+
+    try:
+        left = true_cameras("camdata_left", np.arange(len(content.numbers)))
+        return rows, right_eye(cam_from_world, left, true_cameras("camdata_right", rows), rows)
+    except DegenerateError as error:
+        logger.warning("no right-eye views: the baseline has no scale in our world (%s)", error)
+        return rows[:0], np.zeros((0, 4, 4))
+
+
+def load_scene(model: Path, device: str) -> GaussianScene:
+    """The trained scene of a model file, whole or halved, on an option's device "auto", "cpu" or "cuda"."""
+    chosen = choose_device(device)
+    logger.info("rendering by %s", backend_name(chosen))
+    return scene_from_tensors(read_model(model), read_metadata(model)).to(chosen)
+
+
+@torch.no_grad()
+def take(scene: GaussianScene, shot: Shot, width: int, height: int) -> np.ndarray:
+    """The shot as [height, width, 3] uint8."""
+    viewmat, K = (torch.as_tensor(matrix, device=scene.background.device) for matrix in (shot.cam_from_world, shot.K))
+    return to_uint8(scene.render(float(shot.time), viewmat, K, width, height).colour[0].cpu().numpy())

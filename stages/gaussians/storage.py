@@ -1,0 +1,97 @@
+"""The 4D model as arrays and metadata for a safetensors file, in full or in half precision."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from stages.control.deformation import deformation_from_tensors, deformation_tensors
+from stages.gaussians.colours import ColourTable
+from stages.gaussians.exposure import Exposure
+from stages.gaussians.model import Cloud, GaussianScene
+from stages.gaussians.observations import Observations
+from stages.gaussians.ply import write_ply
+from stages.shared.figures import spread
+
+DEFORMATION, COLOURS, EXPOSURE = "deformation.", "colours.", "exposure."
+"""Prefixes of the tensors of the motion, of its colours and of the gains."""
+CHECKED_FRAMES = 4
+HALVED = ("means", "log_scales", "quats", "logits", "sh", DEFORMATION + "table", COLOURS + "table")
+
+
+def scene_tensors(scene: GaussianScene) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """All that rendering needs; the footprints, units of the training's steps, are left out."""
+    cloud = scene.cloud()
+    tensors = {name: value.cpu().numpy() for name, value in vars(cloud).items() if name != "footprints"}
+    tensors["dynamic"] = tensors["dynamic"].astype(np.uint8)
+    tensors["background"] = scene.background.cpu().numpy()
+    if scene.deformation is not None:
+        tensors |= {DEFORMATION + name: value for name, value in deformation_tensors(scene.deformation).items()}
+    for prefix, module in ((COLOURS, scene.colours), (EXPOSURE, scene.exposure)):
+        state = {} if module is None else module.state_dict()
+        tensors |= {prefix + name: value.cpu().numpy() for name, value in state.items()}
+    settings = {"near_plane": scene.near_plane, "neighbours": scene.neighbours, "sh_degree": scene.sh_degree}
+    counts = {"n_static": scene.n_static, "n_dynamic": len(scene.anchors) - scene.n_static}
+    return tensors, settings | counts
+
+
+def halved(
+    tensors: Mapping[str, np.ndarray], settings: Mapping[str, Any]
+) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """The same model with HALVED as float16.
+
+    Means are in units of their median distance from the origin, since float16 ends at 65504, and off by at most 1/2048
+    of themselves: a tenth of a pixel. Quaternions, which may have any length, are scaled to a largest entry of 1.
+    """
+    distances = np.linalg.norm(tensors["means"], axis=-1)
+    unit = float(np.median(distances)) if distances.any() else 1.0
+    lengths = np.abs(tensors["quats"]).max(axis=-1, keepdims=True)
+    scaled = {"means": tensors["means"] / unit, "quats": tensors["quats"] / lengths}
+    small = {name: (scaled.get(name, tensors[name])).astype(np.float16) for name in HALVED if name in tensors}
+    return {**tensors, **small}, {**settings, "unit": unit}
+
+
+def scene_from_tensors(tensors: Mapping[str, np.ndarray], metadata: Mapping[str, Any]) -> GaussianScene:
+    """Rebuild the scene of `scene_tensors`, whole or halved, for rendering."""
+    arrays = {name: value.astype(np.float32) if value.dtype == np.float16 else value for name, value in tensors.items()}
+    values = {name: torch.from_numpy(np.array(value)) for name, value in arrays.items()}
+    cloud = Cloud(
+        means=values["means"] * metadata.get("unit", 1.0),
+        footprints=torch.ones(len(values["means"])),
+        dynamic=values["dynamic"].bool(),
+        **{name: values[name] for name in ("log_scales", "quats", "logits", "sh")},
+    )
+    motion = {name.removeprefix(DEFORMATION): arrays[name] for name in arrays if name.startswith(DEFORMATION)}
+    deformation = deformation_from_tensors(motion) if motion else None
+    colours, exposure = None, None
+    if COLOURS + "knots" in values:
+        colours = ColourTable(values[COLOURS + "knots"], values[COLOURS + "table"].shape[1])
+        colours.load_state_dict({name: values[COLOURS + name] for name in ("knots", "table")})
+    if EXPOSURE + "knots" in values:
+        exposure = Exposure(values[EXPOSURE + "knots"])
+        exposure.load_state_dict({name: values[EXPOSURE + name] for name in ("knots", "log_gains")})
+    settings = (metadata["near_plane"], metadata["neighbours"])
+    return GaussianScene(cloud, deformation, values["background"], *settings, colours, exposure)
+
+
+@torch.no_grad()
+def training_psnr(scene: GaussianScene, seen: Observations) -> float:
+    """Mean PSNR (dB) over at most CHECKED_FRAMES training frames, as a file's check against another file."""
+    device, values = scene.background.device, []
+    for f in spread(len(seen.images), CHECKED_FRAMES):
+        viewmat, K = (torch.as_tensor(matrix, device=device) for matrix in (seen.cam_from_world[f], seen.Ks[f]))
+        height, width = seen.images.shape[1:3]
+        image = scene.render(float(seen.times[f]), viewmat, K, width, height).colour[0].cpu().numpy()
+        values.append(-10 * np.log10(np.square(image.clip(0, 1) - seen.images[f]).mean()))
+    return float(np.mean(values))
+
+
+@torch.no_grad()
+def write_splats(path: Path, scene: GaussianScene, time: float) -> None:
+    """Write the Gaussians as they are at `time` 0..1 as PLY, without the exposure."""
+    means, quats, sh_dc = scene.at(time)
+    values = scene.gaussians
+    sh = torch.cat([sh_dc, values["sh_rest"]], dim=1)
+    write_ply(path, *(x.cpu().numpy() for x in (means, quats, values["log_scales"], values["logits"], sh)))

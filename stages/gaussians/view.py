@@ -1,0 +1,48 @@
+"""Render the trained scene at any time from any camera."""
+
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+
+from stages.gaussians.options import ViewOptions
+from stages.shared import cli
+from stages.shared.artifacts import read_metadata, read_table
+from stages.shared.cli import In, Out
+
+
+def main(
+    model: Annotated[Path, In("gaussians/model.safetensors, or model_half.safetensors")],
+    cameras: Annotated[Path, In("table laid out as ba/poses.parquet; a column `time` (0..1) may give each its moment")],
+    output: Annotated[Path, Out("folder of frame_0001.png ..., one per row of the table, numbered as its frames")],
+    options: ViewOptions,
+) -> None:
+    """Render one image per camera of a table, and on demand the splats of each moment as PLY.
+
+    The moment is --at-time if given, else the table's `time`; else the rows are spread over 0..1. Poses are
+    camera-from-world in the units of the scene; intrinsics are in pixels of the image to render.
+    """
+    from stages.gaussians.inputs import frame_times
+    from stages.gaussians.shots import Shot, load_scene, take
+    from stages.gaussians.storage import write_splats
+    from stages.shared.artifacts import atomic_folder
+    from stages.shared.cameras import read_cameras
+    from stages.shared.images import write_image
+
+    eyes, size = read_cameras(cameras), read_metadata(model)
+    T = len(eyes.numbers)
+    times = read_table(cameras).get("time", frame_times(T) if T > 1 else np.zeros(T))
+    if options.at_time is not None:
+        times = np.full(T, options.at_time)
+    scene = load_scene(model, options.device)
+    with atomic_folder(output) as folder:
+        for number, time, pose, K in zip(eyes.numbers, times, eyes.cam_from_world, eyes.Ks, strict=True):
+            shot = Shot("", int(number), float(time), pose, K)
+            image = take(scene, shot, options.width_px or size["width"], options.height_px or size["height"])
+            write_image(folder / f"frame_{number:04d}.png", image)
+            if options.splats:
+                write_splats(folder / f"frame_{number:04d}.ply", scene, float(time))
+
+
+if __name__ == "__main__":
+    cli.run(main)
