@@ -39,8 +39,10 @@ def main(
     rows["decisions"] = [row for folder in sequences for row in decision_rows(folder)]
     rows["simulation"] = [row for folder in sequences for row in simulation_rows(manifests, folder.name)]
     numbers = yaml.safe_load(published_numbers.read_text())
+    compared = comparison_groups(sweep, growth, rows["poses"])
+    rows["poses"] += tradeoff_report.pose_rows(read_rows(sweep)) if sweep else []
     groups = overview.build_groups(rows, protocols, numbers)
-    groups[-1:-1] = comparison_groups(sweep, growth, rows["poses"])
+    groups[-1:-1] = compared
     every = {table.name: table for group in groups for table in [*group.tables, *group.more]}
     shown = []
     for folder in progress(sequences, "sequences"):

@@ -20,6 +20,8 @@ TITLES = {
 }
 CHOICES = ("presets", "knobs")
 """The groups that a user chooses among: the front is theirs. The others show what an input or a part is worth."""
+BESIDE = ("presets", "inputs")
+"""The groups whose runs stand in the pose table too."""
 NOTE = (
     "Unweighted means over the swept sequences; seconds are wall and CPU time of all stages up to the result, shared "
     "ones counted in full, COLMAP and evaluation left out; to poses: up to the last adjustment. PSNR and SSIM of "
@@ -72,6 +74,18 @@ def sweep_part(costs: Sequence[Row], poses: Sequence[Row]) -> tuple[str, list[Fi
     figures += [_knob(rows, knob) for knob in dict.fromkeys(row["knob"] for row in rows if row["knob"])]
     groups = dict.fromkeys(row["group"] for row in rows)
     return " ".join(sentences), figures, [_table(group, rows, on_front) for group in groups]
+
+
+def pose_rows(costs: Sequence[Row]) -> list[Row]:
+    """Rows of the pose table for the presets and inputs of the sweep that differ from the configured run."""
+    seconds = {"wall_s": "poses_wall_s", "cpu_s": "poses_cpu_s"}
+    return [
+        row
+        | {"method": f"ours, {row['setting']}", "protocol": f"run again by the sweep ({row['group']})"}
+        | {key: row[source] for key, source in seconds.items()}
+        for row in costs
+        if row["group"] in BESIDE and not row["is_default"]
+    ]
 
 
 def _point(row: Row, measure: Measure) -> Point | None:
