@@ -16,7 +16,7 @@ def _write(folder: Path, sequence: str, ate: float | None, psnr: float, seconds:
     """The tables of an evaluated sequence."""
     scores = folder / sequence / "eval"
     status = "ok" if ate is not None else "failed"
-    poses = [
+    poses: list[Row] = [
         {"method": "COLMAP global", "status": "ok", "ate_percent": 99.0, "focal_error_percent": 9.0},
         {"method": "ours", "status": status, "ate_percent": ate, "focal_error_percent": -2.0},
     ]

@@ -88,7 +88,8 @@ def describe(a: Mapping[str, Values], b: Mapping[str, Values]) -> str:
         only = sorted(set(present) - set(other))
         lines += [f"only in {name}: {', '.join(only)}"] if only else []
     for measure in MEASURES:
-        lines += ["", f"{measure.label} ({measure.unit}, {'more' if measure.sign > 0 else 'less'} is better)"]
+        title = f"{measure.label} ({measure.unit}, {'more' if measure.sign > 0 else 'less'} is better)"
+        lines += ["", f"{title:<36}{'A':>10}{'B':>10}   B - A"]
         lines += [_line(name, a, b, measure) for name in sorted(set(a) | set(b))]
         lines.append(f"  {summarise(list(differences(a, b, measure).values()), measure)}")
     return "\n".join(lines).strip()
@@ -99,7 +100,7 @@ def _line(name: str, a: Mapping[str, Values], b: Mapping[str, Values], measure: 
     x, y = values
     cells = ["n/a" if value is None else decimal(value, measure.digits) for value in values]
     change = "" if x is None or y is None else f"{y - x:+.{measure.digits}f} {_verdict(y - x, measure)}"
-    return f"  {name:<24}{cells[0]:>10}{cells[1]:>10}   {change}".rstrip()
+    return f"  {name:<34}{cells[0]:>10}{cells[1]:>10}   {change}".rstrip()
 
 
 def _verdict(change: float, measure: Measure) -> str:
