@@ -16,6 +16,7 @@ include: "workflow/rules/ba.smk"
 include: "workflow/rules/scene.smk"
 include: "workflow/rules/control.smk"
 include: "workflow/rules/gaussians.smk"
+include: "workflow/rules/sweep.smk"
 include: "workflow/rules/eval.smk"
 
 
@@ -24,6 +25,8 @@ localrules:
     poses,
     masks,
     gaussians,
+    sweep,
+    scaling,
 
 
 rule all:
@@ -53,3 +56,15 @@ rule gaussians:
             dataset=DATASET,
             seq=SEQUENCES,
         ),
+
+
+rule sweep:
+    input:
+        TABLES["sweep"],
+        rules.report.output,
+
+
+rule scaling:
+    input:
+        TABLES["scaling"],
+        rules.report.output,

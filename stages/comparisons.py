@@ -10,6 +10,14 @@ from stages.shared.options import Options
 Knobs = dict[str, list[Any]]
 """Values to try by the dotted name of an option, as in {"ba.stride_px": [4, 8, 16]}."""
 
+GROWING: dict[str, tuple[str, ...]] = {
+    "frames": ("inspect", "flow", "motion", "segment", "ba", "scene", "control", "gaussians", "render"),
+    "pixels": ("flow", "motion", "segment", "ba"),
+    "gaussians": ("gaussians", "render"),
+    "control points": ("control", "gaussians", "render"),
+}
+"""What may grow, and the stages whose cost is measured against it."""
+
 
 class SweepOptions(Options):
     """What `snakemake sweep` compares."""

@@ -2,12 +2,12 @@
 
 import functools
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from stages import config as configuration
-from stages.comparisons import Knobs
+from stages.comparisons import Knobs, ScalingOptions, SweepOptions
 from stages.config import SHARED_KEYS, Config
 from stages.presets import Overrides, override, value_of
 from stages.shared.errors import InputError
@@ -119,6 +119,22 @@ def _refuse_data(option: str, where: str) -> None:
     if section not in (*UPSTREAM, *SHARED_KEYS, "rounds", "preset"):
         expected = f"an option of {', '.join(UPSTREAM)}, or one of {', '.join(SHARED_KEYS)}, rounds"
         raise InputError(where, expected, f"'{option}'", "write it as section.option")
+
+
+def choose_sequences(options: SweepOptions | ScalingOptions, names: Iterable[str]) -> list[str]:
+    """The sequences of a comparison among the chosen ones.
+
+    Raises:
+        InputError: for one that is not chosen.
+    """
+    known = list(names)
+    if isinstance(options.sequences, str):
+        return known[:1] if options.sequences == "first" else known
+    for name in options.sequences:
+        if name not in known:
+            advice = "name sequences that `sequences:` chooses"
+            raise InputError("config.yaml: sweep, scaling", f"one of {', '.join(known)}", f"'{name}'", advice)
+    return options.sequences
 
 
 def _refuse_equal_folders(settings: Sequence[Setting]) -> None:

@@ -13,6 +13,10 @@ class BAOptions(Options):
     intrinsics: Literal["estimate", "truth"] = Field(
         "estimate", description="estimate one shared focal length, or take the cameras' true K"
     )
+    poses_from: Literal["estimate", "truth"] = Field(
+        "estimate", description="estimate cameras, or take the true poses and K and search the depth alone"
+    )
+    depth_from: Literal["estimate", "truth"] = Field("estimate", description="write estimated or true depth")
     stride_px: int = Field(
         8, ge=2, le=32, description="one inverse depth per this many pixels of the flow, each way, while solving poses"
     )

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from stages.ba import dba, figures
+from stages.ba import dba, figures, given
 from stages.ba.depth import DepthMaps, depth_maps
 from stages.ba.estimate import Estimate, Problem, estimate
 from stages.ba.graph import MIN_WEIGHT, FlowGraph, build_graph, mask_graph, static_areas, trusted_static_areas
@@ -64,19 +64,37 @@ def main(
     previous = _previous(previous_poses, previous_depth, float(metadata["scale"]), graph)
     has_movers = bool((static < 1).any())
     fallback = everything if has_movers else None
-    solution = estimate(Problem(graph, has_movers or previous is not None, known_focal_px, previous, fallback), options)
+    problem = Problem(graph, has_movers or previous is not None, known_focal_px, previous, fallback)
+    solution = _solve(problem, frames, options)
     flags = solution.flags + _mask_doubts(static, unmasked, previous_poses)
     _log(frames.name, solution, flags)
     fine = mask_graph(build_graph(*columns, options.depth_stride_px, centre), static)
     maps = depth_maps(fine, graph, solution.state, static, solution.camera in ("moving", "near-still"))
+    stride_px = options.depth_stride_px / float(metadata["scale"])
+    if options.depth_from == "truth":
+        maps = _true_depth(maps, solution.state, frames, stride_px, options)
     cameras = _cameras(solution, graph, frames, float(metadata["scale"]))
     write_cameras(poses, cameras, _pose_metadata(solution, flags, static, options))
     write_tum(trajectory, cameras)
-    _write_depth(depth, maps, frames, options.depth_stride_px / float(metadata["scale"]))
+    _write_depth(depth, maps, frames, stride_px)
     _write_convergence(convergence, solution)
     errors = dba.errors_px(graph, solution.state)[graph.weights > MIN_WEIGHT]
     title = f"{frames.name}: camera {solution.camera}, focal length {solution.focal['decision']}"
     figures.draw(figure, cameras.centres, solution.steps, maps.inverse_depth, errors, title)
+
+
+def _solve(problem: Problem, frames: Sequence, options: BAOptions) -> Estimate:
+    if options.poses_from == "estimate":
+        return estimate(problem, options)
+    assert problem.known_focal_px is not None, "true poses come with the true focal length"
+    return given.solve_depths(problem.graph, given.true_poses(frames), problem.known_focal_px, options.seed)
+
+
+def _true_depth(
+    estimated: DepthMaps, state: dba.State, frames: Sequence, stride_px: float, options: BAOptions
+) -> DepthMaps:
+    scale = given.gauge_scale(state, given.true_poses(frames)) if options.poses_from == "truth" else None
+    return given.true_depth_maps(frames, estimated, stride_px, scale)
 
 
 def _log(name: str, solution: Estimate, flags: list[str]) -> None:
@@ -103,13 +121,11 @@ def _known_intrinsics(
     frames: Sequence, scale: float, grid: tuple[int, int], options: BAOptions
 ) -> tuple[np.ndarray, float | None]:
     """Principal point [2] on the flow grid, and the focal length there if the truth is asked for."""
-    if options.intrinsics == "estimate":
+    if options.intrinsics == options.poses_from == "estimate":
         return (np.array(grid) - 1) / 2, None
     if not frames.has_truth("camdata_left"):
-        advice = "set `intrinsics: estimate`"
-        raise InputError(
-            frames.frames[0].parent, "camdata_left beside the frames for `intrinsics: truth`", "none", advice
-        )
+        advice = "set `intrinsics: estimate` and `ba: {poses_from: estimate}`"
+        raise InputError(frames.frames[0].parent, "camdata_left beside the frames for true cameras", "none", advice)
     K, _ = sintel.read_cam(frames.truth["camdata_left"][frames.numbers[0]])
     scaled = scale_intrinsics(K, scale)
     return scaled[:2, 2], float(scaled[0, 0])

@@ -11,6 +11,8 @@ REPO = Path(workflow.basedir)
 sys.path.insert(0, str(REPO))
 
 from stages import config as configuration, settings
+from stages.comparisons import GROWING
+from stages.shared.artifacts import write_json
 from stages.shared.digest import code_digest
 from stages.shared.errors import InputError
 
@@ -40,6 +42,8 @@ try:
     SEQUENCES = configuration.find_sequences(CONFIG)
     FOLDERS = configuration.frame_folders(CONFIG)
     SWEPT, SCALED = settings.compared(config, MINE)
+    SWEPT_SEQUENCES = settings.choose_sequences(CONFIG.sweep, SEQUENCES)
+    SCALED_SEQUENCES = settings.choose_sequences(CONFIG.scaling, SEQUENCES)
 except InputError as error:
     sys.stderr.write(f"{error}\n")
     sys.exit(2)

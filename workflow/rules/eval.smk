@@ -97,6 +97,7 @@ rule evaluate:
 
 rule report:
     input:
+        unpack(asked_tables),
         tables=expand(rules.evaluate.output, seq=SEQUENCES, dataset=DATASET, setting=""),
         published=str(REPO / "workflow/resources/published.yaml"),
         page=expand(
@@ -120,7 +121,8 @@ rule report:
         code=code_digest("stages.eval.report"),
         flags=flags("report"),
         sequences=evaluated_folders,
+        comparisons=comparison_flags,
         manifests="--manifests simulated" if DATASET == configuration.SIMULATED else "",
     shell:
         "python -m stages.eval.report --sequences {params.sequences} --published-numbers {input.published}"
-        " {params.manifests} --output {output.html} --tables {output.tables} {params.flags} --log {log}"
+        " {params.manifests} {params.comparisons} --output {output.html} --tables {output.tables} {params.flags} --log {log}"

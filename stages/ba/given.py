@@ -1,0 +1,90 @@
+"""True poses and true depth in place of estimated ones: what they would be worth to the stages after adjustment."""
+
+import cv2
+import numpy as np
+
+from stages.ba import classify, initialise
+from stages.ba.dba import State
+from stages.ba.depth import DepthMaps
+from stages.ba.estimate import Estimate, median_residual
+from stages.ba.graph import FlowGraph
+from stages.shared import lie, sintel
+from stages.shared.alignment import extent
+from stages.shared.errors import InputError
+from stages.shared.sequences import Sequence
+
+SEARCH_PX = 1.0
+RELATIVE_STD = 1e-3
+"""Of true inverse depth: about what the resampling to the grid leaves."""
+MIN_INVERSE_DEPTH = 1e-3
+"""In units of the median inverse depth; the sky lies there."""
+
+
+def solve_depths(graph: FlowGraph, true_cam_from_world: np.ndarray, focal_px: float, seed: int) -> Estimate:
+    """The true poses [T, 4, 4] in the gauge of the solver, with the inverse depths that the flow has under them."""
+    centres = lie.inverse(true_cam_from_world)[:, :3, 3]
+    camera = "rotating" if extent(centres) == "point" else "moving"
+    state = initialise.initial_state(graph, true_cam_from_world, focal_px, SEARCH_PX)
+    focal = {"decision": "known", "relative_sigma": 0.0, "reason": "true cameras", "focal_px": focal_px}
+    statistics = vars(classify.measure(graph, [focal_px], seed)) | {"camera": camera, "planar": False}
+    covariance = np.zeros((graph.T, 6, 6))
+    return Estimate(state, camera, covariance, median_residual(graph, state), focal, statistics)
+
+
+def true_depth_maps(frames: Sequence, estimated: DepthMaps, stride_px: float, scale: float | None) -> DepthMaps:
+    """True inverse depth on the grid of the estimated maps and in their scale; nothing is filled in.
+
+    Args:
+        stride_px: pixels of the full frame per pixel of the grid.
+        scale: length in the gauge of the poses over true length; None: the median ratio to the estimated maps is taken.
+    """
+    shape = estimated.inverse_depth.shape[1:]
+    inverse_depth = np.stack([_resample(1 / depth, shape, stride_px) for depth in true_depths(frames)])
+    if scale is None:
+        used = ~estimated.filled if not estimated.filled.all() else np.ones_like(estimated.filled)
+        scale = float(np.median(inverse_depth[used] / estimated.inverse_depth[used]))
+    inverse_depth = np.maximum(inverse_depth / scale, MIN_INVERSE_DEPTH)
+    return DepthMaps(inverse_depth, (RELATIVE_STD * inverse_depth) ** 2, np.zeros_like(estimated.filled))
+
+
+def gauge_scale(state: State, true_cam_from_world: np.ndarray) -> float | None:
+    """Length in the gauge over true length, from the path of the camera; None if it does not move."""
+    relative = true_cam_from_world @ lie.inverse(true_cam_from_world[0])
+    length = np.linalg.norm(relative[:, :3, 3])
+    return float(np.linalg.norm(state.cam_from_world[:, :3, 3]) / length) if length > 0 else None
+
+
+def true_poses(frames: Sequence) -> np.ndarray:
+    """The true cam_from_world [T, 4, 4].
+
+    Raises:
+        InputError: if a camera is missing.
+    """
+    _require(frames, "camdata_left", "poses")
+    extrinsics = np.stack([sintel.read_cam(frames.truth["camdata_left"][number])[1] for number in frames.numbers])
+    return lie.from_parts(extrinsics[:, :, :3], extrinsics[:, :, 3])
+
+
+def true_depths(frames: Sequence) -> list[np.ndarray]:
+    """The true z-depth of every frame [H, W], float64, positive; infinite where there is nothing.
+
+    Raises:
+        InputError: if a frame's is missing.
+    """
+    _require(frames, "depth", "depth")
+    depths = [sintel.read_dpt(frames.truth["depth"][number]).astype(float) for number in frames.numbers]
+    return [np.where(depth > 0, depth, np.inf) for depth in depths]
+
+
+def _require(frames: Sequence, kind: str, option: str) -> None:
+    if not frames.has_truth(kind):
+        expected = f"{kind} beside the frames for `ba: {{{option}_from: truth}}`"
+        raise InputError(frames.frames[0].parent, expected, "none", f"set `ba: {{{option}_from: estimate}}`")
+
+
+def _resample(image: np.ndarray, shape: tuple[int, ...], stride_px: float) -> np.ndarray:
+    """The image [H, W] at the pixels stride_px k + (stride_px - 1) / 2 of a grid [h, w], nearest: edges stay sharp."""
+    v, u = (np.arange(size, dtype=np.float32) * stride_px + (stride_px - 1) / 2 for size in shape)
+    columns, rows = np.meshgrid(u.astype(np.float32), v.astype(np.float32))
+    near = cv2.remap(image.astype(np.float32), columns, rows, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE)
+    return near.astype(float)

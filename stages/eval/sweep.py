@@ -1,0 +1,103 @@
+"""Collect what every setting of a sweep reached and cost into one table."""
+
+import json
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Annotated, Any
+
+from stages.eval.tables import Row, read_rows, write_rows
+from stages.shared import cli
+from stages.shared.artifacts import read_json
+from stages.shared.cli import In, Out
+
+COLUMNS = (
+    *("sequence", "group", "setting", "knob", "value", "is_default", "overrides"),
+    *("ate_percent", "rpe_rot_deg", "focal_error_percent", "status", "iou"),
+    *("psnr_db", "psnr_static_db", "psnr_dynamic_db", "ssim"),
+    *("wall_s", "cpu_s", "poses_wall_s", "poses_cpu_s", "peak_mb", "model_mb"),
+)
+POSE_STAGES = ("flow", "motion", "segment", "ba")
+BASELINE = "colmap"
+PROTOCOL = (
+    "Seconds are those of all stages from the frames to the renders, shared ones counted in full, so that they are "
+    "what the setting costs from scratch; COLMAP and evaluation are left out. Poses: flow to adjustment, all rounds."
+)
+
+
+def main(
+    runs: Annotated[Path, In("runs.json: sequence, setting, and where its scores lie, from the dataset's folder")],
+    output: Annotated[Path, Out("costs.parquet: a row per sequence and setting")],
+) -> None:
+    """Write one row per sequence and setting; what was not scored is null."""
+    folder = runs.parents[1]
+    rows = [run_row(folder, run) for run in read_json(runs)["runs"]]
+    units = {"ate_percent": "% of path", "focal_error_percent": "%", "peak_mb": "MB", "model_mb": "MB", "wall_s": "s"}
+    write_rows(output, rows, COLUMNS, {"protocol": PROTOCOL, "units": units})
+
+
+def run_row(folder: Path, run: Row) -> Row:
+    """The row of one run.
+
+    Args:
+        folder: of the dataset's results; the paths in `run` start there.
+        run: sequence, group, setting, knob, value, is_default, overrides, scores (a folder), model (a file).
+    """
+    scores = folder / run["scores"]
+    named = {name: run[name] for name in ("sequence", "group", "setting", "knob", "is_default")}
+    value = None if run["value"] is None else _text(run["value"])
+    model_mb = (folder / run["model"]).stat().st_size / 1e6
+    return {
+        **named,
+        "value": value,
+        "overrides": json.dumps(run["overrides"]),
+        **pose_scores(read_rows(scores / "poses.parquet")),
+        **mask_scores(read_rows(scores / "masks.parquet")),
+        **image_scores(read_rows(scores / "images.parquet")),
+        **costs(read_rows(scores / "time.parquet")),
+        "model_mb": model_mb,
+    }
+
+
+def pose_scores(rows: Iterable[Row]) -> Row:
+    """Errors of our poses after the last round."""
+    ours = next(row for row in rows if row["method"] == "ours")
+    return {name: ours[name] for name in ("ate_percent", "rpe_rot_deg", "focal_error_percent", "status")}
+
+
+def mask_scores(rows: Iterable[Row]) -> Row:
+    """IoU of the refined masks of the last round; None without truth."""
+    refined = [row for row in rows if row["method"] == "refined masks"]
+    return {"iou": max(refined, key=lambda row: row["round"])["iou"] if refined else None}
+
+
+def image_scores(rows: Iterable[Row]) -> Row:
+    """PSNR and SSIM on held-out frames; None for a region without pixels."""
+    found = {row["region"]: row for row in rows if row["method"] == "ours" and row["split"] == "test"}
+    psnr = {region: found[region]["psnr_db"] if region in found else None for region in ("whole", "static", "dynamic")}
+    return {
+        "psnr_db": psnr["whole"],
+        "psnr_static_db": psnr["static"],
+        "psnr_dynamic_db": psnr["dynamic"],
+        "ssim": found["whole"]["ssim"] if "whole" in found else None,
+    }
+
+
+def costs(rows: Iterable[Row]) -> Row:
+    """Seconds of all stages and of those up to the poses, and the greatest memory of any."""
+    counted = [row for row in rows if not row["stage"].startswith(BASELINE)]
+    to_poses = [row for row in counted if row["stage"] in POSE_STAGES]
+    return {
+        "wall_s": sum(row["wall_s"] for row in counted),
+        "cpu_s": sum(row["cpu_s"] for row in counted),
+        "poses_wall_s": sum(row["wall_s"] for row in to_poses),
+        "poses_cpu_s": sum(row["cpu_s"] for row in to_poses),
+        "peak_mb": max(row["peak_mb"] for row in counted),
+    }
+
+
+def _text(value: Any) -> str:
+    return ",".join(map(str, value)) if isinstance(value, list) else str(value)
+
+
+if __name__ == "__main__":
+    cli.run(main)
