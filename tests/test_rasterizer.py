@@ -2,64 +2,14 @@
 
 import numpy as np
 import pytest
-import reference_rasterizer as reference
 import torch
+from raster_scene import HEIGHT, NAMES, WIDTH, intrinsics, loss, render_kernels, render_reference, scene
 from torch import Tensor
 
 from stages.gaussians import sh
 from stages.gaussians.rasterize import choose_device, drawing_order, rasterize
 from stages.gaussians.ssim import Target, ssim, ssim_torch
 from stages.shared.errors import InputError
-
-WIDTH, HEIGHT = 53, 37  # neither a multiple of the tile
-NAMES = ("means", "quats", "scales", "opacities", "colours", "viewmat")
-
-
-def scene(N: int = 60, seed: int = 0) -> dict[str, Tensor]:
-    """N Gaussians of mixed shapes in front of a tilted camera, float64."""
-    random = np.random.default_rng(seed)
-    means = random.uniform([-1.2, -0.9, 1.5], [1.2, 0.9, 4.0], (N, 3))
-    values = {
-        "means": means,
-        "quats": random.normal(size=(N, 4)),
-        "scales": np.exp(random.uniform(-4.0, -1.2, (N, 3))),
-        "opacities": random.uniform(0.05, 0.95, N),
-        "colours": random.uniform(0, 1, (N, 3)),
-    }
-    tensors = {name: torch.tensor(value) for name, value in values.items()}
-    viewmat = torch.eye(4, dtype=torch.float64)
-    viewmat[:3, :3] = reference.rotation(torch.tensor([[1.0, 0.04, -0.06, 0.1]], dtype=torch.float64))[0]
-    viewmat[:3, 3] = torch.tensor([0.05, -0.1, 0.2])
-    return tensors | {"viewmat": viewmat}
-
-
-def intrinsics() -> Tensor:
-    return torch.tensor([[45.0, 0, 26.3], [0, 47.0, 17.6], [0, 0, 1]], dtype=torch.float64)
-
-
-BACKGROUND = torch.tensor([0.2, 0.5, 0.9], dtype=torch.float64)
-
-
-def render_kernels(tensors: dict[str, Tensor]) -> tuple[Tensor, Tensor, Tensor]:
-    single = {name: value.float() for name, value in tensors.items()}
-    viewmat = single.pop("viewmat")
-    single["colors"] = single.pop("colours")
-    K, background = intrinsics().float()[None], BACKGROUND.float()[None]
-    out = rasterize(**single, viewmats=viewmat[None], Ks=K, width=WIDTH, height=HEIGHT, backgrounds=background)
-    return out.colour[0], out.depth[0], out.alpha[0]
-
-
-def render_reference(tensors: dict[str, Tensor]) -> reference.Reference:
-    return reference.render(
-        *(tensors[name] for name in NAMES), K=intrinsics(), width=WIDTH, height=HEIGHT, background=BACKGROUND
-    )
-
-
-def loss(colour: Tensor, depth: Tensor, alpha: Tensor, safe: Tensor) -> Tensor:
-    """A random linear functional of all outputs, blind to pixels at a threshold."""
-    random = np.random.default_rng(5)
-    weights = torch.tensor(random.normal(size=(HEIGHT, WIDTH, 5))) * safe[..., None]
-    return (weights * torch.cat([colour, depth[..., None], alpha[..., None]], dim=-1).double()).sum()
 
 
 def gradients(tensors: dict[str, Tensor], kernels: bool) -> dict[str, Tensor]:
@@ -216,17 +166,3 @@ def test_device_cuda_is_refused_where_there_is_none() -> None:
     assert choose_device("auto").type == "cpu"
     with pytest.raises(InputError, match="no CUDA device"):
         choose_device("cuda")
-
-
-def test_gsplat_renders_the_same_image() -> None:
-    pytest.importorskip("gsplat", reason="gsplat is not installed")
-    if not torch.cuda.is_available():
-        pytest.skip("no CUDA device")
-    tensors = {name: value.float().cuda() for name, value in scene().items()}
-    viewmat, colours = tensors.pop("viewmat"), tensors.pop("colours")
-    out = rasterize(**tensors, colors=colours, viewmats=viewmat[None], Ks=intrinsics().float().cuda()[None],
-                    width=WIDTH, height=HEIGHT, backgrounds=BACKGROUND.float().cuda()[None])  # fmt: skip
-    colour, depth, alpha = render_kernels(scene())
-    safe = render_reference(scene()).safe
-    for found, expected in ((out.colour, colour), (out.depth, depth), (out.alpha, alpha)):
-        assert (found[0].cpu() - expected)[safe].abs().max() < 1e-4
