@@ -152,17 +152,20 @@ def find_home(settings: Sequence[Setting], setting: Setting, stage: str, number:
 
     Args:
         settings: all, the configured one first.
-        number: the round that is meant (1, 2, ...); ignored by stages that rounds do not repeat.
+        number: the round that is meant, 1 to the setting's rounds; ignored by stages that rounds do not repeat.
 
     Returns:
         "", or a prefix that ends with "/": "settings/<name>/", "round1/", "settings/<name>/round1/".
+
+    Raises:
+        KeyError: if `setting` is none of the settings, or has fewer rounds.
     """
     wanted = identity(setting, stage, number)
     for other in settings:
         if (stage not in REPEATED or number <= other.config.rounds) and identity(other, stage, number) == wanted:
             last = stage not in REPEATED or number == other.config.rounds
             return other.folder + ("" if last else f"round{number}/")
-    raise KeyError(f"{setting.folder} is none of the settings")
+    raise KeyError(f"{stage}, round {number}, under {setting.folder!r}")
 
 
 @functools.cache

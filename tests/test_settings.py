@@ -1,0 +1,129 @@
+"""Settings and presets: which value wins, which stages two runs share, and what is refused."""
+
+from typing import Any
+
+import pytest
+import yaml
+from conftest import REPO
+
+from stages import config as configuration
+from stages import settings
+from stages.presets import PRESETS, override, value_of
+from stages.shared.errors import InputError
+
+SWEEP: dict[str, Any] = {
+    "presets": ["fast", "balanced"],
+    "knobs": {"ba.stride_px": [4, 16], "rounds": [1, 3], "gaussians.steps": [5]},
+    "runs": {"claims": {"static only": {"scene.dynamic": "no"}, "left out": None}, "none": None},
+}
+
+
+def homes(stage: str, number: int = 0, **raw: Any) -> dict[str, str]:
+    """Where the results of a stage lie, by name of the setting; of the last round unless one is given."""
+    raw = {"sweep": SWEEP} | raw
+    every = [settings.configured(raw), *settings.compared(raw)[0]]
+    ran = [s for s in every[1:] if number <= s.config.rounds]
+    return {s.name: settings.find_home(every, s, stage, number or s.config.rounds) for s in ran}
+
+
+def test_a_preset_sets_what_the_user_did_not() -> None:
+    fast = PRESETS["fast"]
+    plain = configuration.load({"preset": "fast"})
+    assert {name: value_of(plain.model_dump(), name) for name in fast} == fast
+    changed = configuration.load({"preset": "fast", "gaussians": {"steps": 77}})
+    assert changed.gaussians.steps == 77
+    assert changed.gaussians.stride_px == fast["gaussians.stride_px"]
+
+
+def test_a_default_that_the_user_wrote_wins_over_the_preset() -> None:
+    shipped = yaml.safe_load((REPO / "config.yaml").read_text()) | {"preset": "fast"}
+    default = configuration.Config().gaussians.steps
+    assert configuration.load(shipped).gaussians.steps == PRESETS["fast"]["gaussians.steps"] != default
+    mine = {"gaussians": {"steps": default}}
+    assert configuration.load(shipped, mine).gaussians.steps == default
+
+
+def test_every_preset_is_valid_and_moves_something() -> None:
+    balanced = configuration.Config()
+    for name in PRESETS:
+        config = configuration.load({"preset": name})
+        assert (config.model_copy(update={"preset": "balanced"}) == balanced) == (name == "balanced")
+
+
+def test_overrides_leave_the_original_alone() -> None:
+    raw: dict[str, Any] = {"flow": None, "ba": {"seed": 1}}
+    assert override(raw, {"flow.finest_scale": 1, "ba.stride_px": 4, "rounds": 3}) == {
+        "flow": {"finest_scale": 1},
+        "ba": {"seed": 1, "stride_px": 4},
+        "rounds": 3,
+    }
+    assert raw == {"flow": None, "ba": {"seed": 1}}
+
+
+def test_stages_before_the_first_difference_are_shared() -> None:
+    assert homes("flow") == dict.fromkeys(homes("flow"), "") | {"fast": "settings/presets-fast/"}
+    assert homes("ba")["static only"] == ""
+    assert homes("scene")["static only"] == "settings/claims-static_only/"
+    assert homes("control")["gaussians.steps=5"] == ""
+    assert homes("gaussians")["gaussians.steps=5"] == "settings/gaussians.steps=5/"
+    assert set(homes("colmap").values()) == {""}
+
+
+def test_the_configured_value_stands_in_every_series_and_is_not_run_again() -> None:
+    evaluated = homes("evaluate")
+    assert {name for name, home in evaluated.items() if home == ""} == {
+        *("balanced", "ba.stride_px=8", "rounds=2", "gaussians.steps=600")
+    }
+    assert "left out" not in evaluated
+
+
+def test_rounds_in_common_are_shared() -> None:
+    assert homes("ba", 1)["rounds=1"] == "round1/"
+    assert homes("ba", 1)["rounds=3"] == "round1/"
+    assert homes("ba", 2)["rounds=3"] == ""  # the last round of the configured run has no prefix
+    assert homes("ba", 3)["rounds=3"] == "settings/rounds=3/"
+    assert homes("scene")["rounds=1"] == "settings/rounds=1/"
+    assert homes("motion", 1)["ba.stride_px=4"] == "round1/"  # the first prior knows no adjustment
+    assert homes("motion", 2)["ba.stride_px=4"] == "settings/ba.stride_px=4/"
+
+
+def test_two_settings_share_what_differs_from_the_configured_run() -> None:
+    runs = {"a": {"one": {"ba.stride_px": 4}, "two": {"ba.stride_px": 4, "gaussians.steps": 5}}}
+    found = homes("ba", sweep={"runs": runs})
+    assert found == {"one": "settings/a-one/", "two": "settings/a-one/"}
+    assert homes("gaussians", sweep={"runs": runs})["two"] == "settings/a-two/"
+
+
+def test_a_preset_in_the_sweep_keeps_the_users_own_values() -> None:
+    raw = {"gaussians": {"steps": 600}, "sweep": {"presets": ["fast"]}}
+    (with_default,), _ = settings.compared(raw, {"gaussians": {"steps": 600}})
+    assert with_default.config.gaussians.steps == 600
+    assert with_default.config.control.steps == PRESETS["fast"]["control.steps"]
+
+
+@pytest.mark.parametrize(
+    ("sweep", "words"),
+    [
+        ({"knobs": {"flow.finest_scal": [1]}}, "did you mean 'finest_scale'"),
+        ({"knobs": {"flow.finest_scale": [9]}}, "flow.finest_scale.*less than or equal to 3"),
+        ({"knobs": {"scenes": [["demo"]]}}, "expected an option of inspect, .* found 'scenes'"),
+        ({"runs": {"g": {"n": {"steps": 3}}}}, "setting 'n' of 'g'.*write it as section.option"),
+        ({"runs": {"g": {"a b": {"seed": 1}, "a_b": {"seed": 2}}}}, "names that differ"),
+        ({"presets": ["quick"]}, "'fast', 'balanced' or 'accurate'"),
+    ],
+)
+def test_a_wrong_setting_is_refused_in_one_line(sweep: dict[str, Any], words: str) -> None:
+    with pytest.raises(InputError, match=words) as error:
+        settings.compared({"sweep": sweep})
+    assert "\n" not in str(error.value)
+
+
+def test_sequences_of_a_comparison() -> None:
+    def chosen(value: Any) -> list[str]:
+        return settings.choose_sequences(configuration.load({"sweep": {"sequences": value}}).sweep, ["a", "b"])
+
+    assert chosen("first") == ["a"]
+    assert chosen("all") == ["a", "b"]
+    assert chosen(["b"]) == ["b"]
+    with pytest.raises(InputError, match="'c'"):
+        chosen(["c"])
