@@ -4,19 +4,19 @@ Run as `python -m benchmarks.bench_lbs`. Times are medians of alternated runs in
 sides compute the weights and all gradients from the same tensors.
 """
 
-import statistics
-import time
+import functools
 from collections.abc import Callable
 
 import torch
 from torch import Tensor
 
+from benchmarks.timing import alternated
 from stages.control import lbs, quaternions
 
 CASES = ((20_000, 512, 4), (100_000, 512, 4), (20_000, 512, 8))
 KERNEL, PLAIN = (lbs.lbs_weights, lbs.blend), (lbs.lbs_weights_torch, lbs.blend_torch)
 ROUNDS = 15
-GATE = 4.0
+GATE = 5.0
 BYTES_PER_GAUSSIAN = 4 * (3 + 4) * 2 + 4 * (3 + 4)
 """Results and gradients of positions and quaternions, and the saved inputs; the index and weights come on top."""
 
@@ -36,14 +36,19 @@ def skinning(N: int, P: int, K: int) -> tuple[dict[str, Tensor], Tensor, Tensor]
     return {"points": points} | {name: leaf.requires_grad_() for name, leaf in leaves.items()}, sq_dist, index
 
 
-def step(functions: tuple[Callable, Callable], tensors: dict[str, Tensor], sq_dist: Tensor, index: Tensor) -> None:
+def step(
+    functions: tuple[Callable, Callable],
+    tensors: dict[str, Tensor],
+    sq_dist: Tensor,
+    index: Tensor,
+    cotangents: tuple[Tensor, Tensor],
+) -> None:
     """One forward and backward pass."""
     weigh, blend = functions
     weights = weigh(sq_dist, tensors["log_radii"], index)
     names = ("means", "quats", "points", "point_quats", "point_translations")
-    moved, turned = blend(*(tensors[name] for name in names), weights, index)
-    leaves = [tensor for tensor in tensors.values() if tensor.requires_grad]
-    torch.autograd.grad((moved, turned), leaves, (torch.ones_like(moved), torch.ones_like(turned)))
+    results = blend(*(tensors[name] for name in names), weights, index)
+    torch.autograd.grad(results, [tensor for tensor in tensors.values() if tensor.requires_grad], cotangents)
 
 
 def main() -> None:
@@ -51,13 +56,12 @@ def main() -> None:
     failed = []
     for N, P, K in CASES:
         tensors, sq_dist, index = skinning(N, P, K)
-        seconds: dict[str, list[float]] = {"kernel": [], "torch": []}
-        for _ in range(ROUNDS + 1):
-            for name, functions in (("kernel", KERNEL), ("torch", PLAIN)):
-                began = time.perf_counter()
-                step(functions, tensors, sq_dist, index)
-                seconds[name].append(time.perf_counter() - began)
-        kernel, plain = (statistics.median(seconds[name][1:]) for name in ("kernel", "torch"))
+        cotangents = torch.ones(N, 3), torch.ones(N, 4)
+        works: dict[str, Callable[[], object]] = {
+            name: functools.partial(step, functions, tensors, sq_dist, index, cotangents)
+            for name, functions in (("kernel", KERNEL), ("torch", PLAIN))
+        }
+        kernel, plain = alternated(works, ROUNDS).values()
         print(
             f"N={N} P={P} K={K}: kernel {1e3 * kernel:.1f} ms, gather and einsum {1e3 * plain:.1f} ms,"
             f" ratio {plain / kernel:.1f} (at least {GATE:.0f}); {BYTES_PER_GAUSSIAN + 16 * K} bytes per Gaussian"

@@ -77,10 +77,7 @@ def blend(
     arguments = (means, quats, points, point_quats, point_translations, weights, index)
     if means.device.type != "cpu":
         return blend_torch(*arguments)
-    rotations = quaternions.rotation_matrices(point_quats)
-    moved: tuple[Tensor, Tensor] = _Blend.apply(  # type: ignore[no-untyped-call]
-        means, quats, rotations, points, points + point_translations, point_quats, weights, index
-    )
+    moved: tuple[Tensor, Tensor] = _Blend.apply(*arguments)  # type: ignore[no-untyped-call]
     return moved
 
 
@@ -150,7 +147,9 @@ class _Weights(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
         g_weights = gradients[0].contiguous().numpy()
-        return (*map(torch.from_numpy, lbs_kernels.softmax_weights_adjoint(*ctx.arrays, g_weights)), None)
+        moving = ctx.needs_input_grad[0]
+        g_sq_dist, g_radii = lbs_kernels.softmax_weights_adjoint(*ctx.arrays, g_weights, moving)
+        return torch.from_numpy(g_sq_dist) if moving else None, torch.from_numpy(g_radii), None
 
 
 class _Blend(torch.autograd.Function):

@@ -1,91 +1,79 @@
-"""Numba kernels of linear blend skinning: weights, the blend of K rigid motions per Gaussian, and their adjoints.
-
-Quaternions travel as tuples: arrays made inside the loops would live on the heap and cost more than the arithmetic.
-"""
+"""Numba kernels of linear blend skinning: weights, the blend of K rigid motions per Gaussian, and their adjoints."""
 
 import numpy as np
 from numba import njit, prange
 
+from stages.control.quaternion_kernels import FAST, Quaternion, conjugate, dot, product, row, unit, unit_adjoint
+
 CHUNKS = 16
 """Partial sums of the scatter into control points: a fixed number, so results do not depend on the thread count."""
-FAST = {"cache": True, "fastmath": {"contract", "nsz", "arcp"}, "error_model": "numpy"}
-"""Fused multiply-add and reciprocals; not the flags that assume away infinities and NaN."""
-Quaternion = tuple[float, float, float, float]
 
 
 @njit(inline="always", **FAST)
-def _product(a: Quaternion, b: Quaternion) -> Quaternion:
-    return (
-        a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
-        a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
-        a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1],
-        a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0],
-    )
-
-
-@njit(inline="always", **FAST)
-def _row(quats: np.ndarray, n: int) -> Quaternion:
-    return quats[n, 0], quats[n, 1], quats[n, 2], quats[n, 3]
-
-
-@njit(inline="always", **FAST)
-def _dot(a: Quaternion, b: Quaternion) -> float:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3]
-
-
-@njit(inline="always", **FAST)
-def _conjugate(q: Quaternion) -> Quaternion:
-    return q[0], -q[1], -q[2], -q[3]
-
-
-@njit(inline="always", **FAST)
-def _unit(q: Quaternion) -> tuple[Quaternion, float]:
-    """q / |q| and |q|, through the largest entry, whose square cannot underflow. Zero stays zero, of length one."""
-    largest = max(abs(q[0]), abs(q[1]), abs(q[2]), abs(q[3]))
-    if largest == 0:
-        return q, largest + 1
-    scaled = (q[0] / largest, q[1] / largest, q[2] / largest, q[3] / largest)
-    length = np.sqrt(_dot(scaled, scaled))
-    return (scaled[0] / length, scaled[1] / length, scaled[2] / length, scaled[3] / length), largest * length
-
-
-@njit(inline="always", **FAST)
-def _unit_adjoint(unit: Quaternion, length: float, g: Quaternion) -> Quaternion:
-    """The adjoint of u = q / |q|: (g - u <u, g>) / |q|."""
-    along = _dot(unit, g)
-    return (
-        (g[0] - unit[0] * along) / length,
-        (g[1] - unit[1] * along) / length,
-        (g[2] - unit[2] * along) / length,
-        (g[3] - unit[3] * along) / length,
-    )
-
-
-@njit(inline="always", **FAST)
-def _heaviest(point_quats: np.ndarray, weights: np.ndarray, index: np.ndarray, n: int) -> Quaternion:
-    """The quaternion of the heaviest neighbour of Gaussian n, to which the others' signs are aligned."""
+def _heaviest(weights: np.ndarray, index: np.ndarray, n: int) -> int:
+    """The heaviest control point of Gaussian n, to whose quaternion the others' signs are aligned."""
     best = 0
     for k in range(1, index.shape[1]):
         if weights[n, k] > weights[n, best]:
             best = k
-    return _row(point_quats, index[n, best])
+    return int(index[n, best])
 
 
 @njit(inline="always", **FAST)
-def _blended(
-    point_quats: np.ndarray, weights: np.ndarray, index: np.ndarray, n: int, reference: Quaternion
-) -> Quaternion:
+def _blended(packed: np.ndarray, weights: np.ndarray, index: np.ndarray, n: int, reference: Quaternion) -> Quaternion:
     """Sign-aligned weighted sum of the neighbours' quaternions of Gaussian n."""
-    zero = weights[n, 0] * 0
+    zero = packed.dtype.type(0)
     b0, b1, b2, b3 = zero, zero, zero, zero
     for k in range(index.shape[1]):
-        r = _row(point_quats, index[n, k])
-        w = -weights[n, k] if _dot(r, reference) < 0 else weights[n, k]
+        r = _quat(packed, index[n, k])
+        w = -weights[n, k] if dot(r, reference) < 0 else weights[n, k]
         b0 += w * r[0]
         b1 += w * r[1]
         b2 += w * r[2]
         b3 += w * r[3]
     return b0, b1, b2, b3
+
+
+@njit(inline="always", **FAST)
+def _quat(packed: np.ndarray, p: int) -> Quaternion:
+    return packed[p, 15], packed[p, 16], packed[p, 17], packed[p, 18]
+
+
+@njit(**FAST)
+def _pack(points: np.ndarray, point_quats: np.ndarray, point_translations: np.ndarray) -> np.ndarray:
+    """What Gaussians read of a control point, in one place [P, 20]: rotation 0:9, p 9:12, p + T 12:15, quat 15:19."""
+    packed = np.empty((len(points), 20), points.dtype)
+    for p in range(len(points)):
+        w, x, y, z = row(point_quats, p)
+        packed[p, 0], packed[p, 1], packed[p, 2] = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
+        packed[p, 3], packed[p, 4], packed[p, 5] = 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)
+        packed[p, 6], packed[p, 7], packed[p, 8] = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
+        for a in range(3):
+            packed[p, 9 + a] = points[p, a]
+            packed[p, 12 + a] = points[p, a] + point_translations[p, a]
+        packed[p, 15:19] = point_quats[p]
+    return packed
+
+
+@njit(**FAST)
+def _unpack_adjoint(packed: np.ndarray, g_packed: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Gradients of p, quaternion and T of each control point, given [P, 16]: of rotation 0:9, p + T 9:12, quat 12:16.
+
+    The gradient of p through mu - p is -R^T times that of p + T, so it needs no sum of its own.
+    """
+    P = len(packed)
+    g_points, g_quats = np.empty((P, 3), packed.dtype), np.empty((P, 4), packed.dtype)
+    for p in range(P):
+        g = g_packed[p]
+        w, x, y, z = _quat(packed, p)
+        for a in range(3):
+            turned = packed[p, a] * g[9] + packed[p, 3 + a] * g[10] + packed[p, 6 + a] * g[11]
+            g_points[p, a] = g[9 + a] - turned
+        g_quats[p, 0] = g[12] + 2 * (x * (g[7] - g[5]) + y * (g[2] - g[6]) + z * (g[3] - g[1]))
+        g_quats[p, 1] = g[13] + 2 * (y * (g[1] + g[3]) + z * (g[2] + g[6]) + w * (g[7] - g[5]) - 2 * x * (g[4] + g[8]))
+        g_quats[p, 2] = g[14] + 2 * (x * (g[1] + g[3]) + z * (g[5] + g[7]) + w * (g[2] - g[6]) - 2 * y * (g[0] + g[8]))
+        g_quats[p, 3] = g[15] + 2 * (x * (g[2] + g[6]) + y * (g[5] + g[7]) + w * (g[3] - g[1]) - 2 * z * (g[0] + g[4]))
+    return g_points, g_quats, g_packed[:, 9:12].copy()
 
 
 @njit(parallel=True, **FAST)
@@ -94,11 +82,12 @@ def softmax_weights(sq_dist: np.ndarray, inverse_sq_radii: np.ndarray, index: np
     N, K = index.shape
     weights = np.empty_like(sq_dist)
     for n in prange(N):
-        largest = -np.inf
+        half, total = sq_dist.dtype.type(0.5), sq_dist.dtype.type(0)
         for k in range(K):
-            weights[n, k] = -0.5 * sq_dist[n, k] * inverse_sq_radii[index[n, k]]
+            weights[n, k] = -half * sq_dist[n, k] * inverse_sq_radii[index[n, k]]
+        largest = weights[n, 0]
+        for k in range(1, K):
             largest = max(largest, weights[n, k])
-        total = 0.0
         for k in range(K):
             weights[n, k] = np.exp(weights[n, k] - largest)
             total += weights[n, k]
@@ -109,21 +98,30 @@ def softmax_weights(sq_dist: np.ndarray, inverse_sq_radii: np.ndarray, index: np
 
 @njit(parallel=True, **FAST)
 def softmax_weights_adjoint(
-    sq_dist: np.ndarray, inverse_sq_radii: np.ndarray, index: np.ndarray, weights: np.ndarray, g_weights: np.ndarray
+    sq_dist: np.ndarray,
+    inverse_sq_radii: np.ndarray,
+    index: np.ndarray,
+    weights: np.ndarray,
+    g_weights: np.ndarray,
+    moving: bool,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Gradients of sq_dist [N, K] and inverse_sq_radii [P], given that of the weights [N, K]."""
+    """Gradients of sq_dist [N, K] and inverse_sq_radii [P], given that of the weights [N, K].
+
+    The first is left out, with no row, unless `moving`: Gaussians at rest keep their distances.
+    """
     N, K = index.shape
-    g_sq_dist = np.empty_like(sq_dist)
+    g_sq_dist = np.empty((N if moving else 0, K), sq_dist.dtype)
     scattered = np.zeros((CHUNKS, len(inverse_sq_radii)), sq_dist.dtype)
     for chunk in prange(CHUNKS):
         for n in range(chunk * N // CHUNKS, (chunk + 1) * N // CHUNKS):
-            mean = 0.0
+            half, mean = sq_dist.dtype.type(0.5), sq_dist.dtype.type(0)
             for k in range(K):
                 mean += weights[n, k] * g_weights[n, k]
             for k in range(K):
                 g_exponent = weights[n, k] * (g_weights[n, k] - mean)
-                g_sq_dist[n, k] = -0.5 * inverse_sq_radii[index[n, k]] * g_exponent
-                scattered[chunk, index[n, k]] -= 0.5 * sq_dist[n, k] * g_exponent
+                if moving:
+                    g_sq_dist[n, k] = -half * inverse_sq_radii[index[n, k]] * g_exponent
+                scattered[chunk, index[n, k]] -= half * sq_dist[n, k] * g_exponent
     return g_sq_dist, scattered.sum(axis=0)
 
 
@@ -131,30 +129,30 @@ def softmax_weights_adjoint(
 def blend(
     means: np.ndarray,
     quats: np.ndarray,
-    rotations: np.ndarray,
     points: np.ndarray,
-    moved_points: np.ndarray,
     point_quats: np.ndarray,
+    point_translations: np.ndarray,
     weights: np.ndarray,
     index: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """means' [N, 3] and unit quats' [N, 4]; arguments as in `lbs.blend`, rotations [P, 3, 3], moved_points = p + T."""
+    """means' [N, 3] and unit quats' [N, 4]; arguments as in `lbs.blend`."""
     N, K = index.shape
+    packed = _pack(points, point_quats, point_translations)
     moved, turned = np.empty_like(means), np.empty_like(quats)
     for n in prange(N):
-        moved[n] = 0
+        zero = packed.dtype.type(0)
+        m0, m1, m2 = zero, zero, zero
         for k in range(K):
-            m, w = index[n, k], weights[n, k]
-            x, y, z = means[n, 0] - points[m, 0], means[n, 1] - points[m, 1], means[n, 2] - points[m, 2]
-            for a in range(3):
-                turned_local = rotations[m, a, 0] * x + rotations[m, a, 1] * y + rotations[m, a, 2] * z
-                moved[n, a] += w * (moved_points[m, a] + turned_local)
-        reference = _heaviest(point_quats, weights, index, n)
-        unit_blended, _ = _unit(_blended(point_quats, weights, index, n, reference))
-        unit, _ = _unit(_row(quats, n))
-        q = _product(unit_blended, unit)
-        for c in range(4):
-            turned[n, c] = q[c]
+            p, w = index[n, k], weights[n, k]
+            x, y, z = means[n, 0] - packed[p, 9], means[n, 1] - packed[p, 10], means[n, 2] - packed[p, 11]
+            m0 += w * (packed[p, 12] + packed[p, 0] * x + packed[p, 1] * y + packed[p, 2] * z)
+            m1 += w * (packed[p, 13] + packed[p, 3] * x + packed[p, 4] * y + packed[p, 5] * z)
+            m2 += w * (packed[p, 14] + packed[p, 6] * x + packed[p, 7] * y + packed[p, 8] * z)
+        moved[n, 0], moved[n, 1], moved[n, 2] = m0, m1, m2
+        reference = _quat(packed, _heaviest(weights, index, n))
+        unit_blended, _ = unit(_blended(packed, weights, index, n, reference))
+        own, _ = unit(row(quats, n))
+        turned[n, 0], turned[n, 1], turned[n, 2], turned[n, 3] = product(unit_blended, own)
     return moved, turned
 
 
@@ -162,75 +160,70 @@ def blend(
 def blend_adjoint(
     means: np.ndarray,
     quats: np.ndarray,
-    rotations: np.ndarray,
     points: np.ndarray,
-    moved_points: np.ndarray,
     point_quats: np.ndarray,
+    point_translations: np.ndarray,
     weights: np.ndarray,
     index: np.ndarray,
     g_moved: np.ndarray,
     g_turned: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Gradients of the first seven arguments of `blend`, given those of its results [N, 3] and [N, 4]."""
-    N, K = index.shape
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Gradients of the first six arguments of `blend`, given those of its results [N, 3] and [N, 4]."""
+    N = len(index)
+    packed = _pack(points, point_quats, point_translations)
     g_means, g_quats, g_weights = np.empty_like(means), np.empty_like(quats), np.empty_like(weights)
-    # Per chunk and control point: rotation 0:9, point 9:12, moved point 12:15, quaternion 15:19.
-    scattered = np.zeros((CHUNKS, len(points), 19), means.dtype)
+    scattered = np.zeros((CHUNKS, len(points), 16), means.dtype)  # as in `_unpack_adjoint`
     for chunk in prange(CHUNKS):
         for n in range(chunk * N // CHUNKS, (chunk + 1) * N // CHUNKS):
-            _position_adjoint(
-                n, means, rotations, points, moved_points, weights, index, g_moved, g_means, g_weights, scattered[chunk]
+            reference = _quat(packed, _heaviest(weights, index, n))
+            unit_blended, blended_length = unit(_blended(packed, weights, index, n, reference))
+            own, length = unit(row(quats, n))
+            g = row(g_turned, n)  # the adjoint of a x b is g x conj(b) in a, and conj(a) x g in b
+            g_blended = unit_adjoint(unit_blended, blended_length, product(g, conjugate(own)))
+            g_quat = unit_adjoint(own, length, product(conjugate(unit_blended), g))
+            g_quats[n, 0], g_quats[n, 1], g_quats[n, 2], g_quats[n, 3] = g_quat
+            _neighbours_adjoint(
+                n, means, packed, weights, index, g_moved, reference, g_blended, g_means, g_weights, scattered[chunk]
             )
-            reference = _heaviest(point_quats, weights, index, n)
-            unit_blended, blended_length = _unit(_blended(point_quats, weights, index, n, reference))
-            unit, length = _unit(_row(quats, n))
-            g = _row(g_turned, n)  # the adjoint of a x b is g x conj(b) in a, and conj(a) x g in b
-            g_blended = _unit_adjoint(unit_blended, blended_length, _product(g, _conjugate(unit)))
-            g_quat = _unit_adjoint(unit, length, _product(_conjugate(unit_blended), g))
-            for c in range(4):
-                g_quats[n, c] = g_quat[c]
-            for k in range(K):
-                r = _row(point_quats, index[n, k])
-                sign = -1 if _dot(r, reference) < 0 else 1
-                g_weights[n, k] += sign * _dot(r, g_blended)
-                for c in range(4):
-                    scattered[chunk, index[n, k], 15 + c] += sign * weights[n, k] * g_blended[c]
-    total = scattered.sum(axis=0)
-    g_rotations = np.ascontiguousarray(total[:, :9]).reshape(-1, 3, 3)
-    return g_means, g_quats, g_rotations, total[:, 9:12].copy(), total[:, 12:15].copy(), total[:, 15:].copy(), g_weights
+    g_points, g_point_quats, g_translations = _unpack_adjoint(packed, scattered.sum(axis=0))
+    return g_means, g_quats, g_points, g_point_quats, g_translations, g_weights
 
 
 @njit(inline="always", **FAST)
-def _position_adjoint(
+def _neighbours_adjoint(
     n: int,
     means: np.ndarray,
-    rotations: np.ndarray,
-    points: np.ndarray,
-    moved_points: np.ndarray,
+    packed: np.ndarray,
     weights: np.ndarray,
     index: np.ndarray,
     g_moved: np.ndarray,
+    reference: Quaternion,
+    g_blended: Quaternion,
     g_means: np.ndarray,
     g_weights: np.ndarray,
     scattered: np.ndarray,
 ) -> None:
-    """Adjoint of mu' = sum_k w_k (R_k (mu - p_k) + p_k + T_k) for one Gaussian; sets its rows, adds to `scattered`."""
-    g_means[n] = 0
+    """Adjoint of both sums over the neighbours of one Gaussian; sets its rows, adds to `scattered` [P, 16]."""
+    zero = packed.dtype.type(0)
+    m0, m1, m2 = zero, zero, zero
     for k in range(index.shape[1]):
-        m, w = index[n, k], weights[n, k]
-        x, y, z = means[n, 0] - points[m, 0], means[n, 1] - points[m, 1], means[n, 2] - points[m, 2]
-        g_weights[n, k] = 0
+        p, w = index[n, k], weights[n, k]
+        x, y, z = means[n, 0] - packed[p, 9], means[n, 1] - packed[p, 10], means[n, 2] - packed[p, 11]
+        r = _quat(packed, p)
+        sign = packed.dtype.type(-1 if dot(r, reference) < 0 else 1)
+        g_weight = sign * dot(r, g_blended)
         for a in range(3):
-            g, r0, r1, r2 = g_moved[n, a], rotations[m, a, 0], rotations[m, a, 1], rotations[m, a, 2]
-            g_weights[n, k] += g * (moved_points[m, a] + r0 * x + r1 * y + r2 * z)
+            g, r0, r1, r2 = g_moved[n, a], packed[p, 3 * a], packed[p, 3 * a + 1], packed[p, 3 * a + 2]
+            g_weight += g * (packed[p, 12 + a] + r0 * x + r1 * y + r2 * z)
             g = w * g
-            scattered[m, 3 * a] += g * x
-            scattered[m, 3 * a + 1] += g * y
-            scattered[m, 3 * a + 2] += g * z
-            scattered[m, 12 + a] += g
-            g_means[n, 0] += g * r0
-            g_means[n, 1] += g * r1
-            g_means[n, 2] += g * r2
-            scattered[m, 9] -= g * r0
-            scattered[m, 10] -= g * r1
-            scattered[m, 11] -= g * r2
+            m0 += g * r0
+            m1 += g * r1
+            m2 += g * r2
+            scattered[p, 3 * a] += g * x
+            scattered[p, 3 * a + 1] += g * y
+            scattered[p, 3 * a + 2] += g * z
+            scattered[p, 9 + a] += g
+        g_weights[n, k] = g_weight
+        for c in range(4):
+            scattered[p, 12 + c] += sign * w * g_blended[c]
+    g_means[n, 0], g_means[n, 1], g_means[n, 2] = m0, m1, m2

@@ -1,0 +1,60 @@
+"""Quaternions wxyz as tuples in numba: arrays made inside the loops would cost more than the arithmetic."""
+
+import numpy as np
+from numba import njit
+
+FAST = {"cache": True, "fastmath": {"contract", "nsz", "arcp"}, "error_model": "numpy"}
+"""Fused multiply-add and reciprocals; not the flags that assume away infinities and NaN."""
+Quaternion = tuple[float, float, float, float]
+
+
+@njit(inline="always", **FAST)
+def product(a: Quaternion, b: Quaternion) -> Quaternion:
+    """Hamilton product."""
+    return (
+        a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
+        a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
+        a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1],
+        a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0],
+    )
+
+
+@njit(inline="always", **FAST)
+def row(quats: np.ndarray, n: int) -> Quaternion:
+    """Row n of quats [N, 4]."""
+    return quats[n, 0], quats[n, 1], quats[n, 2], quats[n, 3]
+
+
+@njit(inline="always", **FAST)
+def dot(a: Quaternion, b: Quaternion) -> float:
+    """Inner product."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3]
+
+
+@njit(inline="always", **FAST)
+def conjugate(q: Quaternion) -> Quaternion:
+    """The inverse of a unit quaternion."""
+    return q[0], -q[1], -q[2], -q[3]
+
+
+@njit(inline="always", **FAST)
+def unit(q: Quaternion) -> tuple[Quaternion, float]:
+    """q / |q| and |q|, through the largest entry, whose square cannot underflow. Zero stays zero, of length one."""
+    largest = max(abs(q[0]), abs(q[1]), abs(q[2]), abs(q[3]))
+    if largest == 0:
+        return q, largest + 1
+    scaled = (q[0] / largest, q[1] / largest, q[2] / largest, q[3] / largest)
+    length = np.sqrt(dot(scaled, scaled))
+    return (scaled[0] / length, scaled[1] / length, scaled[2] / length, scaled[3] / length), largest * length
+
+
+@njit(inline="always", **FAST)
+def unit_adjoint(unit: Quaternion, length: float, g: Quaternion) -> Quaternion:
+    """The adjoint of u = q / |q|: (g - u <u, g>) / |q|."""
+    along = dot(unit, g)
+    return (
+        (g[0] - unit[0] * along) / length,
+        (g[1] - unit[1] * along) / length,
+        (g[2] - unit[2] * along) / length,
+        (g[3] - unit[3] * along) / length,
+    )
