@@ -11,6 +11,7 @@ from stages.segment import refine
 from stages.segment.options import SegmentOptions
 from stages.segment.refinement import smooth_along_edges, to_mask, vote
 from stages.shared.artifacts import read_json, write_dense, write_json
+from stages.shared.errors import InputError
 from stages.shared.images import read_mask, write_image
 from stages.shared.sequences import check_sequence, sequence_to_json
 
@@ -104,3 +105,36 @@ def test_script_writes_full_size_masks_by_frame_number(moving_disc: tuple[Path, 
     facts = read_json(tmp_path / "masks" / "masks.json")
     assert facts["dynamic_share"]["8"] == pytest.approx(mask.mean())
     assert facts["guarded"] == []
+
+
+def with_true_mask(sequence: Path, frames: list[int]) -> np.ndarray:
+    """Add truth of some frames to sequence.json: the left half moves."""
+    truth = np.zeros((80, 120), bool)
+    truth[:, :60] = True
+    facts = read_json(sequence)
+    write_image(sequence.parent / "truth.png", truth)
+    facts["truth"]["motion_mask"] = {str(n): str(sequence.parent / "truth.png") for n in frames}
+    write_json(sequence, facts)
+    return truth
+
+
+def test_sources_that_refinement_is_compared_with(moving_disc: tuple[Path, ...], tmp_path: Path) -> None:
+    """The prior is cut at one half; none is empty; truth is the motion mask of the frame."""
+    *inputs, disc = moving_disc
+    truth = with_true_mask(inputs[0], [7, 8, 9])
+    found = {}
+    for source in ("prior", "none", "truth"):
+        output = tmp_path / source
+        refine.main(*inputs, output, tmp_path / "segment.png", SegmentOptions(source=source))
+        found[source] = read_mask(output / "frame_0008.png")
+    np.testing.assert_array_equal(found["truth"], truth)
+    assert not found["none"].any()
+    assert overlap(found["prior"], disc) > 0.9
+
+
+def test_true_masks_must_be_there_for_every_frame(moving_disc: tuple[Path, ...], tmp_path: Path) -> None:
+    *inputs, _ = moving_disc
+    with_true_mask(inputs[0], [7, 8])
+    with pytest.raises(InputError, match="motion_mask"):
+        refine.main(*inputs, tmp_path / "masks", tmp_path / "segment.png", SegmentOptions(source="truth"))
+    assert not (tmp_path / "masks").exists()

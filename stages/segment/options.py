@@ -1,5 +1,7 @@
 """Options of mask refinement."""
 
+from typing import Literal
+
 from pydantic import Field
 
 from stages.shared.options import Options
@@ -7,6 +9,11 @@ from stages.shared.options import Options
 
 class SegmentOptions(Options):
     """Motion prior to refined dynamic masks."""
+
+    source: Literal["refined", "prior", "none", "truth"] = Field(
+        "refined",
+        description="masks for all later stages: refined, the prior above one half, none, or the true motion masks",
+    )
 
     high: float = Field(
         0.7, ge=0.05, le=0.95, description="probability that a region must reach somewhere to be dynamic"

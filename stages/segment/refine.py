@@ -1,8 +1,10 @@
 """Refine the motion prior to binary dynamic masks at full resolution."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
+import cv2
 import numpy as np
 
 from stages.segment.options import SegmentOptions
@@ -10,9 +12,15 @@ from stages.segment.refinement import guarded_thresholds, smooth_along_edges, to
 from stages.shared import cli, figures
 from stages.shared.artifacts import atomic_folder, read_dense, write_json
 from stages.shared.cli import In, Out
-from stages.shared.images import read_rgb, write_figure, write_image
+from stages.shared.errors import InputError
+from stages.shared.images import read_mask, read_rgb, write_figure, write_image
 from stages.shared.log import logger
 from stages.shared.sequences import Sequence, read_sequence
+
+PRIOR_THRESHOLD = 0.5
+
+Masks = Callable[[int, np.ndarray], tuple[np.ndarray, bool]]
+"""From a frame's index and picture [H, W, 3] to its mask [H, W] and whether the guard cut it back."""
 
 
 def main(
@@ -27,17 +35,16 @@ def main(
 
     The prior is voted on along the flow, spread up to the colour edges of the frame, and cut by hysteresis. A mask may
     be empty. A frame that would be masked beyond --max-share keeps its surest part; masks.json and the log name it.
+    Other sources write the masks that refinement is compared with.
     """
     frames = read_sequence(sequence)
-    pairs, probability = read_dense(flow), read_dense(prior)["probability"]
-    edges = {(int(i), int(j)): e for e, (i, j) in enumerate(zip(pairs["source"], pairs["target"], strict=True))}
-    voted = vote(probability, edges, pairs["flow"], pairs["confidence"])
+    masks = _masks(options, frames, flow, prior)
     shares, guarded = {}, []
-    shown, overlays = set(figures.spread(len(voted), 6).tolist()), []
+    shown, overlays = set(figures.spread(len(frames.numbers), 6).tolist()), []
     with atomic_folder(output) as folder:
         for k, (path, number) in enumerate(zip(frames.frames, frames.numbers, strict=True)):
             rgb = read_rgb(path)
-            mask, was_guarded = _mask(voted[k], rgb, options)
+            mask, was_guarded = masks(k, rgb)
             write_image(folder / f"frame_{number:04d}.png", mask)
             shares[number] = float(mask.mean())
             guarded += [number] if was_guarded else []
@@ -49,11 +56,36 @@ def main(
     write_figure(figure, figures.contact_sheet(overlays, columns=3))
 
 
-def _mask(probability: np.ndarray, rgb: np.ndarray, options: SegmentOptions) -> tuple[np.ndarray, bool]:
-    """Mask [H, W] of one frame, and whether the guard cut it back."""
-    smoothed = smooth_along_edges(probability, rgb, options.smoothness, options.colour_sigma)
-    high, low = guarded_thresholds(smoothed, options.high, options.low, options.max_share)
-    return to_mask(smoothed, high, low, options.min_area), low > options.low
+def _masks(options: SegmentOptions, frames: Sequence, flow: Path, prior: Path) -> Masks:
+    """What makes the mask of a frame, for the chosen source."""
+    if options.source == "refined":
+        return _refined(options, flow, prior)
+    if options.source == "truth":
+        return _true(frames)
+    threshold = PRIOR_THRESHOLD if options.source == "prior" else np.inf
+    probability = read_dense(prior)["probability"].astype(np.float32)
+    size = frames.width, frames.height
+    return lambda k, _: (cv2.resize(probability[k], size, interpolation=cv2.INTER_LINEAR) > threshold, False)
+
+
+def _refined(options: SegmentOptions, flow: Path, prior: Path) -> Masks:
+    pairs, probability = read_dense(flow), read_dense(prior)["probability"]
+    edges = {(int(i), int(j)): e for e, (i, j) in enumerate(zip(pairs["source"], pairs["target"], strict=True))}
+    voted = vote(probability, edges, pairs["flow"], pairs["confidence"])
+
+    def mask(k: int, rgb: np.ndarray) -> tuple[np.ndarray, bool]:
+        smoothed = smooth_along_edges(voted[k], rgb, options.smoothness, options.colour_sigma)
+        high, low = guarded_thresholds(smoothed, options.high, options.low, options.max_share)
+        return to_mask(smoothed, high, low, options.min_area), low > options.low
+
+    return mask
+
+
+def _true(frames: Sequence) -> Masks:
+    if not frames.has_truth("motion_mask"):
+        expected = "motion_mask beside them, for every frame, for `source: truth`"
+        raise InputError(frames.frames[0].parent, expected, "no motion_mask", "set `source: refined`")
+    return lambda k, _: (read_mask(frames.truth["motion_mask"][frames.numbers[k]]), False)
 
 
 def _tell(frames: Sequence, shares: dict[int, float], guarded: list[int], options: SegmentOptions) -> None:
