@@ -79,7 +79,7 @@ def test_enlarged_frames_give_intrinsics_of_the_original_frames(
     colmap.main(sequence, tmp_path / "poses.parquet", ColmapOptions(mappers=("global",), upsample=(2,)))
     (candidate,) = colmap_candidates(tmp_path / "poses.parquet")
     assert seen == [(120, 160, 3)]
-    assert candidate.method == "COLMAP global, frames x2"
+    assert candidate.method == "COLMAP global, x2"
     assert candidate.cameras is not None
     np.testing.assert_allclose(candidate.cameras.Ks[0], centred_intrinsics(100, 80, 60), atol=1e-12)
 
@@ -106,8 +106,8 @@ def test_masked_variants_have_no_features_on_dynamic_pixels(tmp_path: Path, monk
     assert all(len(seen[factor]) > 30 for factor in (1, 2))
     assert all(seen[factor].min() >= 80 * factor - 1 for factor in (1, 2))
     methods = [candidate.method for candidate in colmap_candidates(output)]
-    assert methods[0] == "COLMAP global, our masks"
-    assert methods[-1] == "COLMAP incremental, frames x2, our masks"
+    assert methods[0] == "COLMAP global, masked"
+    assert methods[-1] == "COLMAP incremental, x2, masked"
     colmap.main(sequence, output, ColmapOptions(window=1, upsample=(1,)))
     assert seen[3].min() < 70
 

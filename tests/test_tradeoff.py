@@ -107,16 +107,20 @@ def test_the_report_draws_settings_beside_colmap_and_lists_every_group() -> None
     assert masks[1]["front"] == ""  # truth is no choice
 
 
-def test_power_laws_are_recovered_and_two_points_are_no_fit() -> None:
-    n = np.array([10.0, 20, 40, 80])
-    law = growth.fit_power_law(n, 3 * n**1.7)
+def test_growth_is_recovered_beside_its_fixed_part() -> None:
+    n = np.array([5.0, 10, 20, 40, 80])
+    law = growth.fit_growth(n, 2 + 0.03 * n**1.5)
     assert law is not None
-    assert (law.exponent, law.factor) == pytest.approx((1.7, 3.0))
-    assert law.deviation_percent == pytest.approx(0, abs=1e-9)
-    bent = growth.fit_power_law(n, np.array([1.0, 2, 4, 16]))
-    assert bent is not None
-    assert bent.deviation_percent > 10
-    assert growth.fit_power_law(n[:2], n[:2]) is None
+    assert (law.fixed, law.factor, law.exponent) == pytest.approx((2, 0.03, 1.5), rel=1e-6)
+    assert law.low < 1.5 < law.high
+    assert law.deviation_percent == pytest.approx(0, abs=1e-6)
+    noisy = growth.fit_growth(n, (2 + 0.03 * n) * np.array([1.04, 0.97, 1.03, 0.98, 1.02]))
+    assert noisy is not None
+    assert noisy.low <= 1 <= noisy.high  # a power law alone would say 0.26
+    flat = growth.fit_growth(n, np.array([300.0, 301, 299, 302, 303]))
+    assert flat is not None
+    assert flat.words() == "constant"
+    assert growth.fit_growth(n[:2], n[:2]) is None
 
 
 def test_growth_is_tabled_and_drawn_per_axis() -> None:
@@ -128,8 +132,9 @@ def test_growth_is_tabled_and_drawn_per_axis() -> None:
     ]
     figures, (table,) = tradeoff_report.growth_part(rows)
     found = {(row["axis"], row["stage"]): row for row in table.rows}
-    assert found["frames", "ba"]["wall_s_exponent"] == pytest.approx(1.5)
-    assert found["frames", "ba"]["peak_mb_exponent"] == pytest.approx(0, abs=1e-12)
-    assert found["pixels", "flow"]["wall_s_exponent"] is None
+    assert found["frames", "ba"]["wall_s_growth"].startswith("1.50 (")
+    assert found["frames", "ba"]["fixed_s"] == pytest.approx(0, abs=1e-9)
+    assert found["frames", "ba"]["peak_mb_growth"] == "constant"
+    assert found["pixels", "flow"]["wall_s_growth"] is None
     assert len(figures) == 4
     assert "flow 5 to 20" in figures[0].alt

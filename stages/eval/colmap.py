@@ -107,7 +107,7 @@ def _children_cpu_s() -> float:
 
 
 def _method(mapper: str, factor: int, masks: Path | None) -> str:
-    return f"COLMAP {mapper}" + (f", frames x{factor}" if factor > 1 else "") + (", our masks" if masks else "")
+    return f"COLMAP {mapper}" + (f", x{factor}" if factor > 1 else "") + (", masked" if masks else "")
 
 
 def _protocol(factor: int, masks: Path | None, options: ColmapOptions) -> str:

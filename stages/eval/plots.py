@@ -59,12 +59,22 @@ def draw_space(rows: Sequence[Row]) -> bytes:
 
 
 def paths_of(rows: Sequence[Row]) -> dict[str, np.ndarray]:
-    """Centres [k, 3] by method, in the order of the rows; our earlier rounds are left out."""
-    found: dict[str, list[list[float]]] = {}
+    """Centres [k, 3] by method, in the order of the rows; of every COLMAP mapper its best variant, of ours the last."""
+    found: dict[str, list[Row]] = {}
     for row in rows:
         if not row["method"].startswith("ours, "):
-            found.setdefault(row["method"], []).append([row["x"], row["y"], row["z"]])
-    return {method: np.array(path) for method, path in found.items()}
+            found.setdefault(row["method"], []).append(row)
+    best: dict[str, str] = {}
+    for method, path in found.items():
+        mapper = method.partition(",")[0]
+        if mapper not in best or _worth(path) > _worth(found[best[mapper]]):
+            best[mapper] = method
+    return {method: np.array([[row[axis] for axis in "xyz"] for row in found[method]]) for method in best.values()}
+
+
+def _worth(path: Sequence[Row]) -> tuple[int, float]:
+    """More frames are better, then smaller errors where they are known."""
+    return len(path), -sum(row["error"] or 0.0 for row in path)
 
 
 def draw_lines(

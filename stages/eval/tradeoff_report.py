@@ -2,14 +2,16 @@
 
 from collections.abc import Mapping, Sequence
 
+import numpy as np
+
 from stages.eval import growth, pictures, summaries, tradeoff, tradeoff_plots
 from stages.eval.sections import Figure
 from stages.eval.tables import Column, Row, Table
 from stages.eval.tradeoff import Point
 from stages.eval.tradeoff_plots import Measure
 
-CAMERA = Measure("camera error (ATE, % of path)", "ATE (% of path)")
-COLOUR = Measure("held-out colour error (RMS, % of range)", "PSNR (dB)", decibel=True)
+CAMERA = Measure("Camera error (ATE, % of path)", "ATE (% of path)")
+COLOUR = Measure("Held-out colour error (RMS, % of range)", "PSNR (dB)", decibel=True)
 SECONDS = {CAMERA: "poses_wall_s", COLOUR: "wall_s"}
 TITLES = {
     "presets": "Presets",
@@ -22,17 +24,23 @@ CHOICES = ("presets", "knobs")
 """The groups that a user chooses among: the front is theirs. The others show what an input or a part is worth."""
 BESIDE = ("presets", "inputs")
 """The groups whose runs stand in the pose table too."""
+NO_EFFECT = 1e-3
+"""A knob that changes an error by less than this share has no chart of it."""
+UNKNOWN = ("registered", "total", "ate", "rpe_trans", "path", "note")
+"""What the pose table shows and the sweep's table may not hold."""
 NOTE = (
     "Unweighted means over the swept sequences; seconds are wall and CPU time of all stages up to the result, shared "
     "ones counted in full, COLMAP and evaluation left out; to poses: up to the last adjustment. PSNR and SSIM of "
     "held-out frames. Scored: sequences with an ATE; failed: no or partial poses."
 )
 GROWTH_NOTE = (
-    "value = factor x size ^ exponent, least squares on logarithms over the measured sizes; 0: constant, 1: linear. "
-    "Start of the process is included, which flattens short stages; fewer than three sizes fix no exponent."
+    "value = fixed + factor x size ^ exponent, both parts at least 0, least squares of the relative errors over the "
+    "measured sizes; in brackets the exponents that fit within 5 %; constant: grows by less than 5 %. The fixed part "
+    "holds the start of the process; fewer than three sizes fix no exponent."
 )
 COLUMNS = (
     Column("setting", "setting"),
+    Column("front", "on the front"),
     Column("ate_percent", "ATE", "% of path", 2),
     Column("rpe_rot_deg", "RPE", "degrees", 3),
     Column("focal_abs_percent", "focal error", "%, size", 1),
@@ -48,7 +56,6 @@ COLUMNS = (
     Column("peak_mb", "peak memory", "MB", 0),
     Column("model_mb", "model", "MB", 2),
     *(Column("n", "scored"), Column("sequences", "of"), Column("failed", "failed")),
-    Column("front", "on the front"),
 )
 
 
@@ -71,7 +78,8 @@ def sweep_part(costs: Sequence[Row], poses: Sequence[Row]) -> tuple[str, list[Fi
             sentences.append(tradeoff.next_tenth(points, measure.name))
             figures.append(_overall(points, presets, rivals, measure))
             on_front[measure] = {p.name for p in tradeoff.pareto_front(points)}
-    figures += [_knob(rows, knob) for knob in dict.fromkeys(row["knob"] for row in rows if row["knob"])]
+    knobs = dict.fromkeys(row["knob"] for row in rows if row["knob"])
+    figures += [figure for knob in knobs for figure in _knob(rows, knob)]
     groups = dict.fromkeys(row["group"] for row in rows)
     return " ".join(sentences), figures, [_table(group, rows, on_front) for group in groups]
 
@@ -80,7 +88,8 @@ def pose_rows(costs: Sequence[Row]) -> list[Row]:
     """Rows of the pose table for the presets and inputs of the sweep that differ from the configured run."""
     seconds = {"wall_s": "poses_wall_s", "cpu_s": "poses_cpu_s"}
     return [
-        row
+        dict.fromkeys(UNKNOWN)
+        | row
         | {"method": f"ours, {row['setting']}", "protocol": f"run again by the sweep ({row['group']})"}
         | {key: row[source] for key, source in seconds.items()}
         for row in costs
@@ -115,20 +124,21 @@ def _overall(points: list[Point], presets: list[Point], rivals: list[Point], mea
     return Figure(f"{what} against time", pictures.data_uri(content, "image/svg+xml"), alt)
 
 
-def _knob(rows: Sequence[Row], knob: str) -> Figure:
-    """One knob against both measures; a value's label stands beside its point."""
+def _knob(rows: Sequence[Row], knob: str) -> list[Figure]:
+    """One knob against the measures that it changes."""
     panels, words = [], []
     chosen = [row for row in rows if row["knob"] == knob]
     for measure in (CAMERA, COLOUR):
         values = [p for row in chosen if (p := _point(row, measure))]
-        others = [p for row in rows if row["group"] in CHOICES and (p := _point(row, measure))]
-        if values:
-            panels.append((measure, values, others))
+        if values and np.ptp([p.error for p in values]) > NO_EFFECT * values[0].error:
+            panels.append((measure, values))
             shown = measure.shown([p.error for p in values])
             listed = ", ".join(f"{p.label}: {y:.3g} in {p.seconds:.0f} s" for p, y in zip(values, shown, strict=True))
             words.append(f"{measure.label} of {listed}")
+    if not panels:
+        return []
     content = tradeoff_plots.draw_knob(panels)
-    return Figure(knob, pictures.data_uri(content, "image/svg+xml"), f"{knob}. {'; '.join(words)}")
+    return [Figure(knob, pictures.data_uri(content, "image/svg+xml"), f"{knob}. {'; '.join(words)}")]
 
 
 def _table(group: str, rows: Sequence[Row], on_front: Mapping[Measure, set[str]]) -> Table:
@@ -156,10 +166,9 @@ def growth_part(rows: Sequence[Row]) -> tuple[list[Figure], list[Table]]:
             alt = f"{label} of every stage against {axis}: {', '.join(ends)}"
             title = f"{label.partition(' (')[0].capitalize()} against {axis}"
             figures.append(Figure(title, pictures.data_uri(content, "image/svg+xml"), alt))
-    exponents = [Column(f"{m}_exponent", words, "exponent", 2) for m, words in growth.MEASURES.items()]
-    deviations = [Column(f"{m}_deviation", words, "max % off the fit", 0) for m, words in growth.MEASURES.items()]
-    sizes = Column("from", "from"), Column("to", "to"), Column("points", "sizes")
-    columns = (Column("axis", "what grows"), Column("stage", "stage"), *sizes, *exponents)
-    last = Column("wall_s", "wall at the largest", "s", 1)
-    table = Table("growth", "Growth of cost", GROWTH_NOTE, (*columns, last, *deviations), growth.fit_rows(rows))
-    return figures, [table]
+    exponents = [Column(f"{m}_growth", words, "exponent (range)") for m, words in growth.MEASURES.items()]
+    sizes = Column("from", "from"), Column("to", "to"), Column("sizes", "sizes")
+    seconds = Column("fixed_s", "fixed part", "s", 1), Column("wall_s", "wall at the largest", "s", 1)
+    columns = (Column("axis", "what grows"), Column("stage", "stage"), *sizes, *exponents, *seconds)
+    off = Column("deviation_percent", "wall, off the fit", "% at most", 0)
+    return figures, [Table("growth", "Growth of cost", GROWTH_NOTE, (*columns, off), growth.fit_rows(rows))]
