@@ -9,7 +9,8 @@ from conftest import write_frames
 
 from stages.flow import estimate
 from stages.flow.confidence import flow_confidence
-from stages.flow.dis import chained, edge_list, estimate_flow
+from stages.flow.dis import chained, estimate_flow
+from stages.flow.edges import edge_list, long_edges, path
 from stages.flow.options import FlowOptions
 from stages.shared import sintel
 from stages.shared.artifacts import read_dense, read_metadata, write_json
@@ -43,11 +44,49 @@ def test_chaining_composes_known_flow() -> None:
     h, w = 20, 30
     ramp = np.zeros((h, w, 2), np.float32)
     ramp[..., 0] = 0.1 * np.arange(w)
-    total = chained({(0, 1): ramp, (1, 2): ramp}, (0, 2))
+    total = chained({(0, 1): ramp, (1, 2): ramp}, [(0, 1), (1, 2)])
     assert total is not None
     u = np.arange(w)[: w // 2]
     np.testing.assert_allclose(total[5, : w // 2, 0], 0.1 * u + 0.1 * (1.1 * u), atol=0.1 / 32)
-    assert chained({(0, 2): ramp, (2, 4): ramp}, (0, 3)) is None
+
+
+def test_paths_take_the_longest_steps_that_exist() -> None:
+    known = {*edge_list(9, (1, 3)), (0, 5)}
+    assert path(known, (5, 3, 1), (0, 7)) == [(0, 5), (5, 6), (6, 7)]
+    assert path(known, (5, 3, 1), (7, 0)) == [(7, 4), (4, 1), (1, 0)]
+    assert path({(0, 2), (2, 4)}, (2,), (0, 3)) is None
+
+
+def constant_flow(T: int, step: float, size: tuple[int, int] = (64, 96)) -> dict[tuple[int, int], np.ndarray]:
+    """Flow of a sideways shift by `step` px per frame over edges of 1 and 4 frames."""
+    return {(i, j): np.full((*size, 2), (step * (j - i), 0), np.float32) for i, j in edge_list(T, (1, 4))}
+
+
+def test_long_edges_lead_as_far_as_the_picture_stays_in_view() -> None:
+    """At 4 px per frame, 96 px wide, a third of the picture is left after 16 frames (64 px), less after 24."""
+    edges = long_edges(constant_flow(40, 4.0), 40, 1)
+    onward = [(i, j) for i, j in edges if j > i]
+    assert onward == [*((i, i + 16) for i in range(24)), *((i, i + 12) for i in range(24, 28))] + [
+        (i, i + 8) for i in range(28, 32)
+    ]
+    assert sorted((j, i) for i, j in onward) == sorted((i, j) for i, j in edges if j < i)
+    assert not long_edges(constant_flow(40, 10.0), 40, 1)
+    assert not long_edges(constant_flow(40, 4.0), 40, 0)
+
+
+def test_long_edges_need_flow_that_agrees_both_ways() -> None:
+    flow = constant_flow(20, 0.5)
+    for (i, j), there in flow.items():
+        if j < i:
+            there[:48] += 3
+    assert not long_edges(flow, 20, 2)
+
+
+@pytest.mark.parametrize("per_frame", [1, 2])
+def test_long_edges_grow_linearly_with_frames(per_frame: int) -> None:
+    """A camera at rest sees everything everywhere: the bound per frame holds, not the number of pairs."""
+    counts = [len(long_edges(constant_flow(T, 0.0, (16, 16)), T, per_frame)) for T in (100, 200)]
+    assert counts[1] - counts[0] == 100 * 2 * per_frame
 
 
 @pytest.mark.parametrize("step", [(2, 1), (-7, 3)])

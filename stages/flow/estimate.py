@@ -1,21 +1,26 @@
-"""Estimate dense optical flow with confidence between near frames of a sequence."""
+"""Dense optical flow with confidence between near frames of a sequence, and far ones with enough in common."""
 
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import cv2
 import numpy as np
 
 from stages.flow.confidence import flow_confidence
-from stages.flow.dis import Edge, edge_list, estimate_flow
+from stages.flow.dis import estimate_flow
+from stages.flow.edges import Edge, edge_list, long_edges
+from stages.flow.matches import restarted_pair
 from stages.flow.options import FlowOptions
+from stages.flow.truth import Truth, read_truth, true_flow
 from stages.shared import cli, figures
 from stages.shared.artifacts import write_dense
 from stages.shared.cli import In, Out
 from stages.shared.images import read_rgb, write_figure
 from stages.shared.log import logger
 from stages.shared.sequences import Sequence, read_sequence
+
+Flows = dict[Edge, np.ndarray]
 
 
 def main(
@@ -24,20 +29,29 @@ def main(
     figure: Annotated[Path, Out("picture for the report: frames, flow, confidence")],
     options: FlowOptions,
 ) -> None:
-    """Estimate dense optical flow between near frames by dense inverse search, longer edges started by chaining.
+    """Estimate dense optical flow between frames by dense inverse search, longer edges started by chaining.
 
-    Flow is in pixels of the flow grid: the frames, reduced to at most --max-width-px.
+    Fast pairs are started anew from sparse matches where that explains the frames better. Far frames are matched where
+    enough of the picture is in view in both. Flow is in pixels of the flow grid: the frames, reduced to at most
+    --max-width-px.
     """
     frames = read_sequence(sequence)
     scale = min(1.0, options.max_width_px / frames.width)
     rgb = _read_reduced(frames, scale)
-    edges = edge_list(len(rgb), options.offsets)
-    flow, confidence = _match(rgb, edges, options.finest_scale)
-    h, w = rgb.shape[1:3]
-    share = float(np.mean(confidence > 0.5))
-    logger.info("%d edges of %d x %d px; %.0f %% of their pixels are confident", len(edges), w, h, 100 * share)
-    metadata = {"units": "pixels of the flow grid", "width": w, "height": h, "scale": w / frames.width}
-    metadata |= {"confident_share": share, "options": options.model_dump(mode="json")}
+    T, h, w = rgb.shape[:3]
+    if options.source == "truth":
+        flows, confidences = _take(read_truth(frames, w, h), T, options)
+        facts: dict[str, Any] = {}
+    else:
+        flows, confidences, facts = _match(rgb, options)
+    edges = sorted(flows)
+    flow = np.stack([flows[edge].astype(np.float16) for edge in edges])
+    confidence = np.stack([confidences[edge].astype(np.float16) for edge in edges])
+    facts |= {"source": options.source, "long_edges": sum(j - i > max(options.offsets) for i, j in edges)}
+    facts |= {"confident_share": float(np.mean(confidence > 0.5))}
+    logger.info("%d edges of %d x %d px: %s", len(edges), w, h, facts)
+    metadata: dict[str, Any] = {"units": "pixels of the flow grid", "width": w, "height": h, "scale": w / frames.width, **facts}
+    metadata["options"] = options.model_dump(mode="json")
     source, target = np.array(edges, np.int64).reshape(-1, 2).T
     write_dense(output, {"source": source, "target": target, "flow": flow, "confidence": confidence}, metadata)
     write_figure(figure, _picture(rgb, edges, flow, confidence))
@@ -49,21 +63,38 @@ def _read_reduced(frames: Sequence, scale: float) -> np.ndarray:
     return np.stack([cv2.resize(read_rgb(path), size, interpolation=cv2.INTER_AREA) for path in frames.frames])
 
 
-def _match(rgb: np.ndarray, edges: list[Edge], finest_scale: int) -> tuple[np.ndarray, np.ndarray]:
-    """Flow [E, h, w, 2] and confidence [E, h, w] float16 of the edges, pairs side by side."""
+def _match(rgb: np.ndarray, options: FlowOptions) -> tuple[Flows, Flows, dict[str, Any]]:
+    """Flow [h, w, 2] and confidence [h, w] of all edges between frames [T, h, w, 3], and how many began anew."""
     grey = np.stack([cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY) for frame in rgb])
-    threads = cv2.getNumThreads()
+    nearest = [(i, i + min(options.offsets)) for i in range(len(rgb) - min(options.offsets))]
+    short = edge_list(len(rgb), options.offsets)
+    threads, scale = cv2.getNumThreads(), options.finest_scale
     cv2.setNumThreads(1)
-    flow = estimate_flow(grey, edges, finest_scale, threads)
+    flow = estimate_flow(grey, [edge for pair in nearest for edge in (pair, pair[::-1])], scale, threads)
+    anew: Flows = {}
+    with ThreadPoolExecutor(threads) as pool:
+        for found in pool.map(lambda pair: restarted_pair(rgb, grey, flow, pair, scale), nearest):
+            anew |= found
+    flow |= anew
+    flow |= estimate_flow(grey, [edge for edge in short if edge not in flow], scale, threads, flow)
+    flow |= estimate_flow(grey, long_edges(flow, len(rgb), options.long_edges), scale, threads, flow)
 
     def confidence(edge: Edge) -> np.ndarray:
         i, j = edge
-        return flow_confidence(flow[i, j], flow[j, i], grey[i], grey[j]).astype(np.float16)
+        return flow_confidence(flow[i, j], flow[j, i], grey[i], grey[j])
 
     with ThreadPoolExecutor(threads) as pool:
-        confidences = list(pool.map(confidence, edges))
+        confidences = dict(zip(flow, pool.map(confidence, flow), strict=True))
     cv2.setNumThreads(threads)
-    return np.stack([flow[edge].astype(np.float16) for edge in edges]), np.stack(confidences)
+    return flow, confidences, {"started_from_matches": len(anew)}
+
+
+def _take(truth: Truth, T: int, options: FlowOptions) -> tuple[Flows, Flows]:
+    """True flow [h, w, 2] of all edges of T frames, and confidence [h, w] 1 where it is known, 0 elsewhere."""
+    short = {edge: true_flow(truth, edge) for edge in edge_list(T, options.offsets)}
+    longer = long_edges({edge: flow for edge, (flow, _) in short.items()}, T, options.long_edges)
+    steps = short | {edge: true_flow(truth, edge) for edge in longer}
+    return {edge: flow for edge, (flow, _) in steps.items()}, {edge: known for edge, (_, known) in steps.items()}
 
 
 def _picture(rgb: np.ndarray, edges: list[Edge], flow: np.ndarray, confidence: np.ndarray) -> np.ndarray:

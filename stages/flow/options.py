@@ -1,6 +1,6 @@
 """Options of optical flow and of the motion prior."""
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field
 
@@ -10,8 +10,18 @@ from stages.shared.options import Options
 class FlowOptions(Options):
     """Dense flow over an edge list, with forward-backward confidence."""
 
+    source: Literal["dis", "truth"] = Field(
+        "dis", description="dis: estimate it; truth: true flow of the sequence, to measure what errors of flow cost"
+    )
     offsets: tuple[Annotated[int, Field(ge=1)], ...] = Field(
         (1, 2, 3, 5), min_length=1, description="frame distances of the edges, both ways"
+    )
+    long_edges: int = Field(
+        2,
+        ge=0,
+        le=7,
+        description="at most so many later frames, 8 to 64 frames on, that a frame is matched with besides, both ways:"
+        " the furthest in which 30 % of it are still in view; each takes up to a quarter more time",
     )
     max_width_px: int = Field(512, ge=64, description="wider frames are reduced to this width before matching")
     finest_scale: int = Field(

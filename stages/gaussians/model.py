@@ -9,6 +9,7 @@ from stages.control.deformation import Deformation
 from stages.control.lbs import blend, lbs_weights, neighbours
 from stages.gaussians.colours import ColourTable
 from stages.gaussians.exposure import Exposure
+from stages.gaussians.poses import PoseTable
 from stages.gaussians.rasterize import Rendering, rasterize
 
 
@@ -52,13 +53,14 @@ class GaussianScene(torch.nn.Module):
         neighbours: int,
         colours: ColourTable | None = None,
         exposure: Exposure | None = None,
+        poses: PoseTable | None = None,
     ) -> None:
         """background: [3] colour behind everything. neighbours: control points per dynamic Gaussian.
 
-        colours: of the control points over time, None where they keep theirs; likewise the exposure.
+        colours: of the control points over time, None where they keep theirs; likewise exposure and corrected poses.
         """
         super().__init__()
-        self.deformation, self.colours, self.exposure = deformation, colours, exposure
+        self.deformation, self.colours, self.exposure, self.poses = deformation, colours, exposure, poses
         self.near_plane, self.neighbours = near_plane, neighbours
         self.register_buffer("background", background)
         self.set_cloud(cloud)
@@ -127,7 +129,12 @@ class GaussianScene(torch.nn.Module):
     def render(
         self, time: float, viewmat: Tensor, K: Tensor, width: int, height: int, detach: bool = False
     ) -> Rendering:
-        """The scene at `time` 0..1 from one camera [4, 4], [3, 3]; see `rasterize` for what comes back."""
+        """The scene at `time` 0..1 from one camera [4, 4], [3, 3]; see `rasterize` for what comes back.
+
+        The camera is an estimated one: the corrections of poses, where there are any, come on top.
+        """
+        if self.poses is not None:
+            viewmat = self.poses(time) @ viewmat.double()
         means, quats, sh_dc = self.at(time, detach)
         values = self.gaussians
         sh = sh_dc if self.sh_degree == 0 else torch.cat([sh_dc, values["sh_rest"]], dim=1)

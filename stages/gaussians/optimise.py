@@ -31,6 +31,9 @@ COLOUR_RATE = 5e-2
 """Of the control points' colours over time, SH coefficients."""
 RADIUS_RATE = 2e-3
 EXPOSURE_RATE = 2e-2
+POSE_RATE = 2e-5
+POSE_WEIGHT = 100.0
+"""Of the mean squared correction of the poses: a pixel (2e-3 rad) in every frame costs what 0.0004 of L1 does."""
 FINAL_RATE = 0.05
 """All rates decay exponentially to this share."""
 DENSIFY_EVERY = 100
@@ -92,6 +95,8 @@ class Trainer:
         loss = (1 - weight) * difference.abs().mean() + weight * (1 - ssim(image, target))
         if self.motion is not None and self.arap_weight > 0:
             loss = loss + self.arap_weight * arap_loss(self.motion, self._arap_times(f))
+        if self.scene.poses is not None:
+            loss = loss + POSE_WEIGHT * self.scene.poses.size()
         loss.backward()  # type: ignore[no-untyped-call]
         self.optimiser.step()
         self.optimiser.zero_grad()
@@ -121,6 +126,8 @@ class Trainer:
             groups.append({"params": list(motion.values()), "rate": MOTION_RATE, "name": "motion"})
         if self.scene.colours is not None:
             groups.append({"params": [self.scene.colours.table], "rate": COLOUR_RATE, "name": "colours"})
+        if self.scene.poses is not None:
+            groups.append({"params": [self.scene.poses.twists], "rate": POSE_RATE, "name": "poses"})
         if self.scene.exposure is not None:
             groups.append({"params": [self.scene.exposure.log_gains], "rate": EXPOSURE_RATE, "name": "exposure"})
         return torch.optim.Adam(groups, lr=0.0, eps=1e-15, fused=True)

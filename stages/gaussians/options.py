@@ -17,6 +17,7 @@ class GaussiansOptions(SplitOptions):
     densify: bool = Field(True, description="split Gaussians where the image gradient is high, prune transparent ones")
     neighbours: int = Field(4, ge=1, le=16, description="control points that move one Gaussian")
     colour_table: bool = Field(True, description="let control points change their colour over time, as shading does")
+    refine_poses: bool = Field(False, description="correct the estimated poses a little with the scene")
     detach: bool = Field(False, description="keep the photometric loss from the motion, as the paper reads literally")
     learning_rate: float = Field(1.0, gt=0, le=10, description="factor on all step sizes")
     ssim_weight: float = Field(0.2, ge=0, le=1, description="share of D-SSIM in the photometric loss; the rest is L1")

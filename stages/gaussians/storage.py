@@ -13,10 +13,11 @@ from stages.gaussians.exposure import Exposure
 from stages.gaussians.model import Cloud, GaussianScene
 from stages.gaussians.observations import Observations
 from stages.gaussians.ply import write_ply
+from stages.gaussians.poses import PoseTable
 from stages.shared.figures import spread
 
-DEFORMATION, COLOURS, EXPOSURE = "deformation.", "colours.", "exposure."
-"""Prefixes of the tensors of the motion, of its colours and of the gains."""
+DEFORMATION, COLOURS, EXPOSURE, POSES = "deformation.", "colours.", "exposure.", "poses."
+"""Prefixes of the tensors of the motion, of its colours, of the gains and of the corrections of poses."""
 CHECKED_FRAMES = 4
 HALVED = ("means", "log_scales", "quats", "logits", "sh", DEFORMATION + "table", COLOURS + "table")
 
@@ -29,7 +30,7 @@ def scene_tensors(scene: GaussianScene) -> tuple[dict[str, np.ndarray], dict[str
     tensors["background"] = scene.background.cpu().numpy()
     if scene.deformation is not None:
         tensors |= {DEFORMATION + name: value for name, value in deformation_tensors(scene.deformation).items()}
-    for prefix, module in ((COLOURS, scene.colours), (EXPOSURE, scene.exposure)):
+    for prefix, module in ((COLOURS, scene.colours), (EXPOSURE, scene.exposure), (POSES, scene.poses)):
         state = {} if module is None else module.state_dict()
         tensors |= {prefix + name: value.cpu().numpy() for name, value in state.items()}
     settings = {"near_plane": scene.near_plane, "neighbours": scene.neighbours, "sh_degree": scene.sh_degree}
@@ -65,15 +66,18 @@ def scene_from_tensors(tensors: Mapping[str, np.ndarray], metadata: Mapping[str,
     )
     motion = {name.removeprefix(DEFORMATION): arrays[name] for name in arrays if name.startswith(DEFORMATION)}
     deformation = deformation_from_tensors(motion) if motion else None
-    colours, exposure = None, None
+    colours, exposure, poses = None, None, None
     if COLOURS + "knots" in values:
         colours = ColourTable(values[COLOURS + "knots"], values[COLOURS + "table"].shape[1])
         colours.load_state_dict({name: values[COLOURS + name] for name in ("knots", "table")})
     if EXPOSURE + "knots" in values:
         exposure = Exposure(values[EXPOSURE + "knots"])
         exposure.load_state_dict({name: values[EXPOSURE + name] for name in ("knots", "log_gains")})
+    if POSES + "knots" in values:
+        poses = PoseTable(values[POSES + "knots"], float(values[POSES + "length"]))
+        poses.load_state_dict({name: values[POSES + name] for name in ("knots", "length", "twists")})
     settings = (metadata["near_plane"], metadata["neighbours"])
-    return GaussianScene(cloud, deformation, values["background"], *settings, colours, exposure)
+    return GaussianScene(cloud, deformation, values["background"], *settings, colours, exposure, poses)
 
 
 @torch.no_grad()

@@ -93,6 +93,7 @@ def _new_scene(
     from stages.gaussians.inputs import canonical_row
     from stages.gaussians.model import GaussianScene
     from stages.gaussians.observations import with_movers
+    from stages.gaussians.poses import PoseTable
     from stages.gaussians.rasterize import backend_name, choose_device
 
     device = choose_device(options.device)
@@ -121,9 +122,10 @@ def _new_scene(
     times = torch.as_tensor(seen.times)
     colours = ColourTable(times, len(motion.points)) if motion is not None and options.colour_table else None
     exposure = Exposure(times) if needs["exposure"]["needed"] else None
+    corrections = PoseTable(times, float(np.median(seen.depths))) if options.refine_poses else None
     background = torch.as_tensor(seen.images.mean(axis=(0, 1, 2)))
-    scene = GaussianScene(cloud, motion, background, near_plane_of(seen), options.neighbours, colours, exposure)
-    scene = scene.to(device)
+    settings = (near_plane_of(seen), options.neighbours)
+    scene = GaussianScene(cloud, motion, background, *settings, colours, exposure, corrections).to(device)
     counts = (len(cloud.means), scene.n_static, len(cloud.means) - scene.n_static)
     logger.info("%s; %d Gaussians to start with: %d static, %d dynamic", backend_name(device), *counts)
     return scene, seen

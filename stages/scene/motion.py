@@ -8,6 +8,7 @@ from stages.shared import lie
 
 MIN_CONFIDENCE = 0.3
 SAMPLED_EDGES = 24
+LONGEST = 5
 MIN_REGION_PX = 40
 IRLS_STEPS = 8
 
@@ -15,10 +16,11 @@ IRLS_STEPS = 8
 def dynamic_evidence(seen: Observed) -> dict[str, float]:
     """How much of the frames the masks cover, and how badly a static scene explains the flow in and outside them.
 
-    The longest edges are used: they add up slow motion.
+    The longest edges up to LONGEST frames are used: they add up slow motion; beyond, too little is still in view.
     """
     inside, outside = [], []
-    for edge in _spread_edges(seen, np.abs(seen.offsets).max(initial=0)):
+    distances = np.abs(seen.offsets)
+    for edge in _spread_edges(seen, distances[distances <= LONGEST].max(initial=distances.min(initial=LONGEST))):
         residual = _static_residual(seen, edge)
         trusted = seen.confidence[edge] >= MIN_CONFIDENCE
         dynamic = seen.dynamic[seen.edges[edge, 0]]

@@ -8,7 +8,8 @@ from synthetic import PLANE, Scene, flow_arrays, make_scene
 
 from stages.flow import epipolar, motion, pooling, resweep
 from stages.flow.confidence import flow_confidence
-from stages.flow.dis import edge_list, estimate_flow
+from stages.flow.dis import estimate_flow
+from stages.flow.edges import edge_list
 from stages.flow.epipolar import PairMatches
 from stages.segment.options import SegmentOptions
 from stages.segment.refinement import guarded_thresholds, smooth_along_edges, to_mask, vote

@@ -1,0 +1,97 @@
+"""Which frames to match: near ones by their distance, far ones where enough of the picture is still in view."""
+
+from collections.abc import Container, Iterator, Mapping, Sequence
+
+import cv2
+import numpy as np
+
+from stages.shared.cameras import pixel_grid
+
+Edge = tuple[int, int]
+
+LADDER = (8, 12, 16, 24, 32, 48, 64)
+"""Frame distances of long edges."""
+MIN_COVISIBLE = 0.3
+"""Share of a frame's pixels that must be followed to the target for a long edge."""
+CONSISTENT_PX = 1.5
+"""A pixel is lost where forward and backward flow of a step disagree by more than this."""
+TRACK_STRIDE_PX = 8
+
+
+def edge_list(T: int, offsets: Sequence[int]) -> list[Edge]:
+    """Directed edges (i, j) of T frames with |i - j| in `offsets`, both ways, sorted."""
+    return sorted((i, j) for i in range(T) for j in range(T) if abs(i - j) in offsets)
+
+
+def long_edges(flow: Mapping[Edge, np.ndarray], T: int, per_frame: int) -> list[Edge]:
+    """Directed edges (i, j) beyond the known ones of flow [h, w, 2] px, both ways, sorted.
+
+    They lead from every frame to at most `per_frame` later ones: the furthest on the ladder to which enough pixels can
+    be followed along the flow. Their number and the cost of choosing them grow linearly with T.
+    """
+    distances = sorted({j - i for i, j in flow if j > i}, reverse=True)
+    rungs = [rung for rung in LADDER if rung > max(distances, default=0)]
+    chosen = []
+    for i in range(T if per_frame else 0):
+        seen = list(_covisible(flow, i, distances, rungs))[-per_frame:]
+        chosen += [edge for j in seen for edge in ((i, j), (j, i))]
+    return sorted(chosen)
+
+
+def path(known: Container[Edge], distances: Sequence[int], edge: Edge) -> list[Edge] | None:
+    """Known edges that lead from one end of `edge` to the other, longest first; None if they do not reach it.
+
+    Args:
+        distances: frame distances of known edges, in descending order.
+    """
+    at, j = edge
+    sign = 1 if j > at else -1
+    hops = []
+    while at != j:
+        steps = (at + sign * d for d in distances if d <= abs(j - at))
+        nearer = next((k for k in steps if (at, k) in known), None)
+        if nearer is None:
+            return None
+        hops.append((at, nearer))
+        at = nearer
+    return hops
+
+
+def _covisible(
+    flow: Mapping[Edge, np.ndarray], i: int, distances: Sequence[int], rungs: Sequence[int]
+) -> Iterator[int]:
+    """Frames at `rungs` from frame i, while enough of its pixels can be followed there."""
+    points, at = None, i
+    for rung in rungs:
+        hops = path(flow, distances, (at, i + rung))
+        if hops is None:
+            return
+        if points is None:
+            points = _grid(*flow[hops[0]].shape[:2])
+            enough = MIN_COVISIBLE * len(points)
+        for hop in hops:
+            points = _advanced(points, flow[hop], flow[hop[::-1]])
+        if len(points) < enough:
+            return
+        at = i + rung
+        yield at
+
+
+def _grid(h: int, w: int) -> np.ndarray:
+    """Every TRACK_STRIDE_PX-th pixel (u, v), [n, 2] float32."""
+    return pixel_grid(h, w)[::TRACK_STRIDE_PX, ::TRACK_STRIDE_PX].reshape(-1, 2).astype(np.float32)
+
+
+def _advanced(points: np.ndarray, forward: np.ndarray, backward: np.ndarray) -> np.ndarray:
+    """Where points [n, 2] go along one edge, without those that leave the frame or do not find back, [m, 2]."""
+    h, w = forward.shape[:2]
+    moved = points + _at(forward, points)
+    inside = ((moved >= 0) & (moved <= (w - 1, h - 1))).all(axis=1)
+    found_back = np.linalg.norm(moved + _at(backward, moved) - points, axis=1) < CONSISTENT_PX
+    return np.asarray(moved[inside & found_back])
+
+
+def _at(flow: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Flow [h, w, 2] at points [n, 2], [n, 2]."""
+    u, v = np.ascontiguousarray(points[:, 0]), np.ascontiguousarray(points[:, 1])
+    return np.asarray(cv2.remap(flow, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)).reshape(-1, 2)

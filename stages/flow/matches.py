@@ -1,0 +1,119 @@
+"""Large motion: a start for dense flow from sparse matches, densified along image edges.
+
+SIFT matches that fit one epipolar geometry are interpolated by RIC (Hu, Li, Song, CVPR 2017) of opencv-contrib. It pays
+where dense search loses its way and matches are many and right; elsewhere it costs ten times the search and gains
+nothing, hence the gate.
+"""
+
+from collections.abc import Mapping
+
+import cv2
+import numpy as np
+
+from stages.flow.confidence import flow_confidence
+from stages.flow.dis import solve_pair
+from stages.flow.edges import Edge
+from stages.shared.warp import warp
+
+MAX_CONFIDENT_SHARE = 0.5
+"""Pairs that are confident on more of their pixels than this are left alone."""
+MIN_MATCHES, MIN_INLIER_SHARE, MIN_MOTION_PX = 250, 0.8, 15.0
+"""The gate: so many matches, of which so many fit one epipolar geometry, moving by so much in the median."""
+KEYPOINTS, CONTRAST, RATIO = 4000, 0.008, 0.85
+EPIPOLAR_PX, ITERATIONS, PROBABILITY = 1.0, 2000, 0.999
+RESIDUAL_WINDOW_PX = 9
+
+
+def restarted_pair(
+    rgb: np.ndarray, grey: np.ndarray, flow: Mapping[Edge, np.ndarray], pair: Edge, finest_scale: int
+) -> dict[Edge, np.ndarray]:
+    """Better flow [h, w, 2] px of both edges of a pair that moves fast and is not confident; empty behind the gate.
+
+    Args:
+        rgb: [T, h, w, 3] uint8; grey: [T, h, w] uint8; flow: of both edges.
+    """
+    i, j = pair
+    if not _is_lost(flow[i, j], flow[j, i], grey[i], grey[j]):
+        return {}
+    inliers = trusted(sparse_matches(grey[i], grey[j]))
+    if inliers is None:
+        return {}
+    ahead = restarted(flow[i, j], rgb[i], rgb[j], inliers, finest_scale)
+    back = restarted(flow[j, i], rgb[j], rgb[i], inliers[:, ::-1], finest_scale)
+    return {} if ahead is None or back is None else {(i, j): ahead, (j, i): back}
+
+
+def _is_lost(flow: np.ndarray, back: np.ndarray, source: np.ndarray, target: np.ndarray) -> bool:
+    """Whether a pair moves fast, as far as can be told from a flow that may be wrong, and is little confident."""
+    if np.median(np.linalg.norm(flow, axis=-1)) < MIN_MOTION_PX / 2:
+        return False
+    return bool((flow_confidence(flow, back, source, target) > 0.5).mean() < MAX_CONFIDENT_SHARE)
+
+
+def sparse_matches(source: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """Mutual SIFT matches between grey frames [h, w] uint8 that pass the ratio test: [n, 2, 2], (source, target) px."""
+    (here, first), (there, second) = (_features(frame) for frame in (source, target))
+    if min(len(here), len(there)) < 2:
+        return np.zeros((0, 2, 2), np.float32)
+    similarity = first @ second.T
+    best = similarity.argmax(axis=1)
+    nearest = np.partition(similarity, -2, axis=1)[:, -2:]
+    second_distance, distance = np.sqrt(np.maximum(2 - 2 * nearest, 0)).T
+    mutual = similarity.argmax(axis=0)[best] == np.arange(len(here))
+    kept = mutual & (distance < RATIO * second_distance)
+    return np.stack([here[kept], there[best[kept]]], axis=1)
+
+
+def trusted(matches: np.ndarray) -> np.ndarray | None:
+    """The matches [m, 2, 2] of [n, 2, 2] that fit one epipolar geometry, if they pass the gate; else None."""
+    if len(matches) < MIN_MATCHES:
+        return None
+    here, there = np.ascontiguousarray(matches[:, 0]), np.ascontiguousarray(matches[:, 1])
+    cv2.setRNGSeed(0)
+    _, fitting = cv2.findFundamentalMat(here, there, cv2.USAC_MAGSAC, EPIPOLAR_PX, PROBABILITY, ITERATIONS)
+    if fitting is None or fitting.mean() < MIN_INLIER_SHARE:
+        return None
+    inliers = matches[fitting[:, 0] > 0]
+    motion_px = np.linalg.norm(inliers[:, 1] - inliers[:, 0], axis=1)
+    return inliers if np.median(motion_px) > MIN_MOTION_PX else None
+
+
+def restarted(
+    flow: np.ndarray, source: np.ndarray, target: np.ndarray, matches: np.ndarray, finest_scale: int
+) -> np.ndarray | None:
+    """Flow [h, w, 2] px searched anew from densified matches, wherever that explains the target better than `flow`.
+
+    The same bytes in every call, if OpenCV runs single-threaded: its interpolator is seeded here.
+
+    Args:
+        source, target: [h, w, 3] uint8 frames.
+        matches: [n, 2, 2] (source, target) px.
+
+    Returns:
+        None where the interpolator refuses the matches (too sparse or clustered).
+    """
+    cv2.setRNGSeed(0)
+    here, there = np.ascontiguousarray(matches[:, 0]), np.ascontiguousarray(matches[:, 1])
+    try:
+        start = cv2.ximgproc.createRICInterpolator().interpolate(source, here, target, there)
+    except cv2.error:
+        return None
+    grey = [cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY) for frame in (source, target)]
+    other = solve_pair(grey[0], grey[1], start, finest_scale)
+    better = _residual(other, grey[0], grey[1]) < _residual(flow, grey[0], grey[1])
+    return np.where(better[..., None], other, flow)
+
+
+def _features(frame: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Keypoints [n, 2] px and their RootSIFT descriptors [n, 128] (Arandjelovic and Zisserman, CVPR 2012)."""
+    found, descriptors = cv2.SIFT.create(KEYPOINTS, contrastThreshold=CONTRAST).detectAndCompute(frame, None)
+    if not found:
+        return np.zeros((0, 2), np.float32), np.zeros((0, 128), np.float32)
+    total = np.maximum(descriptors.sum(axis=1, keepdims=True), 1e-6)
+    return np.array([point.pt for point in found], np.float32), np.sqrt(descriptors / total)
+
+
+def _residual(flow: np.ndarray, source: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """Mean grey-level difference [h, w] after the flow, over a window."""
+    difference = np.abs(warp(target.astype(np.float32), flow) - source)
+    return cv2.blur(difference, (RESIDUAL_WINDOW_PX, RESIDUAL_WINDOW_PX))

@@ -1,0 +1,186 @@
+"""True flow between any two frames, from true depth, cameras and forward flow: what perfect matching would give."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from stages.flow.edges import Edge
+from stages.shared import lie, sequences, sintel
+from stages.shared.cameras import pixel_grid, project, scale_intrinsics, unproject
+from stages.shared.errors import InputError
+from stages.shared.images import read_mask
+from stages.shared.warp import is_inside, matches, warp
+
+NEEDED = ("camdata_left", "depth", "flow")
+MOVING_PX = 0.1
+"""Without motion masks, pixels move whose true flow differs by more than this from the motion of the static world."""
+DEPTH_AGREEMENT = 0.02
+"""Relative difference of depth up to which two pixels show the same surface."""
+SMOOTH_PX = 1.0
+"""Flow that varies more than this over 3 x 3 px is not interpolated: different things meet there."""
+INVERSION_STEPS, INVERSION_PX = 8, 0.05
+
+Step = tuple[np.ndarray, np.ndarray]
+
+
+@dataclass(frozen=True)
+class Truth:
+    """Truth of T frames on the flow grid [h, w].
+
+    Attributes:
+        cam_from_world: [T, 4, 4]; Ks: [T, 3, 3] in grid pixels.
+        inverse_depth: [T, h, w] float32, zero where the grid mixes two surfaces.
+        moving: [T, h, w] bool, pixels that move in the world.
+        steps: flow [h, w, 2] px of moving pixels between neighbouring frames, both ways, and where it is known.
+    """
+
+    cam_from_world: np.ndarray
+    Ks: np.ndarray
+    inverse_depth: np.ndarray
+    moving: np.ndarray
+    steps: Mapping[Edge, Step]
+
+
+def read_truth(frames: sequences.Sequence, width: int, height: int) -> Truth:
+    """Truth of a sequence, reduced to width x height.
+
+    Raises:
+        InputError: names the kinds of truth that are missing.
+    """
+    missing = [kind for kind in NEEDED if not frames.has_truth(kind)]
+    if missing:
+        expected = f"{', '.join(NEEDED)} beside them, for every frame, for `source: truth`"
+        raise InputError(frames.frames[0].parent, expected, f"no {', '.join(missing)}", "set `source: dis`")
+    cameras = [sintel.read_cam(frames.truth["camdata_left"][n]) for n in frames.numbers]
+    extrinsics = np.stack([cam_from_world for _, cam_from_world in cameras])
+    Ks = scale_intrinsics(np.stack([K for K, _ in cameras]), width / frames.width)
+    poses = lie.from_parts(extrinsics[:, :, :3], extrinsics[:, :, 3])
+    size = (width, height)
+    depth = np.stack([_reduce(1 / sintel.read_dpt(frames.truth["depth"][n]), size) for n in frames.numbers])
+    forward = np.stack([_read_forward(frames, n, size) for n in frames.numbers[:-1]])
+    known = np.stack([_is_unoccluded(frames, n, size) for n in frames.numbers[:-1]])
+    still = Truth(poses, Ks, depth, np.zeros(depth.shape, bool), {})
+    moving = _read_moving(frames, size) if frames.has_truth("motion_mask") else _derived_moving(still, forward)
+    steps: dict[Edge, Step] = {}
+    for k, (flow, seen) in enumerate(zip(forward, known, strict=True)):
+        steps[k, k + 1] = flow, seen & moving[k]
+        steps[k + 1, k] = inverted(*steps[k, k + 1], depth[k], moving[k + 1])
+    return Truth(poses, Ks, depth, moving, steps)
+
+
+def true_flow(truth: Truth, edge: Edge) -> Step:
+    """Flow [h, w, 2] float32 px of an edge, and where it is known: the point is seen in both frames, [h, w] bool.
+
+    Static pixels move as depth and cameras say, exactly; they are seen where the depths of both frames agree. Moving
+    pixels follow the true flow from frame to frame, backwards by inverting it, as long as every step is known.
+    """
+    i, j = edge
+    flow, known = _static_motion(truth, i, j)
+    if truth.moving[i].any():
+        moved, seen = _followed(truth.steps, i, j)
+        flow = np.where(truth.moving[i][..., None], moved, flow)
+        known = np.where(truth.moving[i], seen, known)
+    return flow, np.asarray(known)
+
+
+def inverted(flow: np.ndarray, known: np.ndarray, inverse_depth: np.ndarray, there: np.ndarray) -> Step:
+    """Flow [h, w, 2] back from the target of `flow`, and where it is known: on pixels `there` [h, w] of the target.
+
+    It solves back(x) = -flow(x + back(x)) by iteration, from what lands nearest to x; near things cover far ones.
+    """
+    h, w = known.shape
+    back = np.zeros_like(flow)
+    u, v = (np.rint(place).astype(int) for place in matches(flow))
+    landed = known & (u >= 0) & (u < w) & (v >= 0) & (v < h)
+    order = np.argsort(inverse_depth[landed], kind="stable")
+    hit = np.zeros((h, w), np.float32)
+    back[v[landed][order], u[landed][order]] = -flow[landed][order]
+    hit[v[landed], u[landed]] = 1
+    near = cv2.blur(hit, (3, 3))
+    holes = (hit == 0) & (near > 0)
+    back[holes] = cv2.blur(back, (3, 3))[holes] / near[holes][:, None]
+    for _ in range(INVERSION_STEPS):
+        back = -warp(flow, back)
+    solved = np.linalg.norm(back + warp(flow, back), axis=-1) < INVERSION_PX
+    usable = warp((known & _is_smooth(flow)).astype(np.float32), back) == 1
+    return back, solved & usable & is_inside(back) & there & (near > 0)
+
+
+def _followed(steps: Mapping[Edge, Step], i: int, j: int) -> Step:
+    """Flow of moving pixels from frame i to j, step by step."""
+    sign = 1 if j > i else -1
+    total, known = steps[i, i + sign]
+    for k in range(i + sign, j, sign):
+        flow, seen = steps[k, k + sign]
+        usable = (seen & _is_smooth(flow)).astype(np.float32)
+        known = known & is_inside(total) & (warp(usable, total) == 1)
+        total = total + warp(flow, total)
+    return total, known & is_inside(total)
+
+
+def _static_motion(truth: Truth, i: int, j: int) -> Step:
+    """Flow of static pixels, and where they are seen again."""
+    inverse_depth = truth.inverse_depth[i]
+    observed = inverse_depth > 0
+    pixels = pixel_grid(*inverse_depth.shape)
+    points = unproject(pixels, 1 / np.where(observed, inverse_depth, 1).astype(float), *_camera(truth, i))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        target, depth = project(points, *_camera(truth, j))
+        flow = np.where((observed & (depth > 0))[..., None], target - pixels, 0).astype(np.float32)
+        there = warp(truth.inverse_depth[j], flow) * depth
+    same = np.abs(there - 1) < DEPTH_AGREEMENT
+    covered = warp(truth.moving[j].astype(np.float32), flow) > 0
+    return flow, observed & (depth > 0) & is_inside(flow) & same & ~covered & ~truth.moving[i]
+
+
+def _camera(truth: Truth, k: int) -> tuple[np.ndarray, np.ndarray]:
+    return truth.cam_from_world[k], truth.Ks[k]
+
+
+def _is_smooth(flow: np.ndarray) -> np.ndarray:
+    """Where flow [h, w, 2] varies little over 3 x 3 px."""
+    kernel = np.ones((3, 3), np.uint8)
+    return np.asarray((cv2.dilate(flow, kernel) - cv2.erode(flow, kernel)).max(axis=-1) < SMOOTH_PX)
+
+
+def _reduce(inverse_depth: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Inverse depth on the grid: linear between pixels of one surface, zero between two."""
+    nearest = cv2.resize(inverse_depth, size, interpolation=cv2.INTER_NEAREST_EXACT)
+    linear = cv2.resize(inverse_depth, size, interpolation=cv2.INTER_LINEAR)
+    one_surface = np.abs(linear - nearest) < DEPTH_AGREEMENT * nearest
+    return np.asarray(np.where(one_surface, linear, 0), np.float32)
+
+
+def _read_forward(frames: sequences.Sequence, number: int, size: tuple[int, int]) -> np.ndarray:
+    flow = sintel.read_flo(frames.truth["flow"][number])
+    return np.asarray(cv2.resize(flow, size, interpolation=cv2.INTER_LINEAR)) * np.float32(size[0] / frames.width)
+
+
+def _is_unoccluded(frames: sequences.Sequence, number: int, size: tuple[int, int]) -> np.ndarray:
+    """Where the true flow of a frame is valid and leads to something seen, [h, w] bool."""
+    hidden = np.zeros((frames.height, frames.width), bool)
+    for kind in ("occlusions", "invalid"):
+        if path := frames.truth.get(kind, {}).get(number):
+            hidden |= read_mask(path)
+    return np.asarray(cv2.resize(hidden.astype(np.float32), size, interpolation=cv2.INTER_AREA) == 0)
+
+
+def _read_moving(frames: sequences.Sequence, size: tuple[int, int]) -> np.ndarray:
+    masks = [read_mask(frames.truth["motion_mask"][n]).astype(np.uint8) for n in frames.numbers]
+    return np.stack([cv2.resize(mask, size, interpolation=cv2.INTER_NEAREST_EXACT) > 0 for mask in masks])
+
+
+def _derived_moving(still: Truth, forward: np.ndarray) -> np.ndarray:
+    """Pixels [T, h, w] whose true flow is not that of a static world; the last frame takes what lands in it."""
+    moving = np.zeros(still.inverse_depth.shape, bool)
+    for k, flow in enumerate(forward):
+        moving[k] = np.linalg.norm(flow - _static_motion(still, k, k + 1)[0], axis=-1) > MOVING_PX
+    u, v = (np.rint(place[moving[-2]]).astype(int) for place in matches(forward[-1]))
+    h, w = forward[-1].shape[:2]
+    inside = (u >= 0) & (u < w) & (v >= 0) & (v < h)
+    landed = np.zeros((h, w), np.uint8)
+    landed[v[inside], u[inside]] = 1
+    moving[-1] = cv2.dilate(landed, np.ones((3, 3), np.uint8)) > 0
+    return moving
