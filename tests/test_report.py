@@ -9,14 +9,19 @@ import subprocess
 from pathlib import Path
 from typing import Any
 
+import comparison_tables
+import cv2
 import finished_run as run
+import numpy as np
 import pyarrow.parquet as pq
 import pytest
 import yaml
 from conftest import REPO
+from PIL import Image
 
-from stages.eval import overview, published, report, summaries
+from stages.eval import overview, pictures, plots, published, report, summaries
 from stages.eval.options import ReportOptions
+from stages.eval.sections import STAGE_FIGURES
 from stages.eval.tables import decimal
 from stages.shared.artifacts import write_json
 
@@ -50,6 +55,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (unfinished / "sequence.json").write_text(json.dumps(content | {"name": "unfinished"}))
     effects = {"effects": {"fog": {"density": 0.1}}, "not_simulated": ["defocus"], "seconds": {"fog": 1.5}}
     write_json(root / "simulated" / "wall.json", {**effects, "calls": {"fog": 8}})
+    costs, grown = comparison_tables.write(root)
     report.main(
         sequences=[*folders, unfinished],
         published_numbers=PUBLISHED,
@@ -57,6 +63,8 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
         tables=root / "tables",
         options=ReportOptions(title="a <title> & more"),
         manifests=root / "simulated",
+        sweep=costs,
+        growth=grown,
     )
     return root
 
@@ -96,7 +104,7 @@ def test_every_table_is_also_csv_and_parquet(results: Path, page: str) -> None:
         header, *rows = list(csv.reader(file))
     assert "ate [scene units]" in header
     table = pq.read_table(results / "tables" / "poses.parquet")
-    assert len(rows) == table.num_rows == 8
+    assert len(rows) == table.num_rows == 10
     assert b"Sim(3)" in table.schema.metadata[b"protocol"]
 
 
@@ -110,6 +118,17 @@ def test_failures_and_missing_parts_are_told(page: str) -> None:
     assert "poses: a doubt" in text
     assert "trajectories: no eval/trajectory.parquet; masks: no masks" in text
     assert "renders: no renders/test" in text
+
+
+def test_comparisons_are_part_of_the_page(results: Path, page: str) -> None:
+    text = re.sub(r"<[^>]+>", " ", re.sub(r"data:[^\"]+", "", page))
+    assert "Effect of masks on pose error" in text
+    assert "from the configured run (1.00 in 30 s) the next tenth costs" in text
+    names = {path.stem for path in (results / "tables").glob("*.parquet")}
+    assert {"sweep_presets", "sweep_knobs", "sweep_masks", "growth"} <= names
+    methods = pq.read_table(results / "tables" / "poses.parquet").column("method").to_pylist()
+    assert {"ours, fast", "ours, accurate"} <= set(methods)
+    assert "ours, balanced" not in methods  # the configured run itself
 
 
 def test_effects_say_what_ran_and_what_it_cost(results: Path) -> None:
@@ -140,18 +159,45 @@ def test_means_leave_out_failures_but_count_them() -> None:
     assert (mean["n"], mean["sequences"], mean["partial"], mean["failed"]) == (2, 4, 1, 1)
 
 
-def test_our_mean_joins_published_rows_only_on_all_14_sequences() -> None:
+def test_measured_means_join_published_rows_only_on_all_14_sequences() -> None:
     numbers = yaml.safe_load(PUBLISHED.read_text())
     names = numbers["sintel_sequences"]
     rows = [_pose_row(name, ate=0.08, rpe_trans=0.03, rpe_rot_deg=0.5) for name in names]
+    rows.append(_pose_row("alley_1", ate=99.0, rpe_trans=99.0, rpe_rot_deg=99.0))  # in Sintel, not of the 14
+    rows += [row | {"method": "COLMAP", "status": "failed" if row["sequence"] == "cave_2" else "ok"} for row in rows]
     complete = published.pose_table(numbers, rows)
-    ours = next(row for row in complete.rows if row["method"] == "ours")
+    ours, colmap = (next(row for row in complete.rows if row["method"] == name) for name in ("ours", "COLMAP"))
     assert ours["ate"] == pytest.approx(0.08)
-    assert [row["ate"] for row in complete.rows] == sorted(row["ate"] for row in complete.rows)
-    incomplete = published.pose_table(numbers, [*rows[:-1], _pose_row(names[-1], "failed")])
-    assert "not the same data" in incomplete.title
-    assert "scored 13 of these 14" in incomplete.note
-    assert all(row["method"] != "ours" for row in incomplete.rows)
+    assert colmap["ate"] is None
+    assert colmap["notes"] == "no mean: 13 of the 14 sequences are scored"
+    errors = [row["ate"] for row in complete.rows if row["ate"] is not None]
+    assert errors == sorted(errors)
+    assert "not the same data" not in complete.title
+
+
+def test_other_data_stand_apart_from_published_rows() -> None:
+    numbers = yaml.safe_load(PUBLISHED.read_text())
+    rows = [_pose_row(name, ate=0.08, rpe_trans=0.03, rpe_rot_deg=0.5) for name in numbers["sintel_sequences"][:-1]]
+    apart = published.pose_table(numbers, [*rows, _pose_row("my_video", ate=0.01)])
+    assert "not the same data" in apart.title
+    assert "holds 13 of these 14" in apart.note
+    assert all(row["source"] != "this report" for row in apart.rows)
+    assert "not the same data" in published.image_table(numbers).title
+
+
+def test_fourteen_sequences_stay_under_15_mb(tmp_path: Path) -> None:
+    """Grain, which no codec likes: pictures keep their limits, and a section of such ones its share."""
+    grain = np.clip(np.random.default_rng(0).normal(128, 25, (436, 1000, 3)), 0, 255).astype(np.uint8)
+    wide = len(pictures.webp(grain))
+    stage = len(pictures.webp(grain, pictures.STAGE_WIDTH_PX, pictures.STAGE_MAX_BYTES))
+    frames = [Image.fromarray(np.roll(grain[:145, :340], 9 * k, axis=0)) for k in range(14)]
+    frames[0].save(tmp_path / "fly.gif", save_all=True, append_images=frames[1:])
+    moving = len(pictures.animation(tmp_path / "fly.gif"))
+    chart = len(plots.draw_lines({str(k): (range(50), grain[k, :50, 0]) for k in range(6)}, ("", ""), "012345")) * 4 / 3
+    section = 5 * wide + len(STAGE_FIGURES) * stage + moving + 8 * chart
+    assert 14 * section + 1e6 < 15e6  # the overview and its charts take less than 1 MB
+    smooth = cv2.GaussianBlur(grain, (0, 0), 20)
+    assert len(pictures.webp(smooth)) < 0.5 * wide
 
 
 @pytest.mark.parametrize(

@@ -1,31 +1,11 @@
 """What accuracy costs: the front, the price of the next tenth, and the growth, against numbers that are known."""
 
-from typing import Any
-
+import comparison_tables
 import numpy as np
 import pytest
 
 from stages.eval import growth, tradeoff, tradeoff_report
 from stages.eval.tradeoff import Point
-
-METRICS = (
-    *("rpe_rot_deg", "focal_error_percent", "iou", "psnr_static_db", "psnr_dynamic_db", "ssim"),
-    *("cpu_s", "poses_cpu_s", "peak_mb", "model_mb"),
-)
-
-
-def cost_row(setting: str, ate: float | None, seconds: float, psnr: float = 20.0, **changes: Any) -> dict[str, Any]:
-    """A row of the sweep's table."""
-    row: dict[str, Any] = {
-        "sequence": "a",
-        "group": "presets",
-        "setting": setting,
-        "knob": None,
-        "value": None,
-        "is_default": False,
-    }
-    row |= dict.fromkeys(METRICS, 1.0) | {"ate_percent": ate, "psnr_db": psnr, "status": "ok"}
-    return row | {"poses_wall_s": seconds / 2, "wall_s": seconds} | changes
 
 
 def _point(seconds: float, error: float, name: str = "p", complete: bool = True, is_default: bool = False) -> Point:
@@ -65,27 +45,15 @@ def test_next_tenth_is_priced_by_measured_settings_alone() -> None:
 
 def test_settings_are_means_over_sequences_and_failures_are_counted() -> None:
     rows = [
-        cost_row("fast", 1.0, 10, focal_error_percent=-4.0),
-        cost_row("fast", 3.0, 20, psnr=30.0, sequence="b", focal_error_percent=2.0),
-        cost_row("fast", 99.0, 30, psnr=25.0, sequence="c", status="partial"),
-        cost_row("fast", None, 40, psnr=25.0, sequence="d", status="failed"),
+        comparison_tables.cost_row("fast", 1.0, 10, focal_error_percent=-4.0),
+        comparison_tables.cost_row("fast", 3.0, 20, psnr=30.0, sequence="b", focal_error_percent=2.0),
+        comparison_tables.cost_row("fast", 99.0, 30, psnr=25.0, sequence="c", status="partial"),
+        comparison_tables.cost_row("fast", None, 40, psnr=25.0, sequence="d", status="failed"),
     ]
     (mean,) = tradeoff.means(rows)
     assert (mean["ate_percent"], mean["focal_abs_percent"]) == (2.0, 3.0)
     assert (mean["psnr_db"], mean["wall_s"]) == (25.0, 25.0)
     assert (mean["n"], mean["sequences"], mean["failed"]) == (2, 4, 2)
-
-
-def _costs() -> list[dict[str, Any]]:
-    knob: dict[str, Any] = {"group": "knobs", "knob": "ba.stride_px"}
-    return [
-        cost_row("fast", 2.0, 30, 19.0),
-        cost_row("balanced", 1.0, 60, 21.0, is_default=True),
-        cost_row("accurate", 0.5, 180, 22.0),
-        *(cost_row(f"ba.stride_px={v}", a, s, **knob, value=v) for v, a, s in (("4", 0.7, 90), ("16", 1.5, 50))),
-        cost_row("ba.stride_px=8", 1.0, 60, 21.0, **knob, value="8", is_default=True),
-        cost_row("true", 0.2, 10, group="masks"),
-    ]
 
 
 def test_the_report_draws_settings_beside_colmap_and_lists_every_group() -> None:
@@ -94,7 +62,7 @@ def test_the_report_draws_settings_beside_colmap_and_lists_every_group() -> None
         {"sequence": "a", "method": "COLMAP global", "ate_percent": 7.0, "wall_s": 77.0, **pose},
         {"sequence": "not swept", "method": "COLMAP global", "ate_percent": 900.0, "wall_s": 1.0, **pose},
     ]
-    sentence, figures, tables = tradeoff_report.sweep_part(_costs(), poses)
+    sentence, figures, tables = tradeoff_report.sweep_part(comparison_tables.cost_rows(), poses)
     assert "(1.00 in 30 s) the next tenth costs" in sentence
     assert [figure.title for figure in figures] == ["ATE against time", "PSNR against time", "ba.stride_px"]
     assert "COLMAP global: 7 in 77 s" in figures[0].alt
@@ -124,13 +92,7 @@ def test_growth_is_recovered_beside_its_fixed_part() -> None:
 
 
 def test_growth_is_tabled_and_drawn_per_axis() -> None:
-    rows = [
-        {"axis": axis, "n": n, "stage": stage, "wall_s": n**power, "cpu_s": 2.0 * n**power, "peak_mb": 100.0}
-        for axis, sizes in (("frames", (5, 10, 20)), ("pixels", (1e4, 2e4)))
-        for n in sizes
-        for stage, power in (("flow", 1.0), ("ba", 1.5))
-    ]
-    figures, (table,) = tradeoff_report.growth_part(rows)
+    figures, (table,) = tradeoff_report.growth_part(comparison_tables.growth_rows())
     found = {(row["axis"], row["stage"]): row for row in table.rows}
     assert found["frames", "ba"]["wall_s_growth"].startswith("1.50 (")
     assert found["frames", "ba"]["fixed_s"] == pytest.approx(0, abs=1e-9)

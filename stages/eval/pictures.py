@@ -9,9 +9,12 @@ import numpy as np
 
 from stages.shared.figures import contact_sheet, overlay_mask, scalar_to_rgb, spread
 
-QUALITY = 65
-WIDTH_PX, STAGE_WIDTH_PX = 1000, 800  # with these, fourteen sequences stay under 15 MB
-ANIMATION_WIDTH_PX, ANIMATION_FRAMES, ANIMATION_QUALITY = 340, 14, 35
+ATTEMPTS = ((65, 1.0), (50, 1.0), (35, 1.0), (35, 0.7), (25, 0.5), (15, 0.35))
+"""Quality and share of the width, until a picture is small enough."""
+WIDTH_PX, MAX_BYTES = 1000, 55_000
+STAGE_WIDTH_PX, STAGE_MAX_BYTES = 800, 27_000
+ANIMATION_WIDTH_PX, ANIMATION_FRAMES, ANIMATION_MAX_BYTES = 340, 14, 80_000
+"""With these limits, fourteen sequences stay under 15 MB whatever they show."""
 DIFFERENCE_GAIN = 4.0
 TRUE_EDGE = (0, 200, 255)
 
@@ -21,13 +24,15 @@ def data_uri(content: bytes, kind: str) -> str:
     return f"data:{kind};base64,{base64.b64encode(content).decode()}"
 
 
-def webp(image: np.ndarray, width_px: int = WIDTH_PX) -> str:
-    """An RGB image [H, W, 3] uint8, at most `width_px` wide, as the data URI of a WebP."""
+def webp(image: np.ndarray, width_px: int = WIDTH_PX, max_bytes: int = MAX_BYTES) -> str:
+    """An RGB image [H, W, 3] uint8, at most `width_px` wide, as the data URI of a WebP; coarser where it is too big."""
     height, width = image.shape[:2]
-    if width > width_px:
-        size = (width_px, round(height * width_px / width))
-        image = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
-    _, encoded = cv2.imencode(".webp", image[..., ::-1], [cv2.IMWRITE_WEBP_QUALITY, QUALITY])
+    for quality, share in ATTEMPTS:
+        size = round(share * min(width, width_px)), round(share * height * min(1, width_px / width))
+        reduced = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+        _, encoded = cv2.imencode(".webp", reduced[..., ::-1], [cv2.IMWRITE_WEBP_QUALITY, quality])
+        if encoded.size <= max_bytes:
+            break
     return data_uri(encoded.tobytes(), "image/webp")
 
 
@@ -36,15 +41,18 @@ def animation(path: Path) -> str:
     from PIL import Image, ImageSequence
 
     with Image.open(path) as gif:
-        width = min(gif.width, ANIMATION_WIDTH_PX)
-        size = (width, round(gif.height * width / gif.width))
-        frames = [frame.convert("RGB").resize(size) for frame in ImageSequence.Iterator(gif)]
+        frames = [frame.convert("RGB") for frame in ImageSequence.Iterator(gif)]
         shown = spread(len(frames), ANIMATION_FRAMES)
         duration_ms = round(gif.info.get("duration", 80) * len(frames) / len(shown))
-    first, *others = (frames[k] for k in shown)
-    content = io.BytesIO()
-    looped = {"duration": duration_ms, "loop": 0, "quality": ANIMATION_QUALITY}
-    first.save(content, "WEBP", save_all=True, append_images=others, **looped)
+    width, height = frames[0].size
+    for quality, share in ATTEMPTS[2:]:
+        wide = share * min(width, ANIMATION_WIDTH_PX)
+        first, *others = (frames[k].resize((round(wide), round(wide * height / width))) for k in shown)
+        content = io.BytesIO()
+        looped = {"duration": duration_ms, "loop": 0, "quality": quality}
+        first.save(content, "WEBP", save_all=True, append_images=others, **looped)
+        if content.tell() <= ANIMATION_MAX_BYTES:
+            break
     return data_uri(content.getvalue(), "image/webp")
 
 

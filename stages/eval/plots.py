@@ -12,8 +12,8 @@ from stages.eval.tables import Row
 
 COLOURS = {"truth": "#1a1a1a", "ours": "#c2410c"}
 OTHERS = ("#2563eb", "#0f766e", "#7c3aed", "#a16207", "#be185d", "#475569")
-MARKED_POINTS = 120
-LEGEND: Any = {"fontsize": 9, "loc": "lower left", "bbox_to_anchor": (0, 1), "ncols": 2, "columnspacing": 1.2}
+MARKED_POINTS = 20
+LEGEND_CHARACTER_IN, LEGEND_MARGIN_IN = 0.075, 0.55  # width of a character of its text, and of the rest of an entry
 STYLE: Any = {
     "font.family": "sans-serif",
     "font.size": 10,
@@ -94,7 +94,7 @@ def draw_lines(
         if zero:
             axes.set_ylim(bottom=0)
         if len(series) > 1:
-            axes.legend(**LEGEND)
+            add_legend(axes)
     return done.getvalue()
 
 
@@ -111,6 +111,16 @@ def draw_runs(values: Sequence[float], runs: Sequence[tuple[str, float]], label:
             axes.plot(range(start, end), values[start:end], marker="o", ms=2.5, lw=1.4, color=colour)
         axes.set(xlabel="iteration", ylabel=label, yscale="log")
     return done.getvalue()
+
+
+def add_legend(axes: Any, title: str = "") -> None:
+    """A legend above the figure, in as many columns as its names leave room for."""
+    handles, names = axes.get_legend_handles_labels()
+    fig = axes.get_figure()
+    longest = max(map(len, names), default=0)
+    fitting = int(fig.get_figwidth() / (LEGEND_CHARACTER_IN * longest + LEGEND_MARGIN_IN))
+    style = {"fontsize": 9, "title_fontsize": 9, "alignment": "left", "columnspacing": 1.2}
+    fig.legend(handles, names, loc="outside upper left", ncols=max(1, fitting), title=title or None, **style)
 
 
 @contextmanager
@@ -135,7 +145,7 @@ def _plot_top(axes: Any, paths: Mapping[str, np.ndarray]) -> None:
     axes.set(xlabel="x, right (scene units)", ylabel="z, forward (scene units)")
     axes.axis("equal")
     if paths:
-        axes.legend(**LEGEND)
+        add_legend(axes)
 
 
 def _plot_space(axes: Any, paths: Mapping[str, np.ndarray]) -> None:

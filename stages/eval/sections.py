@@ -156,7 +156,7 @@ def _frame_chart(folder: Path, kind: str, metric: str, title: str, label: str) -
 
 def _flow_figures(folder: Path) -> list[Figure]:
     image = read_rgb(_existing(folder, "figures/flow.png"))
-    title = "Optical flow: hue is direction, saturation is length"
+    title = "Frames, optical flow (hue: direction, saturation: length), its confidence (yellow: sure)"
     return [Figure(title, pictures.webp(image), f"Picture of the flow stage. {title}", True)]
 
 
@@ -214,6 +214,6 @@ def _stage_figures(folder: Path) -> list[Figure]:
     for name, title in STAGE_FIGURES.items():
         path = folder / "figures" / f"{name}.png"
         if path.exists():
-            picture = pictures.webp(read_rgb(path), pictures.STAGE_WIDTH_PX)
+            picture = pictures.webp(read_rgb(path), pictures.STAGE_WIDTH_PX, pictures.STAGE_MAX_BYTES)
             found.append(Figure(title, picture, f"Picture of the {name} stage: {title}", True))
     return found

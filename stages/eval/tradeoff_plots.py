@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from stages.eval.growth import fit_growth
-from stages.eval.plots import COLOURS, LEGEND, OTHERS, figure
+from stages.eval.plots import COLOURS, OTHERS, add_legend, figure
 from stages.eval.tradeoff import Point, pareto_front
 
 PALE = "#c4bfb9"
@@ -53,7 +53,7 @@ def draw_overall(points: Sequence[Point], presets: Sequence[Point], rivals: Sequ
             axes.set_yscale("log")
             _plain_ticks(axes.yaxis)
         _plain_ticks(axes.xaxis)
-        axes.legend(**LEGEND)
+        add_legend(axes)
     return done.getvalue()
 
 
@@ -93,7 +93,7 @@ def draw_growth(series: Mapping[str, tuple[np.ndarray, np.ndarray]], labels: tup
         axes.set(xlabel=labels[0], ylabel=labels[1], xscale="log", ylim=limits, yscale="log")
         _plain_ticks(axes.xaxis)
         _plain_ticks(axes.yaxis)
-        axes.legend(**LEGEND | {"ncols": 3, "title": "exponents", "title_fontsize": 9, "alignment": "left"})
+        add_legend(axes, "exponents")
     return done.getvalue()
 
 
