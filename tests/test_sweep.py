@@ -1,0 +1,87 @@
+"""Collecting the tables of a sweep and of a scaling from runs whose numbers are known."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from stages.eval import scaling, sweep
+from stages.eval.tables import read_rows, write_rows
+from stages.shared.artifacts import write_dense, write_json, write_model, write_table
+
+TIMES = {"inspect": 1, "flow": 10, "motion": 2, "segment": 3, "ba": 4, "scene": 5, "control": 6, "gaussians": 20}
+
+
+def write_scores(folder: Path, ate: float | None, psnr: dict[str, float]) -> None:
+    """The evaluation's tables of one run with two rounds."""
+
+    def write(name: str, rows: list[dict[str, Any]]) -> None:
+        write_rows(folder / f"{name}.parquet", rows, list(rows[0]), {})
+
+    errors = {"rpe_rot_deg": 0.1, "focal_error_percent": -2.0, "status": "failed" if ate is None else "ok"}
+    write("poses", [{"method": m, "ate_percent": a} | errors for m, a in (("ours, round 1", 9.0), ("ours", ate))])
+    write("masks", [{"method": "refined masks", "round": r, "iou": r / 10} for r in (2, 1)])
+    image = [{"method": "ours", "split": "test", "region": r, "psnr_db": v, "ssim": 0.5} for r, v in psnr.items()]
+    write("images", [*image, {"method": "blend", "split": "test", "region": "whole", "psnr_db": 99.0, "ssim": 0.9}])
+    rounds = {stage: 2 if stage in ("motion", "segment", "ba") else 1 for stage in TIMES}
+    seconds = [s for stage, s in TIMES.items() for _ in range(rounds[stage])]
+    stages = [stage for stage in TIMES for _ in range(rounds[stage])]
+    times = [
+        {"stage": stage, "wall_s": float(s), "cpu_s": 2.0 * s, "peak_mb": 100.0 + s}
+        for stage, s in zip([*stages, "colmap", "colmap_masked"], [*seconds, 1000, 1000], strict=True)
+    ]
+    write("time", times)
+
+
+def swept(name: str, **changes: Any) -> dict[str, Any]:
+    """A run of the listing."""
+    about: dict[str, Any] = {"sequence": "a", "group": "presets", "setting": name, "knob": None, "value": None}
+    paths = {"scores": f"a/{name}/eval", "model": f"a/{name}/model.safetensors"}
+    return about | {"overrides": {}, "is_default": False} | paths | changes
+
+
+def test_a_row_says_what_a_setting_reached_and_cost(tmp_path: Path) -> None:
+    write_scores(tmp_path / "a/one/eval", 0.5, {"whole": 25.0, "static": 26.0, "dynamic": 20.0})
+    write_scores(tmp_path / "a/two/eval", None, {"whole": 24.0})
+    for name in ("one", "two"):
+        (tmp_path / f"a/{name}/model.safetensors").write_bytes(bytes(2_500_000))
+    knob = {"knob": "flow.offsets", "value": [1, 2], "overrides": {"flow.offsets": [1, 2]}, "group": "knobs"}
+    write_json(tmp_path / "sweep/runs.json", {"runs": [swept("one", is_default=True), swept("two", **knob)]})
+    sweep.main(tmp_path / "sweep/runs.json", tmp_path / "costs.parquet")
+    one, two = read_rows(tmp_path / "costs.parquet")
+    assert (one["setting"], one["is_default"], two["is_default"], two["value"]) == ("one", True, False, "1,2")
+    assert json.loads(two["overrides"]) == {"flow.offsets": [1, 2]}
+    assert (one["ate_percent"], one["status"], one["iou"]) == (0.5, "ok", 0.2)
+    assert (two["ate_percent"], two["status"]) == (None, "failed")
+    assert (one["psnr_db"], one["psnr_static_db"], one["psnr_dynamic_db"], one["ssim"]) == (25.0, 26.0, 20.0, 0.5)
+    assert (two["psnr_db"], two["psnr_dynamic_db"]) == (24.0, None)
+    # flow once, motion, segment and ba twice; then inspect, scene, control and gaussians. COLMAP is none of ours.
+    assert (one["poses_wall_s"], one["wall_s"]) == (10 + 2 * 9, 10 + 2 * 9 + 1 + 5 + 6 + 20)
+    assert (one["poses_cpu_s"], one["cpu_s"]) == (2 * one["poses_wall_s"], 2 * one["wall_s"])
+    assert (one["peak_mb"], one["model_mb"]) == (120.0, 2.5)
+
+
+def test_rows_of_growth_add_rounds_up(tmp_path: Path) -> None:
+    for k, name in enumerate(("round1/stats/ba", "stats/ba", "stats/flow"), start=1):
+        cost = {"wall_s": 1.0 * k, "cpu_s": 2.0 * k, "peak_mb": 100.0 - k}
+        write_json(tmp_path / f"a/{name}.json", cost)
+    write_json(tmp_path / "a/sequence.json", {"numbers": list(range(1, 12))})
+    stats = {"flow": ["a/stats/flow.json"], "ba": ["a/round1/stats/ba.json", "a/stats/ba.json"]}
+    run = {"axis": "frames", "size": "a/sequence.json", "stats": stats}
+    write_json(tmp_path / "scaling/runs.json", {"runs": [run]})
+    scaling.main(tmp_path / "scaling/runs.json", tmp_path / "growth.parquet")
+    assert read_rows(tmp_path / "growth.parquet") == [
+        {"axis": "frames", "n": 11, "stage": "flow", "wall_s": 3.0, "cpu_s": 6.0, "peak_mb": 97.0},
+        {"axis": "frames", "n": 11, "stage": "ba", "wall_s": 3.0, "cpu_s": 6.0, "peak_mb": 99.0},
+    ]
+
+
+@pytest.mark.parametrize(("axis", "size"), [("pixels", 96 * 64), ("gaussians", 7), ("control points", 5)])
+def test_sizes_come_from_the_artifacts(tmp_path: Path, axis: str, size: int) -> None:
+    write_dense(tmp_path / "pairs.arrow", {"source": np.zeros(3)}, {"width": 96, "height": 64})
+    write_model(tmp_path / "model.safetensors", {"means": np.zeros((7, 3)), "other": np.zeros(2)})
+    write_table(tmp_path / "points.parquet", {"x": np.zeros(5)})
+    files = {"pixels": "pairs.arrow", "gaussians": "model.safetensors", "control points": "points.parquet"}
+    assert scaling.measure_size(axis, tmp_path / files[axis]) == size
