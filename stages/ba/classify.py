@@ -19,9 +19,12 @@ STILL_PX = 1.0
 """A camera whose rotation-like flow is below this per frame stands nearly still."""
 FLOOR_PX = 0.05
 """Two-view residuals below this say nothing more about which model fits."""
+MOST = 80
+"""Percentile of the residuals that stands for most matches: movers and outliers may be beyond."""
 ROUGH_PATH = 0.2
 RESIDUAL_RATIO = 3.0
-SAME_COST, SAME_PATH = 0.05, 0.05
+SAME_COST, SAME_PATH, SAME_ROUGHNESS = 0.05, 0.05, 2.0
+"""Rivals in earnest cost as little, go elsewhere (share of the path), and are nearly as smooth."""
 PAIRS = 8
 
 
@@ -34,6 +37,7 @@ class Statistics:
         flow_px: length of the flow between neighbours.
         rotation_1_px, rotation_px: what a rotation leaves unexplained, between neighbours and over the long baseline.
         sampson_px, homography_px: the same for epipolar geometry and for a homography, over the long baseline.
+        most_sampson_px, most_homography_px: what these leave of four matches in five, at most.
     """
 
     offset: int
@@ -42,6 +46,8 @@ class Statistics:
     rotation_px: float
     sampson_px: float
     homography_px: float
+    most_sampson_px: float
+    most_homography_px: float
 
     @property
     def camera(self) -> str:
@@ -52,10 +58,15 @@ class Statistics:
         return "rotating" if self.flow_px > STILL_PX else "near-still"
 
     @property
+    def dominant_plane(self) -> bool:
+        """Whether one plane explains half of what a moving camera sees: it may then draw two-view fits to itself."""
+        return self.camera == "moving" and self.homography_px < RESIDUAL_RATIO * max(self.sampson_px, FLOOR_PX)
+
+    @property
     def planar(self) -> bool:
-        """Whether one plane explains what a moving camera sees."""
-        limit = RESIDUAL_RATIO * max(self.sampson_px, FLOOR_PX)
-        return self.camera == "moving" and self.homography_px < limit
+        """Whether one plane explains most of what a moving camera sees."""
+        limit = RESIDUAL_RATIO * max(self.most_sampson_px, FLOOR_PX)
+        return self.camera == "moving" and self.most_homography_px < limit
 
 
 def measure(graph: FlowGraph, focals_px: Sequence[float], seed: int) -> Statistics:
@@ -65,13 +76,17 @@ def measure(graph: FlowGraph, focals_px: Sequence[float], seed: int) -> Statisti
     flow = [np.median(np.linalg.norm(x - y, axis=1)) for x, y, _ in (_rays(graph, pair, 1.0) for pair in near)]
     rotation = {f: _median([_rotation(graph, pair, f) for pair in far]) for f in focals_px}
     best = min(rotation, key=lambda f: rotation[f])
+    sampson = [_sampson(graph, pair, best, seed) for pair in far]
+    homography = [_homography(graph, pair) for pair in far]
     return Statistics(
         offset,
         _median(flow),
         _median([_rotation(graph, pair, best) for pair in near]),
         rotation[best],
-        _median([_sampson(graph, pair, best, seed) for pair in far]),
-        _median([_homography(graph, pair) for pair in far]),
+        _median([np.median(residuals) for residuals in sampson]),
+        _median([np.median(residuals) for residuals in homography]),
+        _median([np.percentile(residuals, MOST) for residuals in sampson]),
+        _median([np.percentile(residuals, MOST) for residuals in homography]),
     )
 
 
@@ -84,7 +99,8 @@ def doubts(chosen: Candidate, others: Sequence[Candidate], statistics: Statistic
         found.append(f"median residual {residual_px:.2f} px against {statistics.sampson_px:.2f} px of two-view fits")
     for other in others:
         difference = path_difference(chosen.state.cam_from_world, other.state.cam_from_world)
-        if other.cost <= chosen.cost * (1 + SAME_COST) and difference > SAME_PATH:
+        as_smooth = other.roughness <= SAME_ROUGHNESS * chosen.roughness
+        if other.cost <= chosen.cost * (1 + SAME_COST) and as_smooth and difference > SAME_PATH:
             found.append(f"{other.name} costs the same and differs by {100 * difference:.0f} % of the path")
     return found
 
@@ -116,18 +132,22 @@ def _rotation(graph: FlowGraph, pair: tuple[int, int], focal_px: float) -> float
     return float(np.median(twoview.fit_rotation(*_rays(graph, pair, focal_px), focal_px)[1]))
 
 
-def _sampson(graph: FlowGraph, pair: tuple[int, int], focal_px: float, seed: int) -> float:
-    fit = twoview.estimate_motion(*_rays(graph, pair, focal_px), focal_px, ROTATION_PX, seed)
-    return fit.sampson_px if fit else float("inf")
+def _sampson(graph: FlowGraph, pair: tuple[int, int], focal_px: float, seed: int) -> np.ndarray:
+    """Residuals [n] in px from the epipolar geometry; infinite without any."""
+    x, y, w = _rays(graph, pair, focal_px)
+    fit = twoview.estimate_motion(x, y, w, focal_px, ROTATION_PX, seed)
+    if fit is None:
+        return np.full(1, np.inf)
+    return np.asarray(np.abs(twoview.sampson_errors(fit.R, fit.t, x, y)) * focal_px)
 
 
-def _homography(graph: FlowGraph, pair: tuple[int, int]) -> float:
+def _homography(graph: FlowGraph, pair: tuple[int, int]) -> np.ndarray:
+    """Residuals [n] in px from a homography; infinite without any."""
     x, y, _ = _rays(graph, pair, 1.0)
     H, _ = cv2.findHomography(x, y, cv2.RANSAC, 1.0)
     if H is None:
-        return float("inf")
-    moved = cv2.perspectiveTransform(x[None], H)[0]
-    return float(np.median(np.linalg.norm(moved - y, axis=1)))
+        return np.full(1, np.inf)
+    return np.asarray(np.linalg.norm(cv2.perspectiveTransform(x[None], H)[0] - y, axis=1))
 
 
 def _median(values: Sequence[float]) -> float:

@@ -9,8 +9,9 @@ from stages.ba import classify, dba, initialise, reduced, rotation
 from stages.ba.classify import Statistics
 from stages.ba.dba import FocalPrior, Level, State, Step, Unknowns
 from stages.ba.graph import MIN_MATCHES, MIN_WEIGHT, FlowGraph
-from stages.ba.initialise import Candidate, Hypothesis
+from stages.ba.initialise import Candidate
 from stages.ba.options import BAOptions
+from stages.ba.start import Observed, Start, find_start
 
 START_FOCALS = (0.8, 1.05, 1.4)
 """Focal lengths to start from, in image widths: from 0.65 to 1.6 all reach the same solution where it is observable."""
@@ -21,7 +22,6 @@ CORRELATION = 20.0
 MIN_NOISE_PX = 0.01
 WEAK_FOCAL, BLIND_FOCAL = 0.05, 0.15
 """Predicted relative error of the focal length above which it is called weak, and not estimated at all."""
-MAX_PAIR_PX = 0.3
 CONSISTENT_SHARE = 0.85
 """Share of confident matches within 1 px of the static model from which on a scene needs no masks to free the focal."""
 FINE = (Level(1.0, 12), Level(0.5, 20))
@@ -68,6 +68,7 @@ class Estimate:
         residual_px: median reprojection error of the confident static matches.
         focal: the decision about the focal length and its numbers.
         doubts: what its own statistics say against the solution, in words; flags: these and other warnings.
+        static: [T, height, width] 0..1, the static area used in place of the masks given; None: these were kept.
     """
 
     state: State
@@ -79,6 +80,7 @@ class Estimate:
     doubts: list[str] = field(default_factory=list)
     flags: list[str] = field(default_factory=list)
     steps: list[Step] = field(default_factory=list)
+    static: np.ndarray | None = None
 
 
 def estimate(problem: Problem, options: BAOptions) -> Estimate:
@@ -93,7 +95,10 @@ def estimate(problem: Problem, options: BAOptions) -> Estimate:
     plain = _estimate(replace(problem, graph=problem.unmasked, masked=False), options)
     if (plain.camera == "failed", len(plain.doubts)) >= (solution.camera == "failed", len(solution.doubts)):
         return solution
-    return replace(plain, flags=[f"masks distrusted; with them: {'; '.join(solution.doubts)}", *plain.flags])
+    size = problem.graph.T, problem.graph.height, problem.graph.width
+    static = np.ones(size, np.float32) if plain.static is None else plain.static
+    flags = [f"masks distrusted; with them: {'; '.join(solution.doubts)}", *plain.flags]
+    return replace(plain, flags=flags, static=static)
 
 
 def _estimate(problem: Problem, options: BAOptions) -> Estimate:
@@ -105,14 +110,31 @@ def _estimate(problem: Problem, options: BAOptions) -> Estimate:
     statistics = classify.measure(graph, focals, options.seed)
     if statistics.camera == "rotating":
         return _estimate_rotations(problem, statistics, prior)
-    candidates = _candidates(problem, statistics, prior, focals, options)
-    start = initialise.choose(candidates)
-    refined, focal = _refine(problem, statistics, start, prior)
-    others = [candidate for candidate in candidates if candidate is not start]
+    start = _start(problem, statistics, prior, focals, options)
+    graph = start.graph
+    problem = replace(problem, graph=graph, masked=problem.masked or start.static is not None)
+    found = start.candidate
+    state = initialise.initial_state(graph, found.state.cam_from_world, found.state.focal_px, FINE[0].sigma_px)
+    refined, focal = _refine(problem, statistics, replace(found, state=state), prior)
     residual_px = median_residual(graph, refined.state)
-    doubts = classify.doubts(replace(start, state=refined.state), others, statistics, residual_px)
-    steps = [step for candidate in candidates for step in candidate.steps] + refined.steps
-    return _finish(problem, statistics, refined.state, focal, doubts, steps)
+    doubts = classify.doubts(replace(found, state=refined.state), start.others, statistics, residual_px)
+    steps = [step for candidate in (*start.others, found) for step in candidate.steps] + refined.steps
+    solution = _finish(problem, statistics, refined.state, focal, doubts, steps)
+    return replace(solution, static=start.static, flags=start.flags + solution.flags)
+
+
+def _start(
+    problem: Problem, statistics: Statistics, prior: FocalPrior, focals: list[float], options: BAOptions
+) -> Start:
+    """The best guess at the camera's path; a camera that hardly moves shows no focal length to guess."""
+    previous = problem.previous
+    if previous:
+        previous = dba.normalise(replace(previous, focal_px=problem.known_focal_px or previous.focal_px))
+        focals = [previous.focal_px]
+    elif statistics.camera == "near-still" and not problem.known_focal_px:
+        focals = [prior.focal_px]
+    unmasked = problem.unmasked or problem.graph
+    return find_start(Observed(problem.graph, unmasked, previous, focals, statistics, prior, options.seed))
 
 
 def _estimate_rotations(problem: Problem, statistics: Statistics, prior: FocalPrior) -> Estimate:
@@ -142,30 +164,6 @@ def _failure(graph: FlowGraph, focal_px: float) -> Estimate:
     reason = "failed: neighbouring frames share too few confident static matches; the poses are the identity"
     focal = asdict(Focal("held at prior", None, "nothing could be estimated")) | {"focal_px": focal_px}
     return Estimate(state, "failed", np.zeros((T, 6, 6)), float("inf"), focal, {}, [reason], [reason])
-
-
-def _candidates(
-    problem: Problem, statistics: Statistics, prior: FocalPrior, focals: list[float], options: BAOptions
-) -> list[Candidate]:
-    """Adjusted starts: chains over focal lengths and thresholds, or the previous solution and one new chain."""
-    graph = problem.graph
-    threshold_px = float(np.clip(0.15 * statistics.flow_px, 0.3, 1.0))
-    schedule = (Level(2 * threshold_px, 6), Level(threshold_px, 8))
-    # Movers win two-view fits with wide thresholds: tighter ones than the adjustment needs.
-    pair_px = min(threshold_px / 2, MAX_PAIR_PX)
-    starts = {}
-    if problem.previous:
-        focals = [problem.known_focal_px or problem.previous.focal_px]
-        before = replace(problem.previous, focal_px=focals[0])
-        starts["previous round"] = initialise.search_depth(graph, dba.normalise(before), threshold_px)
-    elif statistics.camera == "near-still" and not problem.known_focal_px:
-        focals = [prior.focal_px]
-    for focal_px in focals:
-        for hypothesis in (Hypothesis(focal_px, pair_px, 0), Hypothesis(focal_px, 2 * pair_px, 2)):
-            poses, _ = initialise.chain(graph, hypothesis, options.seed)
-            name = f"chain at {focal_px / graph.width:.2f} W, pooled over {2 * hypothesis.pooled + 1}"
-            starts[name] = initialise.initial_state(graph, poses, focal_px)
-    return [initialise.adjust(graph, state, schedule, Unknowns(), prior, name) for name, state in starts.items()]
 
 
 def _refine(problem: Problem, statistics: Statistics, start: Candidate, prior: FocalPrior) -> tuple[Candidate, Focal]:
@@ -227,7 +225,7 @@ def _finish(
     covariance = np.einsum("iaib->iab", blocks)
     flags = list(doubts)
     if statistics.planar:
-        flags.append("planar scene: one homography explains the flow, which leaves two motions per pair to choose from")
+        flags.append("planar scene: one homography explains the flow, so that depth and motion rest on one plane")
     if focal.decision == "weakly observed":
         flags.append(f"focal length weakly observed: predicted error {100 * (focal.relative_sigma or 0):.0f} %")
     numbers = asdict(statistics) | {"camera": statistics.camera, "planar": statistics.planar}

@@ -99,6 +99,16 @@ def build_graph(
     return FlowGraph(source, target, pointer, pixels, matches, weights, middle, w, h, stride)
 
 
+def thin_graph(graph: FlowGraph, factor: int) -> FlowGraph:
+    """Every `factor`-th row and column of the observations."""
+    rows, columns = graph.rows // factor, graph.columns // factor
+    index = np.arange(graph.rows * graph.columns).reshape(graph.rows, graph.columns)
+    first = factor // 2
+    chosen = index[first::factor, first::factor][:rows, :columns].ravel()
+    pixels, matches, weights = graph.pixels[chosen], graph.matches[:, chosen], graph.weights[:, chosen]
+    return replace(graph, pixels=pixels, matches=matches, weights=weights, stride=graph.stride * factor)
+
+
 def mask_graph(graph: FlowGraph, static: np.ndarray) -> FlowGraph:
     """Multiply the weights by how static [T, h, w] (0..1) the pixel is at both ends of its match."""
     static = static.astype(np.float32)

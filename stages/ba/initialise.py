@@ -18,11 +18,14 @@ COST_MARGIN = 0.15
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """A chain start: the focal length in px, the two-view threshold in px, pairs pooled on either side."""
+    """A chain start: focal length in px, two-view threshold in px, frames per pair.
+
+    Neighbours match best, but where parallax is small distant frames alone tell the camera's motion from a mover's.
+    """
 
     focal_px: float
     threshold_px: float
-    pooled: int
+    step: int = 1
 
 
 @dataclass(frozen=True)
@@ -37,25 +40,40 @@ class Candidate:
 
 
 def chain(graph: FlowGraph, hypothesis: Hypothesis, seed: int) -> tuple[np.ndarray, int]:
-    """Camera poses [T, 4, 4] chained from consecutive pairs, and the number of pairs without a model.
+    """Camera poses [T, 4, 4] chained from pairs `step` frames apart, and the number of pairs without a model.
 
     The scale of each pair follows from the shared frame: the inverse depths seen forwards and backwards agree up to
-    it (weighted median of their log ratio). A pair without a model repeats the motion before it.
+    it (weighted median of their log ratio). The frames between are passed at constant velocity, and a pair without a
+    model goes on at the velocity before it.
     """
     cam_from_world = np.tile(np.eye(4), (graph.T, 1, 1))
-    motion, scale, lost = lie.from_parts(np.eye(3), np.zeros(3)), 1.0, 0
-    before: twoview.TwoView | None = None
-    for i in range(graph.T - 1):
-        pair = _pair_motion(graph, i, hypothesis, seed)
+    velocity, scale, lost = np.zeros(6), 1.0, 0
+    previous: tuple[int, twoview.TwoView] | None = None
+    for i, j in pair_chain(graph, hypothesis.step):
+        rays = twoview.pair_rays(graph, i, j, hypothesis.focal_px)
+        pair = twoview.estimate_motion(*rays, hypothesis.focal_px, hypothesis.threshold_px, seed)
         if pair is None:
             lost += 1
         else:
-            if before is not None:
-                scale *= _relative_scale(graph, i, before, pair, hypothesis.focal_px)
-            motion = lie.from_parts(pair.R, scale * pair.t)
-            before = pair
-        cam_from_world[i + 1] = motion @ cam_from_world[i]
+            if previous is not None:
+                before, motion = previous
+                scale *= _relative_scale(graph, (before, i, j), (motion, pair), hypothesis.focal_px)
+            velocity = lie.log_se3(lie.from_parts(pair.R, scale * pair.t)) / (j - i)
+            previous = i, pair
+        for frame in range(i + 1, j + 1):
+            cam_from_world[frame] = lie.exp_se3((frame - i) * velocity) @ cam_from_world[i]
     return cam_from_world, lost
+
+
+def pair_chain(graph: FlowGraph, step: int) -> list[tuple[int, int]]:
+    """Pairs that lead from the first frame to the last, each by the longest edge of at most `step` frames."""
+    lengths = np.unique(np.abs(graph.target - graph.source))
+    pairs, i = [], 0
+    while i < graph.T - 1:
+        fitting = lengths[lengths <= min(step, graph.T - 1 - i)]
+        pairs.append((i, i + int(fitting.max(initial=1))))
+        i = pairs[-1][1]
+    return pairs
 
 
 def initial_state(graph: FlowGraph, cam_from_world: np.ndarray, focal_px: float, sigma_px: float = 1.0) -> State:
@@ -103,26 +121,12 @@ def roughness(cam_from_world: np.ndarray) -> float:
     return float(np.linalg.norm(np.diff(velocity, axis=0), axis=1).mean()) / speed if speed > 0 else 0.0
 
 
-def _pair_motion(graph: FlowGraph, i: int, hypothesis: Hypothesis, seed: int) -> twoview.TwoView | None:
-    """Motion of frames i, i + 1, started from the pooled matches of the pairs around it where that is asked for."""
-    f, threshold_px, reach = hypothesis.focal_px, hypothesis.threshold_px, hypothesis.pooled
-    own = twoview.pair_rays(graph, i, i + 1, f)
-    if not reach:
-        return twoview.estimate_motion(*own, f, threshold_px, seed)
-    first = int(np.clip(i - reach, 0, max(graph.T - 2 - 2 * reach, 0)))
-    pairs = [twoview.pair_rays(graph, k, k + 1, f) for k in range(first, min(first + 2 * reach, graph.T - 2) + 1)]
-    x, y, w = (np.concatenate(parts)[::2] for parts in zip(*pairs, strict=True))
-    pooled = twoview.estimate_motion(x, y, w, f, threshold_px, seed)
-    if pooled is None or len(own[0]) < MIN_MATCHES:
-        return pooled
-    return twoview.refine_motion(pooled.R, pooled.t, *own, f, (1.5 * threshold_px, threshold_px), iterations=8)
-
-
 def _relative_scale(
-    graph: FlowGraph, i: int, before: twoview.TwoView, after: twoview.TwoView, focal_px: float
+    graph: FlowGraph, frames: tuple[int, int, int], motions: tuple[twoview.TwoView, twoview.TwoView], focal_px: float
 ) -> float:
-    """Length of the motion i -> i + 1 over that of i - 1 -> i, from the inverse depths that frame i has in both."""
-    forward, backward = graph.edge(i, i + 1), graph.edge(i, i - 1)
+    """Length of the second motion over that of the first, from the inverse depths that the middle frame has in both."""
+    (start, middle, end), (before, after) = frames, motions
+    forward, backward = graph.edge(middle, end), graph.edge(middle, start)
     if forward is None or backward is None:
         return 1.0
     rays = (graph.pixels - graph.centre) / focal_px

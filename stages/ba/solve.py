@@ -67,6 +67,8 @@ def main(
     problem = Problem(graph, has_movers or previous is not None, known_focal_px, previous, fallback)
     solution = _solve(problem, frames, options)
     flags = solution.flags + _mask_doubts(static, unmasked, previous_poses)
+    if solution.static is not None:
+        static, graph = solution.static, mask_graph(everything, solution.static)
     _log(frames.name, solution, flags)
     fine = mask_graph(build_graph(*columns, options.depth_stride_px, centre), static)
     maps = depth_maps(fine, graph, solution.state, static, solution.camera in ("moving", "near-still"))

@@ -15,6 +15,9 @@ from stages.shared import lie
 RANSAC_MATCHES = 1500
 """RANSAC gains nothing from more; all matches take part in the refinement."""
 
+GENERATORS = np.stack([lie.skew(axis) for axis in np.eye(3)])
+"""Skew matrices [3, 3, 3] of the three axes."""
+
 
 @dataclass(frozen=True)
 class TwoView:
@@ -163,9 +166,9 @@ def _sampson_jacobian(R: np.ndarray, t: np.ndarray, x: np.ndarray, y: np.ndarray
     by_E = (Y / g[:, None])[:, :, None] * X[:, None, :]
     ratio = (n / g**3)[:, None]
     by_E -= (ratio * line_y * top)[:, :, None] * X[:, None, :] + (ratio * Y)[:, :, None] * (line_x * top)[:, None, :]
-    E_by_parameter = [lie.skew(t) @ lie.skew(axis) @ R for axis in np.eye(3)]
-    E_by_parameter += [lie.skew(axis) @ R for axis in _tangent_basis(t)]
-    return n / g, by_E.reshape(-1, 9) @ np.stack(E_by_parameter).reshape(5, 9).T
+    by_rotation = lie.skew(t) @ GENERATORS @ R
+    by_translation = np.tensordot(_tangent_basis(t), GENERATORS, 1) @ R
+    return n / g, by_E.reshape(-1, 9) @ np.concatenate([by_rotation, by_translation]).reshape(5, 9).T
 
 
 def _tangent_basis(t: np.ndarray) -> np.ndarray:

@@ -1,0 +1,190 @@
+"""Where adjustment starts: camera paths guessed from the matches alone, and which of the motions seen is the camera's.
+
+Guesses are adjusted and compared on a coarse grid of pixels; the winner is refined on the full one.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from stages.ba import dba, initialise, planar
+from stages.ba.classify import Statistics
+from stages.ba.dba import FocalPrior, Level, State, Unknowns
+from stages.ba.graph import MIN_WEIGHT, FlowGraph, mask_graph, thin_graph
+from stages.ba.initialise import Candidate, Hypothesis
+
+COARSE_PIXELS = 400
+"""Guesses are compared on a grid of about this many pixels per frame."""
+MAX_PAIR_PX = 0.3
+"""Movers win two-view fits with wide thresholds: tighter ones than the adjustment needs."""
+MATCHED = 0.5
+"""Distant frames are related as long as they share this part of the matches that neighbours share."""
+SMOOTHER = 0.5
+"""Without masks the same matches are explained as well by a path this much smoother: then the masks are wrong."""
+FITTING_PX = (0.3, 1.0)
+EXPLAINED = 0.85
+"""If less than this share of the pixels fits the motion found, what is left may be the background."""
+
+SAME_PIXELS = 0.5
+"""A motion that also fits this share of the pixels of another is no second one."""
+
+
+@dataclass(frozen=True)
+class Observed:
+    """What the guesses are made from.
+
+    Attributes:
+        graph: observations, masked; unmasked: the same without masks (the same object if there are none).
+        previous: the solution of the round before, on the pixels of `graph`.
+        focals_px: focal lengths to try.
+    """
+
+    graph: FlowGraph
+    unmasked: FlowGraph
+    previous: State | None
+    focals_px: Sequence[float]
+    statistics: Statistics
+    prior: FocalPrior
+    seed: int
+
+    @property
+    def threshold_px(self) -> float:
+        """Robust scale of the first adjustment: flow errors grow with the flow."""
+        return float(np.clip(0.15 * self.statistics.flow_px, 0.3, 1.0))
+
+
+@dataclass(frozen=True)
+class Start:
+    """The winner.
+
+    Attributes:
+        candidate: adjusted on the coarse grid; others: those that it was compared with.
+        graph: observations to refine it on.
+        static: [T, height, width] 0..1, the static area that stands in for the masks given; None: these were kept.
+        flags: why it is not beyond doubt.
+    """
+
+    candidate: Candidate
+    others: list[Candidate]
+    graph: FlowGraph
+    static: np.ndarray | None
+    flags: list[str]
+
+
+def find_start(observed: Observed) -> Start:
+    """Adjust guesses with masks and without, and look for a second motion in what the best does not explain."""
+    factor = max(1, int(np.sqrt(len(observed.graph.pixels) / COARSE_PIXELS)))
+    plain = thin_graph(observed.unmasked, factor)
+    candidates = guess(observed, thin_graph(observed.graph, factor))
+    best, ignored = initialise.choose(candidates), ""
+    if observed.unmasked is not observed.graph:
+        unmasked = guess(replace(observed, focals_px=[best.state.focal_px]), plain)
+        rival = initialise.choose(unmasked)
+        if _costs_no_more(plain, rival, best, observed.threshold_px) and rival.roughness < SMOOTHER * best.roughness:
+            ignored = f"masks ignored: without them the path is {best.roughness / rival.roughness:.0f} times as smooth"
+            best, candidates = rival, unmasked
+    fits = explained(plain, best.state)
+    if fits.mean() < EXPLAINED:
+        second = _second_motion(replace(observed, focals_px=[best.state.focal_px], previous=None), plain, fits)
+        if second:
+            return second
+    others = [other for other in candidates if other is not best]
+    if not ignored:
+        return Start(best, others, observed.graph, None, [])
+    return _start_on(observed, best, others, _areas(plain, fits), ignored)
+
+
+def guess(observed: Observed, graph: FlowGraph) -> list[Candidate]:
+    """Adjusted guesses on one graph: chains over focal lengths and steps, planes, and the solution before."""
+    threshold_px = observed.threshold_px
+    schedule = (Level(2 * threshold_px, 6), Level(threshold_px, 8))
+    states = {}
+    if observed.previous:
+        before = initialise.initial_state(graph, observed.previous.cam_from_world, observed.previous.focal_px)
+        states["previous round"] = before
+    steps = sorted({1, longest_step(graph)})
+    planes = planar.homographies(graph) if observed.statistics.dominant_plane else None
+    for focal_px in observed.focals_px:
+        at = f"at {focal_px / graph.width:.2f} W"
+        for step in steps:
+            hypothesis = Hypothesis(focal_px, min(threshold_px / 2, MAX_PAIR_PX), step)
+            poses, _ = initialise.chain(graph, hypothesis, observed.seed)
+            states[f"chain {at}, {step} frames apart"] = initialise.initial_state(graph, poses, focal_px)
+        if planes:
+            poses = planar.chain_planes(planes, focal_px)
+            states[f"plane {at}"] = initialise.initial_state(graph, poses, focal_px)
+    adjust = initialise.adjust
+    return [adjust(graph, state, schedule, Unknowns(), observed.prior, name) for name, state in states.items()]
+
+
+def longest_step(graph: FlowGraph) -> int:
+    """The largest distance of frames that are still matched well."""
+    length, confident = np.abs(graph.target - graph.source), (graph.weights > MIN_WEIGHT).sum(axis=1)
+    usual = {step: float(np.median(confident[length == step])) for step in np.unique(length).tolist()}
+    return max(step for step, count in usual.items() if count >= MATCHED * usual[min(usual)])
+
+
+def explained(graph: FlowGraph, state: State) -> np.ndarray:
+    """Which pixels [T, P] fit the poses of `state` at some depth, by the vote of their matches; unmatched ones do.
+
+    A match fits up to three times the median error, within limits.
+    """
+    state = initialise.initial_state(graph, state.cam_from_world, state.focal_px, FITTING_PX[1])
+    errors = dba.errors_px(graph, state)
+    sigma_px = np.clip(3 * np.median(errors[graph.weights > MIN_WEIGHT]), *FITTING_PX)
+    fits = graph.weights / (1 + (errors / sigma_px) ** 2) ** 2
+    fitting, total = np.zeros(state.inverse_depth.shape), np.zeros(state.inverse_depth.shape)
+    np.add.at(fitting, graph.source, fits)
+    np.add.at(total, graph.source, graph.weights)
+    return np.asarray(fitting >= 0.5 * total)
+
+
+def border_share(graph: FlowGraph, chosen: np.ndarray) -> float:
+    """Share of the pixels along the image border that are among `chosen` [T, P]."""
+    border = np.ones((graph.rows, graph.columns), bool)
+    border[1:-1, 1:-1] = False
+    return float(chosen[:, border.ravel()].mean())
+
+
+def _costs_no_more(plain: FlowGraph, rival: Candidate, best: Candidate, sigma_px: float) -> bool:
+    """Whether the rival explains all matches as well as the best, within the margin in which cost tells nothing."""
+
+    def cost(state: State) -> float:
+        searched = initialise.initial_state(plain, state.cam_from_world, state.focal_px, sigma_px)
+        return dba.robust_cost(plain, dba.errors_px(plain, searched), sigma_px)
+
+    return cost(rival.state) <= (1 + initialise.COST_MARGIN) * cost(best.state)
+
+
+def _second_motion(observed: Observed, plain: FlowGraph, fits: np.ndarray) -> Start | None:
+    """The motion of what the first does not explain, if it is the background's.
+
+    Two rigid motions explain their own pixels equally well; the background is the one that more of the image border
+    follows, since objects stand before it.
+    """
+    unexplained = mask_graph(plain, _areas(plain, ~fits))
+    candidates = guess(observed, unexplained)
+    rival = initialise.choose(candidates)
+    own = explained(plain, rival.state)
+    shares = border_share(plain, fits), border_share(plain, own)
+    same = (own & fits).sum() > SAME_PIXELS * fits.sum()
+    if same or shares[1] <= shares[0]:
+        return None
+    reason = f"two motions: the one taken follows {shares[1]:.2f} of the image border, the other {shares[0]:.2f}"
+    others = [other for other in candidates if other is not rival]
+    return _start_on(observed, rival, others, _areas(plain, own), reason)
+
+
+def _start_on(observed: Observed, best: Candidate, others: list[Candidate], static: np.ndarray, reason: str) -> Start:
+    """A start whose refinement sees the static area found instead of the masks given."""
+    return Start(best, others, mask_graph(observed.unmasked, static), static, [reason])
+
+
+def _areas(graph: FlowGraph, chosen: np.ndarray) -> np.ndarray:
+    """The pixels `chosen` [T, P] as areas [T, height, width] of the flow grid, without single ones."""
+    maps = chosen.reshape(graph.T, graph.rows, graph.columns).astype(np.uint8)
+    size = graph.width, graph.height
+    grown = [cv2.resize(cv2.medianBlur(frame, 3), size, interpolation=cv2.INTER_NEAREST) for frame in maps]
+    return np.stack(grown).astype(np.float32)

@@ -1,0 +1,83 @@
+"""Guesses at the camera's path: planes, wrong masks, and objects that could be taken for the scene."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from synthetic import PLANE, make_scene, observe, trajectory_error
+
+from stages.ba import planar
+from stages.ba.estimate import Problem, estimate
+from stages.ba.graph import build_graph, mask_graph, thin_graph
+from stages.ba.initialise import pair_chain
+from stages.ba.options import BAOptions
+from stages.ba.start import longest_step
+
+OPTIONS = BAOptions()
+
+
+@pytest.mark.parametrize(("focal_error", "limit"), [(0.0, 0.01), (0.3, 0.05)])
+def test_homographies_of_a_plane_chain_to_the_path_even_with_a_wrong_focal_length(
+    focal_error: float, limit: float
+) -> None:
+    scene = make_scene(size=(96, 160), planes=PLANE)
+    steps = planar.homographies(observe(scene, noise_px=0.05))
+    poses = planar.chain_planes(steps, scene.focal_px * (1 + focal_error))
+    assert trajectory_error(poses, scene.cam_from_world) < limit
+
+
+def test_a_chain_over_lost_planes_stays_at_rest() -> None:
+    assert_allclose(planar.chain_planes([None, None], 100.0), np.tile(np.eye(4), (3, 1, 1)))
+
+
+def test_a_planar_scene_gives_path_and_focal_length_without_masks() -> None:
+    scene = make_scene(size=(96, 160), planes=PLANE)
+    solution = estimate(Problem(observe(scene, noise_px=0.05), masked=False), OPTIONS)
+    assert solution.statistics["planar"]
+    assert trajectory_error(solution.state.cam_from_world, scene.cam_from_world) < 5e-3
+    assert solution.state.focal_px == pytest.approx(scene.focal_px, rel=0.06)
+
+
+def test_an_object_over_half_of_the_image_is_not_taken_for_the_scene() -> None:
+    scene = make_scene(size=(96, 160), disc_radius=1.0)
+    assert scene.dynamic.mean() > 0.5
+    graph = observe(scene, masked=False)
+    solution = estimate(Problem(graph, masked=False, known_focal_px=scene.focal_px), OPTIONS)
+    assert trajectory_error(solution.state.cam_from_world, scene.cam_from_world) < 0.01
+    assert any("two motions" in flag for flag in solution.flags)
+    assert solution.static is not None
+    agreement = (solution.static > 0.5) == ~scene.dynamic
+    assert agreement.mean() > 0.8
+
+
+def test_masks_over_the_scene_itself_do_not_win() -> None:
+    scene = make_scene(size=(96, 160), disc_radius=0.5)
+    everything = observe(scene, masked=False)
+    inverted = mask_graph(everything, scene.dynamic)
+    problem = Problem(inverted, masked=True, known_focal_px=scene.focal_px, unmasked=everything)
+    solution = estimate(problem, OPTIONS)
+    assert trajectory_error(solution.state.cam_from_world, scene.cam_from_world) < 0.01
+    assert solution.flags
+
+
+def test_thinned_observations_are_those_of_wider_cells() -> None:
+    scene = make_scene(T=3, size=(48, 72))
+    fine, coarse = observe(scene, stride=3), observe(scene, stride=9)
+    thin = thin_graph(fine, 3)
+    assert_allclose(thin.pixels, coarse.pixels)
+    assert_allclose(thin.matches, coarse.matches, atol=1e-6)
+    assert (thin.rows, thin.columns, thin.stride) == (coarse.rows, coarse.columns, 9)
+
+
+def test_chained_pairs_take_the_longest_edges_that_lead_to_the_end() -> None:
+    source, target = np.array([(i, j) for i in range(9) for j in range(9) if abs(i - j) in (1, 2, 5)]).T
+    flow = np.zeros((len(source), 8, 8, 2), np.float32)
+    graph = build_graph(source, target, flow, np.ones(flow.shape[:3], np.float32), 9, 4)
+    assert pair_chain(graph, 5) == [(0, 5), (5, 7), (7, 8)]
+    assert pair_chain(graph, 1) == [(i, i + 1) for i in range(8)]
+
+
+def test_frames_too_far_apart_to_match_are_not_chained() -> None:
+    graph = observe(make_scene(size=(96, 160)))
+    assert longest_step(graph) == 3
+    graph.weights[np.abs(graph.target - graph.source) == 3] *= 0.1
+    assert longest_step(graph) == 2
