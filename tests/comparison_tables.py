@@ -7,6 +7,7 @@ from stages.eval.tables import write_rows
 
 METRICS = (
     *("rpe_rot_deg", "focal_error_percent", "iou", "psnr_static_db", "psnr_dynamic_db", "ssim"),
+    *("ate", "rpe_trans", "path", "registered", "total"),
     *("cpu_s", "poses_cpu_s", "peak_mb", "model_mb"),
 )
 
@@ -21,7 +22,7 @@ def cost_row(setting: str, ate: float | None, seconds: float, psnr: float = 20.0
         "value": None,
         "is_default": False,
     }
-    row |= dict.fromkeys(METRICS, 1.0) | {"ate_percent": ate, "psnr_db": psnr, "status": "ok"}
+    row |= dict.fromkeys(METRICS, 1.0) | {"ate_percent": ate, "psnr_db": psnr, "status": "ok", "note": ""}
     return row | {"poses_wall_s": seconds / 2, "wall_s": seconds} | changes
 
 

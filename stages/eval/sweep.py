@@ -10,9 +10,13 @@ from stages.shared import cli
 from stages.shared.artifacts import read_json
 from stages.shared.cli import In, Out
 
+POSE_SCORES = (
+    *("ate", "ate_percent", "rpe_trans", "rpe_rot_deg", "focal_error_percent", "path"),
+    *("registered", "total", "status", "note"),
+)
 COLUMNS = (
     *("sequence", "group", "setting", "knob", "value", "is_default", "overrides"),
-    *("ate_percent", "rpe_rot_deg", "focal_error_percent", "status", "iou"),
+    *(*POSE_SCORES, "iou"),
     *("psnr_db", "psnr_static_db", "psnr_dynamic_db", "ssim"),
     *("wall_s", "cpu_s", "poses_wall_s", "poses_cpu_s", "peak_mb", "model_mb"),
 )
@@ -61,7 +65,7 @@ def run_row(folder: Path, run: Row) -> Row:
 def pose_scores(rows: Iterable[Row]) -> Row:
     """Errors of our poses after the last round."""
     ours = next(row for row in rows if row["method"] == "ours")
-    return {name: ours[name] for name in ("ate_percent", "rpe_rot_deg", "focal_error_percent", "status")}
+    return {name: ours[name] for name in POSE_SCORES}
 
 
 def mask_scores(rows: Iterable[Row]) -> Row:

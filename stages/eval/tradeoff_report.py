@@ -26,8 +26,6 @@ BESIDE = ("presets", "inputs")
 """The groups whose runs stand in the pose table too."""
 NO_EFFECT = 1e-3
 """A knob that changes an error by less than this share has no chart of it."""
-UNKNOWN = ("registered", "total", "ate", "rpe_trans", "path", "note")
-"""What the pose table shows and the sweep's table may not hold."""
 NOTE = (
     "Unweighted means over the swept sequences; seconds are wall and CPU time of all stages up to the result, shared "
     "ones counted in full, COLMAP and evaluation left out; to poses: up to the last adjustment. PSNR and SSIM of "
@@ -88,8 +86,7 @@ def pose_rows(costs: Sequence[Row]) -> list[Row]:
     """Rows of the pose table for the presets and inputs of the sweep that differ from the configured run."""
     seconds = {"wall_s": "poses_wall_s", "cpu_s": "poses_cpu_s"}
     return [
-        dict.fromkeys(UNKNOWN)
-        | row
+        row
         | {"method": f"ours, {row['setting']}", "protocol": f"run again by the sweep ({row['group']})"}
         | {key: row[source] for key, source in seconds.items()}
         for row in costs
