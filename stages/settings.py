@@ -11,6 +11,7 @@ from stages.comparisons import Knobs, ScalingOptions, SweepOptions
 from stages.config import SHARED_KEYS, Config
 from stages.presets import Overrides, override, value_of
 from stages.shared.errors import InputError
+from stages.shared.sequences import Sequence as ImageSequence
 
 UPSTREAM = {
     "inspect": None,
@@ -29,6 +30,15 @@ UPSTREAM = {
 
 REPEATED = ("motion", "segment", "ba")
 """Stages that every round repeats."""
+
+TRUTH = {
+    "intrinsics": ("camdata_left",),
+    "flow.source": ("flow", "depth", "camdata_left"),
+    "segment.source": ("motion_mask",),
+    "ba.poses_from": ("camdata_left",),
+    "ba.depth_from": ("depth",),
+}
+"""The kinds of truth that an option set to "truth" needs."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,6 +145,12 @@ def choose_sequences(options: SweepOptions | ScalingOptions, names: Iterable[str
             advice = "name sequences that `sequences:` chooses"
             raise InputError("config.yaml: sweep, scaling", f"one of {', '.join(known)}", f"'{name}'", advice)
     return options.sequences
+
+
+def lacks_truth(setting: Setting, sequence: ImageSequence) -> bool:
+    """Whether a setting takes truth as input that the sequence has not got."""
+    wanted = [option for option, value in setting.overrides.items() if value == "truth"]
+    return not all(sequence.has_truth(kind) for option in wanted for kind in TRUTH.get(option, ()))
 
 
 def _refuse_equal_folders(settings: Sequence[Setting]) -> None:

@@ -1,5 +1,7 @@
 """Settings and presets: which value wins, which stages two runs share, and what is refused."""
 
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -10,6 +12,7 @@ from stages import config as configuration
 from stages import settings
 from stages.presets import PRESETS, override, value_of
 from stages.shared.errors import InputError
+from stages.shared.sequences import Sequence
 
 SWEEP: dict[str, Any] = {
     "presets": ["fast", "balanced"],
@@ -127,3 +130,14 @@ def test_sequences_of_a_comparison() -> None:
     assert chosen(["b"]) == ["b"]
     with pytest.raises(InputError, match="'c'"):
         chosen(["c"])
+
+
+def test_a_setting_that_takes_truth_needs_it() -> None:
+    runs = {"inputs": {"masks": {"segment.source": "truth"}, "none": {"segment.source": "none"}}}
+    masks, none = settings.compared({"sweep": {"runs": runs}})[0]
+    files = {number: Path(f"{number}.png") for number in (1, 2, 3)}
+    bare = Sequence("clip", list(files.values()), list(files), 4, 4)
+    full = replace(bare, truth={"motion_mask": files})
+    gap = replace(bare, truth={"motion_mask": {1: files[1]}})
+    assert [settings.lacks_truth(masks, s) for s in (bare, full, gap)] == [True, False, True]
+    assert not settings.lacks_truth(none, bare)

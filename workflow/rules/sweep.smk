@@ -41,6 +41,13 @@ def scaled_run(sequence, setting):
     return {"axis": setting.group, "size": size, "stats": stats}
 
 
+def can_run(sequence, setting):
+    """Whether the sequence has the truth that the setting takes as input; simulated ones have all."""
+    if DATASET == configuration.SIMULATED:
+        return True
+    return not settings.lacks_truth(setting, SEQUENCES[sequence])
+
+
 SIZES = {
     "frames": ("inspect", "sequence.json"),
     "pixels": ("flow", "flow/pairs.arrow"),
@@ -48,7 +55,12 @@ SIZES = {
     "control points": ("control", "control/points.parquet"),
 }
 RUNS = {
-    "sweep": [swept_run(name, s) for name in SWEPT_SEQUENCES for s in SWEPT],
+    "sweep": [
+        swept_run(name, s)
+        for name in SWEPT_SEQUENCES
+        for s in SWEPT
+        if can_run(name, s)
+    ],
     "scaling": [scaled_run(name, s) for name in SCALED_SEQUENCES for s in SCALED],
 }
 TABLES = {
