@@ -15,7 +15,7 @@ METRICS = (
 def cost_row(setting: str, ate: float | None, seconds: float, psnr: float = 20.0, **changes: Any) -> dict[str, Any]:
     """A row of the sweep's table."""
     row: dict[str, Any] = {
-        "sequence": "a",
+        "sequence": "wall",
         "group": "presets",
         "setting": setting,
         "knob": None,

@@ -59,7 +59,7 @@ def test_settings_are_means_over_sequences_and_failures_are_counted() -> None:
 def test_the_report_draws_settings_beside_colmap_and_lists_every_group() -> None:
     pose = {"status": "ok", "rpe_trans": 0.1, "rpe_rot_deg": 0.1, "focal_error_percent": 1.0, "cpu_s": 9.0, "ate": 0.1}
     poses = [
-        {"sequence": "a", "method": "COLMAP global", "ate_percent": 7.0, "wall_s": 77.0, **pose},
+        {"sequence": "wall", "method": "COLMAP global", "ate_percent": 7.0, "wall_s": 77.0, **pose},
         {"sequence": "not swept", "method": "COLMAP global", "ate_percent": 900.0, "wall_s": 1.0, **pose},
     ]
     sentence, figures, tables = tradeoff_report.sweep_part(comparison_tables.cost_rows(), poses)

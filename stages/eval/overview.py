@@ -65,7 +65,7 @@ def build_groups(rows: Rows, protocols: Mapping[str, str], numbers: Mapping[str,
     other_poses, other_images = published.pose_table(numbers, rows["poses"]), published.image_table(numbers)
     many = len({row["sequence"] for row in rows["time"]}) > 1
     groups = [
-        Group("poses", "Camera poses", [poses_mean, poses] if many else [poses], [other_poses]),
+        Group("poses", "Camera poses", [poses_mean] if many else [poses], [*([poses] if many else []), other_poses]),
         Group("images", "Images", [images_mean] if many else [images], [*([images] if many else []), other_images]),
         Group("masks", "Masks", [masks_mean] if many else [masks], [masks] if many else []),
         Group("checks", "Flow and depth", [checks_mean] if many else [checks], [checks] if many else []),
@@ -86,15 +86,15 @@ def tiles(rows: Rows) -> list[Tile]:
     test = summaries.image_means(rows["images"])
     image = _mean(test, split="test", region="whole", method="ours")
     copies = [row for row in test if (row["split"], row["region"]) == ("test", "whole") and row["method"] != "ours"]
-    copied = max(copies, key=lambda row: row["psnr_db"], default=None)
+    copied = max(copies, key=lambda row: (row["n"], row["psnr_db"]), default=None)
     masks = summaries.mask_means(rows["masks"])
     mask = _mean(masks[-2:], method="refined masks")
     own = [row for row in rows["time"] if is_ours(row)]
     seconds, peak_mb = _per_sequence(own, "wall_s", sum), _per_sequence(own, "peak_mb", max)
     rivals = [row for row in summaries.pose_means(rows["poses"]) if _rival(row)]
-    best = min(rivals, key=lambda row: row["ate_percent"], default=None)
-    against = f"best COLMAP: {decimal(best['ate_percent'], 2)} %" if best else "COLMAP: none"
-    copied_words = f"{copied['method']}: {copied['psnr_db']:.1f} dB" if copied else ""
+    best = min(rivals, key=lambda row: (-row["n"], row["ate_percent"]), default=None)
+    against = f"best COLMAP: {decimal(best['ate_percent'], 2)} %, n = {best['n']}" if best else "COLMAP: none"
+    copied_words = f"{copied['method']}: {copied['psnr_db']:.1f} dB, n = {copied['n']}" if copied else ""
     cpu_s = f"; {np.mean(_per_sequence(own, 'cpu_s', sum)):.0f} s of CPU" if seconds else ""
     spent = f"per sequence, without COLMAP{cpu_s}; n = {len(seconds)}"
     return [

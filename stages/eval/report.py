@@ -11,8 +11,8 @@ from stages.eval import overview, provenance, tradeoff_report
 from stages.eval.effects import decision_rows, simulation_rows
 from stages.eval.options import ReportOptions
 from stages.eval.overview import Group
-from stages.eval.sections import build_section
-from stages.eval.tables import Row, read_rows
+from stages.eval.sections import Section, build_section
+from stages.eval.tables import Row, Table, read_rows
 from stages.shared import cli
 from stages.shared.artifacts import atomic, atomic_folder, read_metadata
 from stages.shared.cli import In, Out
@@ -21,7 +21,7 @@ from stages.shared.log import logger, progress
 TEMPLATES = Path(__file__).parent / "templates"
 ASSETS = {"style": "style.css", "script": "sort.js"}
 KINDS = ("poses", "images", "masks", "checks", "time")
-SECTION_TABLES = ("time", "decisions", "simulation")
+SECTION_TABLES = ("poses", "images", "masks", "checks", "time", "decisions", "simulation")
 
 
 def main(
@@ -35,22 +35,13 @@ def main(
     growth: Annotated[Path | None, In("table of the scaling: cost of every stage over sizes")] = None,
 ) -> None:
     """Write the report. It needs no network, no other file, and only the results that are there."""
-    rows, protocols = gather(sequences)
-    rows["decisions"] = [row for folder in sequences for row in decision_rows(folder)]
-    rows["simulation"] = [row for folder in sequences for row in simulation_rows(manifests, folder.name)]
-    numbers = yaml.safe_load(published_numbers.read_text())
+    rows, protocols = gather(sequences, manifests)
+    names = [folder.name for folder in sequences]
     compared = comparison_groups(sweep, growth, rows["poses"])
-    rows["poses"] += tradeoff_report.pose_rows(read_rows(sweep)) if sweep else []
-    groups = overview.build_groups(rows, protocols, numbers)
+    rows["poses"] = with_settings(rows["poses"], sweep, names)
+    groups = overview.build_groups(rows, protocols, yaml.safe_load(published_numbers.read_text()))
     groups[-1:-1] = compared
     every = {table.name: table for group in groups for table in [*group.tables, *group.more]}
-    shown = []
-    for folder in progress(sequences, "sequences"):
-        section = build_section(folder)
-        if len(sequences) > 1:
-            own = [every[name].of(section.name) for name in SECTION_TABLES if name in every]
-            section.tables = [table for table in own if table.rows]
-        shown.append(section)
     about = provenance.tables(sequences)
     with atomic_folder(tables) as target:
         for table in [*every.values(), *about]:
@@ -59,14 +50,33 @@ def main(
         title=options.title,
         summary=overview.summary(rows),
         tiles=overview.tiles(rows),
-        problems=overview.problems(rows, [folder.name for folder in sequences]),
+        problems=overview.problems(rows, names),
         groups=groups,
-        sections=shown,
+        sections=build_sections(sequences, every),
         provenance=about,
     )
     with atomic(output) as partial:
         partial.write_text(page, encoding="utf-8")
     logger.info("report: %s, %.1f MB", output, len(page.encode()) / 1e6)
+
+
+def build_sections(folders: list[Path], tables: dict[str, Table]) -> list[Section]:
+    """A section per sequence; with several of them, each with its own rows of the tables."""
+    shown = []
+    for folder in progress(folders, "sequences"):
+        section = build_section(folder)
+        if len(folders) > 1:
+            own = [tables[name].of(section.name) for name in SECTION_TABLES if name in tables]
+            section.tables = [table for table in own if table.rows]
+        shown.append(section)
+    return shown
+
+
+def with_settings(poses: list[Row], sweep: Path | None, names: list[str]) -> list[Row]:
+    """The pose rows and those of the sweep on the same sequences, in the order of `names`."""
+    others = tradeoff_report.pose_rows(read_rows(sweep)) if sweep else []
+    rows = [*poses, *(row for row in others if row["sequence"] in names)]
+    return sorted(rows, key=lambda row: names.index(row["sequence"]))
 
 
 def comparison_groups(sweep: Path | None, growth: Path | None, poses: list[Row]) -> list[Group]:
@@ -81,7 +91,7 @@ def comparison_groups(sweep: Path | None, growth: Path | None, poses: list[Row])
     return groups
 
 
-def gather(folders: list[Path]) -> tuple[dict[str, list[Row]], dict[str, str]]:
+def gather(folders: list[Path], manifests: Path | None) -> tuple[dict[str, list[Row]], dict[str, str]]:
     """Rows of all sequences and the protocol, by kind of table; what is not there is left out."""
     rows: dict[str, list[Row]] = {kind: [] for kind in KINDS}
     protocols = dict.fromkeys(KINDS, "")
@@ -90,6 +100,8 @@ def gather(folders: list[Path]) -> tuple[dict[str, list[Row]], dict[str, str]]:
             if path.exists():
                 rows[kind] += read_rows(path)
                 protocols[kind] = read_metadata(path).get("protocol", "")
+    rows["decisions"] = [row for folder in folders for row in decision_rows(folder)]
+    rows["simulation"] = [row for folder in folders for row in simulation_rows(manifests, folder.name)]
     return rows, protocols
 
 
