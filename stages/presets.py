@@ -12,14 +12,14 @@ PRESETS: dict[Preset, Overrides] = {
         "flow.finest_scale": 1,
         "ba.stride_px": 16,
         "control.steps": 200,
-        "gaussians.steps": 200,
+        "gaussians.steps": 400,
         "gaussians.stride_px": 3,
     },
     "balanced": {},
     "accurate": {
         "rounds": 3,
         "ba.stride_px": 4,
-        "gaussians.steps": 2000,
+        "gaussians.steps": 4000,
     },
 }
 """Balanced is the defaults themselves."""

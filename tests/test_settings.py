@@ -75,7 +75,7 @@ def test_stages_before_the_first_difference_are_shared() -> None:
 def test_the_configured_value_stands_in_every_series_and_is_not_run_again() -> None:
     evaluated = homes("evaluate")
     assert {name for name, home in evaluated.items() if home == ""} == {
-        *("balanced", "ba.stride_px=8", "rounds=2", "gaussians.steps=600")
+        *("balanced", "ba.stride_px=8", "rounds=2", "gaussians.steps=1000")
     }
     assert "left out" not in evaluated
 
@@ -98,9 +98,9 @@ def test_two_settings_share_what_differs_from_the_configured_run() -> None:
 
 
 def test_a_preset_in_the_sweep_keeps_the_users_own_values() -> None:
-    raw = {"gaussians": {"steps": 600}, "sweep": {"presets": ["fast"]}}
-    (with_default,), _ = settings.compared(raw, {"gaussians": {"steps": 600}})
-    assert with_default.config.gaussians.steps == 600
+    raw = {"gaussians": {"steps": 1000}, "sweep": {"presets": ["fast"]}}
+    (with_default,), _ = settings.compared(raw, {"gaussians": {"steps": 1000}})
+    assert with_default.config.gaussians.steps == 1000
     assert with_default.config.control.steps == PRESETS["fast"]["control.steps"]
 
 
