@@ -1,5 +1,6 @@
 """The pose script: every artifact, a second round, and refusals."""
 
+import shutil
 import sys
 from pathlib import Path
 
@@ -7,15 +8,19 @@ import cv2
 import numpy as np
 import pytest
 from conftest import write_frames
+from numpy.testing import assert_allclose
 from synthetic import flow_arrays, make_scene, trajectory_error
 
 from stages.ba.options import BAOptions
 from stages.ba.solve import main
+from stages.flow.estimate import main as estimate_flow
+from stages.flow.options import FlowOptions
 from stages.shared.artifacts import read_dense, read_metadata, read_table, write_dense, write_json
 from stages.shared.cameras import read_cameras
 from stages.shared.errors import InputError
 from stages.shared.images import write_image
 from stages.shared.sequences import check_sequence, sequence_to_json
+from stages.shared.sintel import read_cam
 
 
 @pytest.fixture
@@ -72,6 +77,27 @@ def test_a_missing_mask_is_named(artifacts: dict[str, Path], tmp_path: Path) -> 
 def test_true_intrinsics_without_truth_are_refused(artifacts: dict[str, Path], tmp_path: Path) -> None:
     with pytest.raises(InputError, match="intrinsics"):
         main(**artifacts, **outputs(tmp_path / "out"), options=BAOptions(intrinsics="truth"))
+
+
+def test_true_intrinsics_are_those_of_the_camera_files(rendered: Path, tmp_path: Path) -> None:
+    training = tmp_path / "training"
+    for kind in ("final", "camdata_left"):
+        (training / kind / "mountain_static").mkdir(parents=True)
+        for path in sorted((rendered / "training" / kind / "mountain_static").iterdir())[:6]:
+            shutil.copy(path, training / kind / "mountain_static" / path.name)
+    frames = check_sequence("mountain_static", training / "final" / "mountain_static")
+    write_json(sequence := tmp_path / "sequence.json", sequence_to_json(frames))
+    options = FlowOptions(offsets=(1, 2), max_width_px=256)
+    estimate_flow(sequence, flow := tmp_path / "pairs.arrow", tmp_path / "flow.png", options)
+    for number in frames.numbers:
+        write_image(tmp_path / "masks" / f"frame_{number:04d}.png", np.zeros((frames.height, frames.width), bool))
+    paths = outputs(tmp_path / "out")
+    main(sequence, flow, tmp_path / "masks", **paths, options=BAOptions(intrinsics="truth"))
+    true_Ks, true_poses = zip(*(read_cam(path) for path in frames.truth["camdata_left"].values()), strict=True)
+    cameras = read_cameras(paths["poses"])
+    assert read_metadata(paths["poses"])["focal"]["decision"] == "known"
+    assert_allclose(cameras.Ks, true_Ks, rtol=1e-6)
+    assert trajectory_error(cameras.cam_from_world, np.stack(true_poses)) < 5e-3
 
 
 def test_options_stay_light() -> None:
