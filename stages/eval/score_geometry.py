@@ -3,13 +3,12 @@
 from collections.abc import Mapping
 from typing import Any
 
-import cv2
 import numpy as np
 
 from stages.eval import truthfree
+from stages.eval.flow_error import flow_rows, has_some_true_flow
 from stages.shared import sintel
 from stages.shared.cameras import Cameras
-from stages.shared.images import read_mask
 from stages.shared.sequences import Sequence
 
 FAR = 10.0  # true depths beyond this many medians (sky) are left out
@@ -40,8 +39,8 @@ def score_geometry(
     residuals = edge_residuals(sequence, flow, cameras, depth["inverse_depth"], uv, static)
     rows = _residual_rows(residuals)
     rows.append(_row("frames with a pose", *_registered(cameras), "frames", "status of ba/poses.parquet"))
-    if sequence.has_truth("flow"):
-        rows.append(_flow_row(sequence, flow))
+    if has_some_true_flow(sequence):
+        rows += flow_rows(sequence, flow)
     if sequence.has_truth("depth"):
         rows += _depth_rows(sequence, depth["inverse_depth"], uv, static)
     return [{"sequence": sequence.name} | row for row in rows]
@@ -92,22 +91,6 @@ def _residual_rows(residuals: np.ndarray) -> list[dict[str, Any]]:
         _row("flow residual, 90th percentile", high, n, "px", protocol),
         _row("flow residual below 1 px", 100 * float(np.mean(residuals < 1)), n, "%", protocol),
     ]
-
-
-def _flow_row(sequence: Sequence, flow: Mapping[str, np.ndarray]) -> dict[str, Any]:
-    """Mean end-point error of neighbouring forward edges, over valid pixels of all frames."""
-    scale = flow["flow"].shape[2] / sequence.width
-    errors = []
-    for e, (i, j) in enumerate(zip(flow["source"], flow["target"], strict=True)):
-        if j == i + 1:
-            size = (sequence.width, sequence.height)
-            enlarged = cv2.resize(flow["flow"][e].astype(np.float32), size, interpolation=cv2.INTER_LINEAR) / scale
-            number = sequence.numbers[i]
-            error = np.linalg.norm(enlarged - sintel.read_flo(sequence.truth["flow"][number]), axis=-1)
-            invalid = sequence.truth.get("invalid", {}).get(number)
-            errors.append(float(error[~read_mask(invalid)].mean() if invalid else error.mean()))
-    protocol = "mean end-point error of flow to the next frame, full-size pixels, occluded pixels included"
-    return _row("flow end-point error", float(np.mean(errors)), len(errors), "px", protocol)
 
 
 def _depth_rows(

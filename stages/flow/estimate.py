@@ -50,7 +50,13 @@ def main(
     facts |= {"source": options.source, "long_edges": sum(j - i > max(options.offsets) for i, j in edges)}
     facts |= {"confident_share": float(np.mean(confidence > 0.5))}
     logger.info("%d edges of %d x %d px: %s", len(edges), w, h, facts)
-    metadata: dict[str, Any] = {"units": "pixels of the flow grid", "width": w, "height": h, "scale": w / frames.width, **facts}
+    metadata: dict[str, Any] = {
+        "units": "pixels of the flow grid",
+        "width": w,
+        "height": h,
+        "scale": w / frames.width,
+        **facts,
+    }
     metadata["options"] = options.model_dump(mode="json")
     source, target = np.array(edges, np.int64).reshape(-1, 2).T
     write_dense(output, {"source": source, "target": target, "flow": flow, "confidence": confidence}, metadata)

@@ -15,8 +15,8 @@ from stages.flow.dis import solve_pair
 from stages.flow.edges import Edge
 from stages.shared.warp import warp
 
-MAX_CONFIDENT_SHARE = 0.5
-"""Pairs that are confident on more of their pixels than this are left alone."""
+MAX_CONFIDENT_SHARE, LOST_SHARE = 0.5, 0.1
+"""Pairs that are confident on more of their pixels than this are left alone: fast ones, and others."""
 MIN_MATCHES, MIN_INLIER_SHARE, MIN_MOTION_PX = 250, 0.8, 15.0
 """The gate: so many matches, of which so many fit one epipolar geometry, moving by so much in the median."""
 KEYPOINTS, CONTRAST, RATIO = 4000, 0.008, 0.85
@@ -44,10 +44,10 @@ def restarted_pair(
 
 
 def _is_lost(flow: np.ndarray, back: np.ndarray, source: np.ndarray, target: np.ndarray) -> bool:
-    """Whether a pair moves fast, as far as can be told from a flow that may be wrong, and is little confident."""
-    if np.median(np.linalg.norm(flow, axis=-1)) < MIN_MOTION_PX / 2:
-        return False
-    return bool((flow_confidence(flow, back, source, target) > 0.5).mean() < MAX_CONFIDENT_SHARE)
+    """Whether a pair is confident nowhere, or is little confident and moves fast as far as its flow can tell."""
+    share = float((flow_confidence(flow, back, source, target) > 0.5).mean())
+    fast = np.median(np.linalg.norm(flow, axis=-1)) > MIN_MOTION_PX / 2
+    return share < (MAX_CONFIDENT_SHARE if fast else LOST_SHARE)
 
 
 def sparse_matches(source: np.ndarray, target: np.ndarray) -> np.ndarray:

@@ -1,0 +1,91 @@
+"""Accuracy of optical flow and of its confidence against truth, for any folders of MPI-Sintel layout.
+
+Run as `python -m benchmarks.flow_accuracy FOLDER [FOLDER ...]`, each a folder of frames `<training>/<pass>/<sequence>`
+beside its truth. Per sequence: end-point error of flow to the next frame, overall and by true motion, and how often
+confident flow is right to a pixel; with depth and cameras also per frame distance, against exact flow of the pixels
+seen in both frames. Options of the flow stage follow as in `python -m stages.flow.estimate --help`, e.g.
+`--options finest_scale=1`; `--frames 8` takes the first frames only.
+"""
+
+import argparse
+import tempfile
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from stages.eval.flow_error import MIN_CONFIDENCE, RIGHT_PX, SPEEDS_PX, FlowErrors, flow_errors
+from stages.flow import estimate
+from stages.flow.options import FlowOptions
+from stages.flow.truth import NEEDED, read_truth, true_flow
+from stages.shared.artifacts import read_dense, write_json
+from stages.shared.options import validate
+from stages.shared.sequences import Sequence, check_sequence, sequence_to_json
+
+
+def measured(frames: Sequence, options: FlowOptions) -> tuple[dict[str, np.ndarray], float]:
+    """Columns of pairs.arrow as the stage writes them, and its CPU seconds."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        write_json(folder / "sequence.json", sequence_to_json(frames))
+        began = time.process_time()
+        estimate.main(folder / "sequence.json", folder / "pairs.arrow", folder / "flow.png", options)
+        seconds = time.process_time() - began
+        return {key: np.array(values) for key, values in read_dense(folder / "pairs.arrow").items()}, seconds
+
+
+def summary(found: FlowErrors) -> str:
+    """Errors overall and by true motion as text, and what the confidence promises."""
+    parts = [f"all {found.error_px.mean():.2f} px, visible {found.error_px[found.visible].mean():.2f}"]
+    for low, high in SPEEDS_PX:
+        errors = found.error_px[(found.motion_px >= low) & (found.motion_px < high)]
+        mean = f"{errors.mean():.2f}" if len(errors) else "-"
+        parts.append(f"{low:g}-{high:g} px: {mean} (n {len(errors)})")
+    share = np.mean(found.confidence > MIN_CONFIDENCE)
+    return f"{'; '.join(parts)}; confident {share:.2f}, of these right {found.right().mean():.3f}"
+
+
+def by_distance(frames: Sequence, flow: dict[str, np.ndarray]) -> list[str]:
+    """Per frame distance: mean error of visible pixels, confident share, and how many of those are right."""
+    h, w = flow["confidence"].shape[1:]
+    truth = read_truth(frames, w, h)
+    found: dict[int, list[tuple[np.ndarray, np.ndarray]]] = {}
+    for e, edge in enumerate(zip(flow["source"].tolist(), flow["target"].tolist(), strict=True)):
+        true, known = true_flow(truth, edge)
+        errors = np.linalg.norm(flow["flow"][e].astype(np.float32) - true, axis=-1)[known]
+        found.setdefault(abs(edge[1] - edge[0]), []).append((errors, flow["confidence"][e][known] > MIN_CONFIDENCE))
+    lines = []
+    for distance, parts in sorted(found.items()):
+        errors, sure = (np.concatenate(part) for part in zip(*parts, strict=True))
+        right = f"{(errors[sure] < RIGHT_PX).mean():.3f}" if sure.any() else "-"
+        lines.append(
+            f"  {distance:2d} frames on: error {errors.mean():.2f} px, confident {sure.mean():.2f}, right {right}"
+        )
+    return lines
+
+
+def main() -> None:
+    """Print the errors of every sequence."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folders", type=Path, nargs="+", metavar="FOLDER")
+    parser.add_argument("--frames", type=int, help="use the first frames only")
+    parser.add_argument("--options", nargs="*", default=[], metavar="NAME=VALUE", help="options of the flow stage")
+    arguments = parser.parse_args()
+    given = {name: yaml.safe_load(value) for name, value in (pair.split("=", 1) for pair in arguments.options)}
+    options = validate(FlowOptions, given, "--options")
+    for folder in arguments.folders:
+        frames = check_sequence(folder.name, folder)
+        if arguments.frames:
+            n = arguments.frames
+            frames = replace(frames, frames=frames.frames[:n], numbers=frames.numbers[:n])
+        flow, seconds = measured(frames, options)
+        print(f"{folder.parent.name}/{folder.name}, {len(flow['source'])} edges, {seconds:.1f} s of CPU time")
+        print("  " + summary(flow_errors(frames, flow)))
+        if all(frames.has_truth(kind) for kind in NEEDED):
+            print("\n".join(by_distance(frames, flow)), flush=True)
+
+
+if __name__ == "__main__":
+    main()
