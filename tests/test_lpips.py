@@ -7,8 +7,13 @@ import pytest
 import torch
 from numpy.lib.stride_tricks import sliding_window_view
 
+from stages import config as configuration
 from stages.eval.lpips import load_lpips
+from stages.eval.options import EvaluateOptions
+from stages.eval.score_images import score_images
 from stages.shared.errors import InputError
+from stages.shared.images import write_image
+from stages.shared.sequences import Sequence
 
 CHANNELS = (3, 64, 192, 384, 256, 256)
 KERNELS = (11, 5, 3, 3, 3)
@@ -81,3 +86,28 @@ def test_files_that_are_no_weights_are_bad_input(tmp_path: Path) -> None:
     torch.save(weights | {"net.slice4.8.bias": torch.full((256,), float("nan"))}, path)
     with pytest.raises(InputError, match="finite"):
         load_lpips(path)
+
+
+def test_image_rows_carry_lpips_of_whole_frames_where_weights_are_given(tmp_path: Path) -> None:
+    paths = [tmp_path / f"frame_{number:04d}.png" for number in (1, 2, 3)]
+    images = np.random.default_rng(2).integers(0, 256, (3, 40, 48, 3), dtype=np.uint8)
+    for path, image in zip(paths, images, strict=True):
+        write_image(path, image)
+    write_image(tmp_path / "renders/test/frame_0002.png", images[0])
+    sequence = Sequence("noise", paths, [1, 2, 3], 48, 40)
+    flow = {"source": np.zeros(0, int), "target": np.zeros(0, int), "flow": np.zeros((0, 40, 48, 2))}
+    half = np.broadcast_to(np.arange(48) < 24, (40, 48))
+    torch.save(_weights(), tmp_path / "alex.pth")
+    expected = {"alex.pth": _oracle(_weights(), [images[0], images[1]]), None: None}
+    for file, value in expected.items():
+        weights = tmp_path / file if file else None
+        options = EvaluateOptions(lpips_weights=weights, holdout_every=3, holdout_first=1)
+        rows, _ = score_images(sequence, tmp_path / "renders", flow, ({2: half}, "by hand"), options)
+        found = {row["region"]: row["lpips"] for row in rows if row["method"] == "ours"}
+        assert found["whole"] == (None if value is None else pytest.approx(value, rel=1e-4))
+        assert (found["static"], found["dynamic"]) == (None, None)
+
+
+def test_a_missing_file_of_weights_stops_before_any_job() -> None:
+    with pytest.raises(InputError, match="lpips_weights: expected an existing file, found"):
+        configuration.load({"evaluate": {"lpips_weights": "/nowhere/alex.pth"}})

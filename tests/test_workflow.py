@@ -92,6 +92,7 @@ def test_a_changed_function_reruns_its_users_only(finished: Path) -> None:
 
 
 def test_forced_rule_and_until(finished: Path) -> None:
+    assert planned(run_snakemake(finished, "-n", "-R", "evaluate")) == {"evaluate", "report", "all"}
     forced = planned(run_snakemake(finished, "-n", "-R", "segment"))
     assert forced == AFTER_FLOW
     assert planned(run_snakemake(finished, "-n", "-F", "--until", "ba")) == {
