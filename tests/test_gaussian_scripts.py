@@ -65,7 +65,8 @@ def test_the_video_fits_and_has_every_frame(tmp_path: Path) -> None:
 def write_inputs(folder: Path) -> dict[str, Path]:
     truth.write_artifacts(folder)
     save_points(folder / "points.parquet", truth.true_motion(), {})
-    save_deformation(folder / "deformation.safetensors", truth.true_motion(), {"canonical_frame": truth.T // 2 + 1})
+    said = {"canonical_frame": truth.T // 2 + 1, "arap_weight": 0.01, "region": "dynamic"}
+    save_deformation(folder / "deformation.safetensors", truth.true_motion(), said)
     names = {"sequence": "sequence.json", "masks": "masks", "poses": "poses.parquet", "depth": "depth.arrow"}
     names |= {"scene": "scene.json", "points": "points.parquet", "deformation": "deformation.safetensors"}
     return {name: folder / file for name, file in names.items()}
@@ -97,6 +98,17 @@ def test_the_scripts_train_and_render(tmp_path: Path) -> None:
     expected, _, mask = truth.ray_cast(truth.cameras()[4], truth.TIMES[4])
     assert psnr(read_rgb(renders / "test" / "frame_0005.png") / 255, expected, np.ones_like(mask)) > 27
     check_exports(inputs, results, renders, tmp_path / "views")
+
+
+def test_stage_one_alone_gives_a_scene_that_renders(tmp_path: Path) -> None:
+    """No step: what depth, masks and the control points' motion give."""
+    inputs, results = write_inputs(tmp_path), outputs(tmp_path / "out")
+    train.main(**inputs, **results, options=GaussiansOptions(steps=0))
+    assert len(read_table(results["convergence"])["step"]) == 0
+    view.main(results["model"], inputs["poses"], tmp_path / "views", ViewOptions(at_time=float(truth.TIMES[4])))
+    expected, _, mask = truth.ray_cast(truth.cameras()[4], truth.TIMES[4])
+    shown = read_rgb(tmp_path / "views" / "frame_0005.png") / 255
+    assert psnr(shown, expected, np.ones_like(mask)) > 18
 
 
 def check_exports(inputs: dict[str, Path], results: dict[str, Path], renders: Path, views: Path) -> None:

@@ -108,7 +108,7 @@ def test_the_canonical_frame_sees_most_of_the_tracks() -> None:
     visible = np.zeros((10, 6), bool)
     visible[:5, :4] = True
     visible[5:, 3:] = True
-    assert canonical.choose_frame(visible) == 3
+    assert canonical.choose_frames(visible) == (3, 0)
 
 
 def test_farthest_points_are_spread_and_denser_where_it_matters() -> None:

@@ -1,10 +1,15 @@
 """As rigid as possible: neighbouring control points should turn together (paper; Sorkine and Alexa 2007)."""
 
+from typing import TYPE_CHECKING, Any
+
 import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from stages.control.deformation import Deformation
+from stages.control import arap_kernels
+
+if TYPE_CHECKING:
+    from stages.control.deformation import Deformation
 
 NEIGHBOURS = 8
 
@@ -28,8 +33,16 @@ def arap_energy(states: Tensor, index: Tensor, weights: Tensor) -> Tensor:
     """Mean over steps and points of sum_k w_ik |(x_i' - x_k') - R_i (x_i - x_k)|^2, x and x' consecutive states.
 
     Args:
-        states: [B, P, 3] positions at B >= 2 moments. index: [P, K] neighbours. weights: [P, K].
+        states: [B, P, 3] positions at B >= 2 moments. index: [P, K] neighbours. weights: [P, K], without gradient.
     """
+    if states.device.type != "cpu":
+        return arap_energy_torch(states, index, weights)
+    energy: Tensor = _Energy.apply(states, index, weights)  # type: ignore[no-untyped-call]
+    return energy
+
+
+def arap_energy_torch(states: Tensor, index: Tensor, weights: Tensor) -> Tensor:
+    """`arap_energy` by the SVD: for accelerators, and the oracle of the kernel."""
     edges = states[:, :, None] - states[:, index]
     before, after = edges[:-1], edges[1:]
     rotations = procrustes(torch.einsum("pk,bpki,bpkj->bpij", weights, before.detach(), after.detach()))
@@ -37,7 +50,22 @@ def arap_energy(states: Tensor, index: Tensor, weights: Tensor) -> Tensor:
     return (weights * residual.square().sum(-1)).sum(-1).mean()
 
 
-def arap_loss(deformation: Deformation, times: Tensor) -> Tensor:
+class _Energy(torch.autograd.Function):
+    """The kernel gives energy and gradient at once: the rotations minimise, so they count as constants."""
+
+    @staticmethod
+    def forward(ctx: Any, states: Tensor, index: Tensor, weights: Tensor) -> Tensor:
+        arrays = (states.detach().double().numpy(), index.numpy(), weights.double().numpy())
+        energy, gradient = arap_kernels.energy(*arrays)
+        ctx.gradient = torch.from_numpy(gradient).to(states.dtype)
+        return states.new_tensor(energy)
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
+        return gradients[0] * ctx.gradient, None, None
+
+
+def arap_loss(deformation: "Deformation", times: Tensor) -> Tensor:
     """ARAP energy from the canonical frame to times[0], to times[1], ... in units of the mean squared kernel radius.
 
     Args:
@@ -51,16 +79,19 @@ def arap_loss(deformation: Deformation, times: Tensor) -> Tensor:
         return deformation.log_radii.sum() * 0
     _, translations = deformation(times)
     states = torch.cat([points[None], points + translations])
-    return arap_energy(states, *arap_graph(points)) / deformation.log_radii.detach().exp().square().mean()
+    energy = arap_energy(states, deformation.graph_index, deformation.graph_weights)
+    return energy / deformation.log_radii.detach().exp().square().mean()
 
 
 def arap_graph(points: Tensor) -> tuple[Tensor, Tensor]:
-    """Neighbours int64 [P, K] of the points [P, 3], P >= 2, and their weights [P, K], which sum to one per point.
+    """Neighbours int64 [P, K] of the points [P, 3] and their weights [P, K], which sum to one per point.
 
-    The weight is exp(-d^2 / (2 d_mean^2)) by softmax; coincident points all weigh the same.
+    The weight is exp(-d^2 / (2 d_mean^2)) by softmax; coincident points all weigh the same. A single point has K = 0.
     """
     positions = points.detach().cpu().double().numpy()
     K = min(NEIGHBOURS, len(points) - 1)
+    if K == 0:
+        return torch.zeros(len(points), 0, dtype=torch.int64, device=points.device), points.new_zeros(len(points), 0)
     dist, index = cKDTree(positions).query(positions, k=K + 1)
     sq_dist = torch.as_tensor(dist[:, 1:] ** 2)
     unit = sq_dist.mean()

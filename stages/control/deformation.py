@@ -16,6 +16,7 @@ from scipy.interpolate import CubicSpline
 from torch import Tensor
 
 from stages.control import quaternions
+from stages.control.arap import arap_graph
 from stages.shared.artifacts import read_model, read_table, write_model, write_table
 
 
@@ -25,12 +26,15 @@ class Deformation(torch.nn.Module, abc.ABC):
     Attributes:
         points: [P, 3] float32, canonical positions in scene units (a buffer: they are not trained).
         log_radii: [P] logarithms of the kernel radii sigma_k in scene units, trained.
+        graph_index, graph_weights: [P, K] which control points should turn together, as in `arap.arap_graph`.
         centre, extent: where the points lie and how far they reach; makes the motion independent of the scene's unit.
     """
 
     points: Tensor
     centre: Tensor
     extent: Tensor
+    graph_index: Tensor
+    graph_weights: Tensor
 
     def __init__(self, points: Tensor, log_radii: Tensor) -> None:
         super().__init__()
@@ -38,6 +42,8 @@ class Deformation(torch.nn.Module, abc.ABC):
         self.register_buffer("points", points.clone())
         self.register_buffer("centre", centre)
         self.register_buffer("extent", (points - centre).abs().max().clamp_min(log_radii.exp().max()))
+        for name, values in zip(("graph_index", "graph_weights"), arap_graph(points), strict=True):
+            self.register_buffer(name, values, persistent=False)  # follows from the points
         self.log_radii = torch.nn.Parameter(log_radii.clone())
 
     @abc.abstractmethod

@@ -38,7 +38,7 @@ def main(
     from stages.control.deformation import save_deformation, save_points
 
     content, cameras, decision = read_sequence(sequence), read_cameras(poses), read_json(scene)
-    model, metadata = None, {"status": "the scene has no moving parts"}
+    model, metadata = None, {"status": "the scene has no moving parts", "arap_weight": 0.0, "region": options.region}
     if decision["dynamic"]["needed"]:
         sightings = _sightings(content, flow, masks, cameras, depth, options)
         model, metadata = stage1.fit_sightings(sightings, cameras, decision["non_rigid"], options)
@@ -63,7 +63,9 @@ def _sightings(
     if links.missing:
         logger.warning("no flow edge for %s: tracks end there; add the offset to flow.offsets", links.missing)
     h, w = pairs["flow"].shape[1:3]
-    training_masks = np.stack([_mask(masks, sequence.numbers[k], w, h) for k in links.frames])
+    training_masks = np.ones((len(links.frames), h, w), bool)
+    if options.region == "dynamic":
+        training_masks = np.stack([_mask(masks, sequence.numbers[k], w, h) for k in links.frames])
     followed = tracks.track_dynamic_pixels(links, training_masks, options.track_stride_px)
     dense, stride = read_dense(depth), int(read_metadata(depth)["stride_px"])
     inverse_depth, variance = dense["inverse_depth"][links.frames], dense["variance"][links.frames]

@@ -13,8 +13,18 @@ class ControlOptions(SplitOptions):
     control_points: Literal["auto"] | Annotated[int, Field(ge=1, le=4096)] = Field(
         "auto", description="number of control points; auto: what scene.json found"
     )
+    added_share: float = Field(
+        0.25, ge=0, le=0.9, description="share of the control points that is added halfway, where the gradient is high"
+    )
+    region: Literal["dynamic", "whole"] = Field(
+        "dynamic", description="what carries control points: the masked parts, or every pixel"
+    )
     model: Literal["table", "mlp"] = Field(
-        "table", description="motion model: a rigid motion per point and frame with splines, or the paper's network"
+        "table",
+        description="motion model: rigid motions per point and frame with splines, or the network distilled from them",
+    )
+    arap: Literal["auto"] | Annotated[float, Field(ge=0, le=10)] = Field(
+        "auto", description="weight of rigidity in both stages; auto: small, larger where the tracks are noisy; 0: off"
     )
     steps: int = Field(400, ge=0, le=20000, description="optimisation steps of stage 1")
     learning_rate: float = Field(0.002, gt=0, le=1, description="Adam's step for the motion, 1/extent of the movers")

@@ -41,7 +41,8 @@ def training_figure(trainer: Trainer, seen: Observations) -> np.ndarray:
         image = view.colour[0].cpu().numpy()
         difference = GAIN * np.abs(image - seen.images[f])
         cells += [to_uint8(seen.images[f]), to_uint8(image), to_uint8(difference)]
-    return np.concatenate([contact_sheet(cells, columns=3, width_px=WIDTH_PX), _curve(trainer)])
+    sheet = contact_sheet(cells, columns=3, width_px=WIDTH_PX)
+    return np.concatenate([sheet, _curve(trainer)]) if trainer.history.step else sheet
 
 
 def _curve(trainer: Trainer) -> np.ndarray:

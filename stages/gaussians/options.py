@@ -11,7 +11,9 @@ from stages.shared.split import SplitOptions
 class GaussiansOptions(SplitOptions):
     """Two-stage training of the 4D Gaussian scene (stage 2)."""
 
-    steps: int = Field(1000, ge=1, le=100_000, description="optimisation steps, one training frame each")
+    steps: int = Field(
+        1000, ge=0, le=100_000, description="optimisation steps, one training frame each; 0: what stage 1 alone gives"
+    )
     stride_px: int = Field(2, ge=1, le=16, description="one initial Gaussian per this many pixels, each way")
     max_gaussians: int = Field(80_000, ge=1, description="hard cap of initialisation and densification")
     densify: bool = Field(True, description="split Gaussians where the image gradient is high, prune transparent ones")

@@ -1,5 +1,6 @@
 """Stage 2: Gaussians from depth and masks, trained on the training frames with the motion of the control points."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -7,13 +8,17 @@ import numpy as np
 
 from stages.gaussians.options import GaussiansOptions
 from stages.shared import cli
-from stages.shared.artifacts import read_json, write_model, write_table
+from stages.shared.artifacts import read_json, read_metadata, write_model, write_table
 from stages.shared.cli import In, Out
 from stages.shared.log import logger
 
 if TYPE_CHECKING:
+    from stages.control.deformation import Deformation
+    from stages.gaussians.colours import ColourTable
+    from stages.gaussians.exposure import Exposure
     from stages.gaussians.model import GaussianScene
     from stages.gaussians.observations import Observations
+    from stages.gaussians.poses import PoseTable
 
 
 def main(
@@ -46,7 +51,7 @@ def main(
     needs = read_json(scene)
     seen = read_observations(sequence, masks, poses, depth, options)
     gaussians, seen = _new_scene(seen, needs, sequence, points, deformation, options)
-    trainer = Trainer(gaussians, seen, options, needs["non_rigid"]["arap_weight"])
+    trainer = Trainer(gaussians, seen, options, read_metadata(deformation)["arap_weight"])
     checkpoint = Checkpoint(model, [sequence, masks, poses, depth, scene, points, deformation], options)
     checkpoint.resume(trainer)
     trainer.run(checkpoint.save_sometimes)
@@ -87,13 +92,10 @@ def _new_scene(
     import torch
 
     from stages.control.deformation import load_deformation
-    from stages.gaussians.colours import ColourTable
-    from stages.gaussians.exposure import Exposure
     from stages.gaussians.initialise import cloud_within, near_plane_of
     from stages.gaussians.inputs import canonical_row
     from stages.gaussians.model import GaussianScene
     from stages.gaussians.observations import with_movers
-    from stages.gaussians.poses import PoseTable
     from stages.gaussians.rasterize import backend_name, choose_device
 
     device = choose_device(options.device)
@@ -102,6 +104,8 @@ def _new_scene(
     if motion is None:
         logger.info("no control points: every Gaussian is static, the masks are not used")
     else:
+        if read_metadata(deformation)["region"] == "whole":
+            seen = replace(seen, masks=np.ones_like(seen.masks))
         masked = seen.masks.sum()
         seen = with_movers(seen, motion)
         logger.info(
@@ -119,16 +123,31 @@ def _new_scene(
     )
     if stride_px > options.stride_px:
         logger.warning("one Gaussian per %d px, not %d, to stay within max_gaussians", stride_px, options.stride_px)
-    times = torch.as_tensor(seen.times)
-    colours = ColourTable(times, len(motion.points)) if motion is not None and options.colour_table else None
-    exposure = Exposure(times) if needs["exposure"]["needed"] else None
-    corrections = PoseTable(times, float(np.median(seen.depths))) if options.refine_poses else None
     background = torch.as_tensor(seen.images.mean(axis=(0, 1, 2)))
     settings = (near_plane_of(seen), options.neighbours)
+    colours, exposure, corrections = _tables_over_time(seen, motion, needs, options)
     scene = GaussianScene(cloud, motion, background, *settings, colours, exposure, corrections).to(device)
     counts = (len(cloud.means), scene.n_static, len(cloud.means) - scene.n_static)
     logger.info("%s; %d Gaussians to start with: %d static, %d dynamic", backend_name(device), *counts)
     return scene, seen
+
+
+def _tables_over_time(
+    seen: "Observations", motion: "Deformation | None", needs: dict[str, Any], options: GaussiansOptions
+) -> tuple["ColourTable | None", "Exposure | None", "PoseTable | None"]:
+    """Colours of the control points, exposure and corrections of poses, each None unless it is needed."""
+    import torch
+
+    from stages.gaussians.colours import ColourTable
+    from stages.gaussians.exposure import Exposure
+    from stages.gaussians.poses import PoseTable
+
+    times = torch.as_tensor(seen.times)
+    return (
+        ColourTable(times, len(motion.points)) if motion is not None and options.colour_table else None,
+        Exposure(times) if needs["exposure"]["needed"] else None,
+        PoseTable(times, float(np.median(seen.depths))) if options.refine_poses else None,
+    )
 
 
 if __name__ == "__main__":

@@ -7,6 +7,7 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from stages.control import arap, canonical, lbs, quaternions
+from stages.control.arap_kernels import best_rotations
 from stages.control.deformation import MLPDeformation, TableDeformation
 
 DOUBLE = torch.float64
@@ -156,11 +157,30 @@ def test_procrustes_with_repeated_and_zero_singular_values(case: str, mirrored: 
     covariance = torch.from_numpy(SINGULAR[case] @ turn.T)
     if mirrored:
         covariance = covariance @ torch.diag(torch.tensor([1.0, 1.0, -1.0], dtype=DOUBLE))
-    R = arap.procrustes(covariance[None])[0]
-    torch.testing.assert_close(R @ R.T, torch.eye(3, dtype=DOUBLE))
-    assert float(torch.linalg.det(R)) == pytest.approx(1.0)
-    if not mirrored and case in ("repeated", "two equal", "plane", "tiny"):
-        torch.testing.assert_close(R, torch.from_numpy(turn))
+    best = float(torch.trace(arap.procrustes(covariance[None])[0] @ covariance))
+    for rotations in (arap.procrustes(covariance[None]), torch.from_numpy(best_rotations(covariance[None].numpy()))):
+        R = rotations[0]
+        torch.testing.assert_close(R @ R.T, torch.eye(3, dtype=DOUBLE))
+        assert float(torch.linalg.det(R)) == pytest.approx(1.0)
+        assert float(torch.trace(R @ covariance)) == pytest.approx(best, rel=1e-9, abs=1e-30)
+        if not mirrored and case in ("repeated", "two equal", "plane", "tiny"):
+            torch.testing.assert_close(R, torch.from_numpy(turn))
+
+
+def test_rigidity_agrees_with_the_svd() -> None:
+    """Random states, a half turn, and a collapse onto a line and onto one point."""
+    generator = torch.Generator().manual_seed(1)
+    points = torch.randn(15, 3, generator=generator, dtype=DOUBLE)
+    line = points * torch.tensor([1.0, 0, 0], dtype=DOUBLE)
+    half_turn = points * torch.tensor([-1.0, -1.0, 1.0], dtype=DOUBLE)
+    wild = points + torch.randn(15, 3, generator=generator, dtype=DOUBLE)
+    graph = arap.arap_graph(points)
+    for last in (wild, half_turn, line, torch.zeros_like(points)):
+        states = torch.stack([points, wild, last]).requires_grad_()
+        energies = [function(states, *graph) for function in (arap.arap_energy, arap.arap_energy_torch)]
+        torch.testing.assert_close(*energies)
+        if last is wild or last is half_turn:  # a line and a point leave the rotation open, and with it the gradient
+            torch.testing.assert_close(*(torch.autograd.grad(energy, states)[0] for energy in energies))
 
 
 def test_arap_gradient_is_a_finite_difference() -> None:
