@@ -16,6 +16,7 @@ include: "workflow/rules/ba.smk"
 include: "workflow/rules/scene.smk"
 include: "workflow/rules/control.smk"
 include: "workflow/rules/gaussians.smk"
+include: "workflow/rules/compare.smk"
 include: "workflow/rules/sweep.smk"
 include: "workflow/rules/eval.smk"
 

@@ -3,6 +3,7 @@
 import json
 import subprocess
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from stages.shared.artifacts import read_metadata, read_table
 from stages.shared.cameras import read_cameras
 from stages.shared.images import read_rgb
 
-OPTIONS = {
+OPTIONS: dict[str, Any] = {
     "dataset": "simulated",
     "scenes": ["moving.yaml", "still.yaml"],
     "control": {"control_points": 32, "steps": 60},
@@ -22,6 +23,9 @@ OPTIONS = {
     "render": {"novel_views": 4},
     "colmap": {"mappers": ["global"], "window": 3, "upsample": [1], "upsample_masked": [1]},
 }
+SHIPPED = yaml.safe_load((REPO / "config.yaml").read_text())["sweep"]
+KNOBS: dict[str, list[Any]] = {knob: [] for knob in SHIPPED["knobs"]} | {"render.novel_views": [2]}
+OPTIONS["sweep"] = {"presets": [], "knobs": KNOBS, "runs": dict.fromkeys(SHIPPED["runs"])}
 FRAMES, WIDTH, HEIGHT = 8, 256, 112
 
 
@@ -117,3 +121,18 @@ def test_every_stage_says_what_it_cost(finished: Path) -> None:
     assert stages <= {str(stage).rsplit("/", maxsplit=1)[-1] for stage in table["stage"]}
     assert np.all(table["wall_s"] > 0)
     assert np.all(table["peak_mb"] > 20)
+
+
+def test_a_sweep_runs_what_differs_and_joins_the_report(finished: Path) -> None:
+    result = snakemake(finished, "sweep")
+    assert result.returncode == 0, result.stderr[-4000:]
+    first = results(finished, "moving")  # `sequences: first`
+    other = first / "settings/render.novel_views=2"
+    assert {path.name for path in other.iterdir()} == {"renders", "eval", "figures", "stats"}
+    assert len(list((other / "renders/novel").iterdir())) == 2
+    table = read_table(first.parent / "sweep/costs.parquet")
+    assert list(table["setting"]) == ["render.novel_views=2", "render.novel_views=4"]
+    assert list(table["is_default"]) == [False, True]
+    assert table["ate_percent"][0] == table["ate_percent"][1] < 3.0
+    assert np.all(table["wall_s"] > table["poses_wall_s"])
+    assert "render.novel_views=2" in (finished / "results/simulated/report/index.html").read_text()

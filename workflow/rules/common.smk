@@ -10,8 +10,7 @@ from snakemake.utils import update_config
 REPO = Path(workflow.basedir)
 sys.path.insert(0, str(REPO))
 
-from stages import config as configuration, settings
-from stages.comparisons import GROWING
+from stages import config as configuration, runs, settings
 from stages.shared.artifacts import write_json
 from stages.shared.digest import code_digest
 from stages.shared.errors import InputError

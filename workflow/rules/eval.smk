@@ -37,17 +37,6 @@ use rule colmap as colmap_masked with:
         masks=lambda wildcards, input: f"--masks {input.masks}",
 
 
-def masked_baseline(name):
-    """What COLMAP with our masks makes for the configured run; nothing for others, or where it is switched off."""
-
-    def of_job(wildcards):
-        wanted = CONFIG.colmap.upsample_masked and not wildcards.setting
-        folder = f"<results>/{wildcards.dataset}/{wildcards.seq}"
-        return [f"{folder}/{name}"] if wanted else []
-
-    return of_job
-
-
 rule evaluate:
     input:
         sequence=artifact("inspect", "sequence.json"),
@@ -73,7 +62,7 @@ rule evaluate:
             "<results>/{dataset}/{seq}/{setting}figures/trajectory.png",
             caption="../report/trajectory.rst",
             category="Poses",
-            labels={"sequence": "{seq}", "figure": "trajectory"},
+            labels={"sequence": "{seq}", "figure": "{setting}trajectory"},
         ),
         stats="<results>/{dataset}/{seq}/{setting}stats/evaluate.json",
     log:

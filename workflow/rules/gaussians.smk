@@ -43,7 +43,7 @@ rule render:
             "<results>/{dataset}/{seq}/{setting}figures/render.gif",
             caption="../report/render.rst",
             category="Rendering",
-            labels={"sequence": "{seq}", "figure": "fly-through"},
+            labels={"sequence": "{seq}", "figure": "{setting}fly-through"},
         ),
         stats="<results>/{dataset}/{seq}/{setting}stats/render.json",
     log:

@@ -7,7 +7,7 @@ rule inspect:
             "<results>/{dataset}/{seq}/{setting}figures/inspect.png",
             caption="../report/inspect.rst",
             category="Input",
-            labels={"sequence": "{seq}", "figure": "frames"},
+            labels={"sequence": "{seq}", "figure": "{setting}frames"},
         ),
         stats="<results>/{dataset}/{seq}/{setting}stats/inspect.json",
     log:

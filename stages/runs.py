@@ -1,0 +1,66 @@
+"""The runs of a sweep and of a scaling: for each sequence and setting, what it is called and where its results lie.
+
+All paths start in the folder of the dataset under results/.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+from stages.comparisons import GROWING
+from stages.settings import REPEATED, Setting, find_home
+
+SIZES = {
+    "frames": ("inspect", "sequence.json"),
+    "pixels": ("flow", "flow/pairs.arrow"),
+    "gaussians": ("gaussians", "gaussians/model.safetensors"),
+    "control points": ("control", "control/points.parquet"),
+}
+"""The stage and the file that shows how large each thing that grows has become."""
+SCORES = ("poses", "images", "masks", "time")
+
+
+def swept_run(settings: Sequence[Setting], setting: Setting, sequence: str) -> dict[str, Any]:
+    """What the table of the sweep says about a run, and where its scores and its model lie."""
+    scores = _path(settings, setting, sequence, "evaluate", "eval")
+    return {
+        "sequence": sequence,
+        "group": setting.group,
+        "setting": setting.name,
+        "knob": setting.knob,
+        "value": setting.value,
+        "overrides": setting.overrides,
+        "is_default": scores == f"{sequence}/eval",
+        "scores": scores,
+        "model": _path(settings, setting, sequence, "gaussians", "gaussians/model.safetensors"),
+    }
+
+
+def scaled_run(settings: Sequence[Setting], setting: Setting, sequence: str) -> dict[str, Any]:
+    """Where the size of a run and the costs of the stages that its axis measures lie, a file per round."""
+    rounds = setting.config.rounds
+    stats = {
+        stage: [
+            _path(settings, setting, sequence, stage, f"stats/{stage}.json", number)
+            for number in range(1 if stage in REPEATED else rounds, rounds + 1)
+        ]
+        for stage in GROWING[setting.group]
+    }
+    return {
+        "axis": setting.group,
+        "size": _path(settings, setting, sequence, *SIZES[setting.group]),
+        "stats": stats,
+    }
+
+
+def needed_files(run: dict[str, Any]) -> list[str]:
+    """The files that a run's row is collected from."""
+    if "scores" in run:
+        return [run["model"], *(f"{run['scores']}/{table}.parquet" for table in SCORES)]
+    return [run["size"], *(path for paths in run["stats"].values() for path in paths)]
+
+
+def _path(
+    settings: Sequence[Setting], setting: Setting, sequence: str, stage: str, name: str, number: int | None = None
+) -> str:
+    home = find_home(settings, setting, stage, setting.config.rounds if number is None else number)
+    return f"{sequence}/{home}{name}"

@@ -1,0 +1,47 @@
+# Functions of the rules that compare runs, and of the report that shows them.
+TABLES = {
+    "sweep": f"<results>/{DATASET}/sweep/costs.parquet",
+    "scaling": f"<results>/{DATASET}/scaling/growth.parquet",
+}
+EVERY_SETTING = list(SETTINGS.values())
+
+
+def can_run(sequence, setting):
+    """Whether the sequence has the truth that the setting takes as input; simulated ones have all."""
+    if DATASET == configuration.SIMULATED:
+        return True
+    return not settings.lacks_truth(setting, SEQUENCES[sequence])
+
+
+def needed_by(listed):
+    """All files that runs are collected from, each once."""
+    files = dict.fromkeys(path for run in listed for path in runs.needed_files(run))
+    return [f"<results>/{DATASET}/{path}" for path in files]
+
+
+def asked_tables(wildcards):
+    """The tables of comparisons that are among the targets: plain `snakemake` runs no comparison."""
+    targets = workflow.dag_settings.targets
+    return {name: path for name, path in TABLES.items() if name in targets}
+
+
+def comparison_flags(wildcards, input):
+    """The flags of the report for tables that were just made or lie there from an earlier comparison."""
+    flag = {"sweep": "--sweep", "scaling": "--growth"}
+    paths = {name: workflow.pathvars.apply(path) for name, path in TABLES.items()}
+    return " ".join(
+        f"{flag[name]} {path}"
+        for name, path in paths.items()
+        if hasattr(input, name) or Path(path).exists()
+    )
+
+
+def masked_baseline(name):
+    """What COLMAP with our masks makes for the configured run; nothing for others, or where it is switched off."""
+
+    def of_job(wildcards):
+        wanted = CONFIG.colmap.upsample_masked and not wildcards.setting
+        folder = f"<results>/{wildcards.dataset}/{wildcards.seq}"
+        return [f"{folder}/{name}"] if wanted else []
+
+    return of_job
