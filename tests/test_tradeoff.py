@@ -70,6 +70,8 @@ def test_the_report_draws_settings_beside_colmap_and_lists_every_group() -> None
     assert [table.title for table in tables] == ["Presets", "Single knobs", "Effect of masks on pose error"]
     fronts = {row["setting"]: row["front"] for row in tables[0].rows}
     assert fronts == {"fast": "ATE, PSNR", "balanced": "ATE, PSNR", "accurate": "ATE, PSNR"}
+    knobs = {row["value"]: row["front"] for row in tables[1].rows}
+    assert knobs == {"4": "ATE", "8": "ATE, PSNR", "16": "ATE, PSNR"}  # 8 is balanced, under another name
     masks = tables[2].rows
     assert [row["setting"] for row in masks] == ["as configured", "true"]
     assert masks[1]["front"] == ""  # truth is no choice

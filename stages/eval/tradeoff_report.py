@@ -75,7 +75,7 @@ def sweep_part(costs: Sequence[Row], poses: Sequence[Row]) -> tuple[str, list[Fi
         if points:
             sentences.append(tradeoff.next_tenth(points, measure.name))
             figures.append(_overall(points, presets, rivals, measure))
-            on_front[measure] = {p.name for p in tradeoff.pareto_front(points)}
+            on_front[measure] = {(p.seconds, p.error) for p in tradeoff.pareto_front(points)}
     knobs = dict.fromkeys(row["knob"] for row in rows if row["knob"])
     figures += [figure for knob in knobs for figure in _knob(rows, knob)]
     groups = dict.fromkeys(row["group"] for row in rows)
@@ -108,7 +108,7 @@ def _point(row: Row, measure: Measure) -> Point | None:
 def _rivals(rows: Sequence[Row]) -> list[Point]:
     means = [row for row in summaries.pose_means(list(rows)) if row["ate_percent"] is not None]
     return [
-        Point(row["wall_s"], row["ate_percent"], row["method"], row["method"], row["n"] == row["sequences"])
+        Point(row["wall_s"], row["ate_percent"], row["method"], row["method"], row["failed"] + row["partial"] == 0)
         for row in means
     ]
 
@@ -138,17 +138,19 @@ def _knob(rows: Sequence[Row], knob: str) -> list[Figure]:
     return [Figure(knob, pictures.data_uri(content, "image/svg+xml"), f"{knob}. {'; '.join(words)}")]
 
 
-def _table(group: str, rows: Sequence[Row], on_front: Mapping[Measure, set[str]]) -> Table:
+def _table(group: str, rows: Sequence[Row], on_front: Mapping[Measure, set[tuple[float, float]]]) -> Table:
     """The settings of a group, with the configured run for comparison."""
     chosen = [row for row in rows if row["group"] == group]
     if not any(row["is_default"] for row in chosen):
         configured = next((row for row in rows if row["is_default"]), None)
         chosen = [*([configured | {"setting": "as configured"}] if configured else []), *chosen]
     names = {CAMERA: "ATE", COLOUR: "PSNR"}
-    listed = [
-        row | {"front": ", ".join(names[m] for m, found in on_front.items() if row["setting"] in found)}
-        for row in chosen
-    ]
+
+    def is_on_front(row: Row, measure: Measure) -> bool:
+        point = _point(row, measure) if group in CHOICES else None
+        return point is not None and (point.seconds, point.error) in on_front[measure]
+
+    listed = [row | {"front": ", ".join(names[m] for m in on_front if is_on_front(row, m))} for row in chosen]
     return Table(f"sweep_{group}", TITLES.get(group, group), NOTE, COLUMNS, listed)
 
 
