@@ -9,7 +9,6 @@ from stages.ba.depth import DepthMaps
 from stages.ba.estimate import Estimate, median_residual
 from stages.ba.graph import FlowGraph
 from stages.shared import lie, sintel
-from stages.shared.alignment import extent
 from stages.shared.errors import InputError
 from stages.shared.sequences import Sequence
 
@@ -18,12 +17,12 @@ RELATIVE_STD = 1e-3
 """Of true inverse depth: about what the resampling to the grid leaves."""
 MIN_INVERSE_DEPTH = 1e-3
 """In units of the median inverse depth; the sky lies there."""
+ROUNDING = 1e-9
 
 
 def solve_depths(graph: FlowGraph, true_cam_from_world: np.ndarray, focal_px: float, seed: int) -> Estimate:
     """The true poses [T, 4, 4] in the gauge of the solver, with the inverse depths that the flow has under them."""
-    centres = lie.inverse(true_cam_from_world)[:, :3, 3]
-    camera = "rotating" if extent(centres) == "point" else "moving"
+    camera = "moving" if _path_length(true_cam_from_world) > 0 else "rotating"
     state = initialise.initial_state(graph, true_cam_from_world, focal_px, SEARCH_PX)
     focal = {"decision": "known", "relative_sigma": 0.0, "reason": "true cameras", "focal_px": focal_px}
     statistics = vars(classify.measure(graph, [focal_px], seed)) | {"camera": camera, "planar": False}
@@ -49,9 +48,15 @@ def true_depth_maps(frames: Sequence, estimated: DepthMaps, stride_px: float, sc
 
 def gauge_scale(state: State, true_cam_from_world: np.ndarray) -> float | None:
     """Length in the gauge over true length, from the path of the camera; None if it does not move."""
-    relative = true_cam_from_world @ lie.inverse(true_cam_from_world[0])
-    length = np.linalg.norm(relative[:, :3, 3])
-    return float(np.linalg.norm(state.cam_from_world[:, :3, 3]) / length) if length > 0 else None
+    length = _path_length(true_cam_from_world)
+    return _path_length(state.cam_from_world) / length if length > 0 else None
+
+
+def _path_length(cam_from_world: np.ndarray) -> float:
+    """Summed steps of the camera centre; 0 where they are rounding."""
+    centres = lie.inverse(cam_from_world)[:, :3, 3]
+    length = float(np.linalg.norm(np.diff(centres, axis=0), axis=1).sum())
+    return length if length > ROUNDING * np.abs(centres).max() else 0.0
 
 
 def true_poses(frames: Sequence) -> np.ndarray:
