@@ -225,6 +225,19 @@ def test_published_numbers_carry_their_source() -> None:
     assert (paper["ate"], paper["rpe_trans"], paper["rpe_rot_deg"]) == (0.086, 0.035, 0.639)
 
 
+def test_charts_show_the_best_variant_of_every_colmap_mapper() -> None:
+    rows = [
+        {"method": method, "frame": k, "x": float(k), "y": 0.0, "z": 0.0, "error": error}
+        for method, frames, error in (
+            *(("truth", 5, None), ("ours, round 1", 5, 0.1), ("ours", 5, 0.1)),
+            *(("COLMAP global", 5, 0.4), ("COLMAP global, x2", 5, 0.2), ("COLMAP global, masked", 3, 0.1)),
+            *(("COLMAP incremental", 2, None), ("COLMAP incremental, masked", 4, None)),
+        )
+        for k in range(frames)
+    ]
+    assert list(plots.paths_of(rows)) == ["truth", "ours", "COLMAP global, x2", "COLMAP incremental, masked"]
+
+
 def test_headline_without_any_result_says_so() -> None:
     rows: dict[str, list] = {kind: [] for kind in ("poses", "images", "masks", "checks", "time")}
     assert {tile.value for tile in overview.tiles(rows)} == {"n/a"}
