@@ -13,7 +13,7 @@ from stages.eval.tables import Row
 COLOURS = {"truth": "#1a1a1a", "ours": "#c2410c"}
 OTHERS = ("#2563eb", "#0f766e", "#7c3aed", "#a16207", "#be185d", "#475569")
 MARKED_POINTS = 20
-LEGEND_CHARACTER_IN, LEGEND_MARGIN_IN = 0.075, 0.55  # width of a character of its text, and of the rest of an entry
+LEGEND_CHARACTER_IN, LEGEND_MARGIN_IN = 0.068, 0.55  # width of a character of its text, and of the rest of an entry
 STYLE: Any = {
     "font.family": "sans-serif",
     "font.size": 10,
