@@ -152,10 +152,10 @@ def main() -> None:
         if kind not in ("png", "svg"):
             raise InputError(arguments.figure, "a .png or .svg file", f"'.{kind}'", "name the figure so")
         a, b = read_run(arguments.a), read_run(arguments.b)
-        print(f"A: {arguments.a}\nB: {arguments.b}\n{describe(a, b)}")
         if arguments.figure:
             with atomic(arguments.figure) as partial:
                 partial.write_bytes(draw(a, b, kind))
+        print(f"A: {arguments.a}\nB: {arguments.b}\n{describe(a, b)}")
     except InputError as error:
         sys.stderr.write(f"{error}\n")
         sys.exit(2)
