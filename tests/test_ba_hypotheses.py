@@ -6,9 +6,10 @@ from numpy.testing import assert_allclose
 from synthetic import PLANE, make_scene, observe, trajectory_error
 
 from stages.ba import planar
-from stages.ba.estimate import Problem, estimate
-from stages.ba.graph import build_graph, mask_graph, thin_graph
-from stages.ba.initialise import pair_chain
+from stages.ba.dba import FocalPrior, State, Unknowns
+from stages.ba.estimate import FINE, Problem, _adjust_twice, estimate
+from stages.ba.graph import build_graph, favour_distance, mask_graph, thin_graph
+from stages.ba.initialise import adjust, pair_chain
 from stages.ba.options import BAOptions
 from stages.ba.start import longest_step
 
@@ -81,3 +82,25 @@ def test_frames_too_far_apart_to_match_are_not_chained() -> None:
     assert longest_step(graph) == 3
     graph.weights[np.abs(graph.target - graph.source) == 3] *= 0.1
     assert longest_step(graph) == 2
+
+
+def test_a_kernel_as_narrow_as_the_noise_cuts_off_biased_flow() -> None:
+    scene = make_scene(size=(96, 160))
+    graph = observe(scene, noise_px=0.02)
+    biased = graph.pixels[:, 0] < 40
+    graph.matches[:, biased, 1] += 0.3
+    start = State(scene.cam_from_world, graph.resample(1 / scene.depth), scene.focal_px)
+    prior, unknowns = FocalPrior(1.1 * graph.width), Unknowns(focal=True)
+    wide = adjust(graph, start, FINE, unknowns, prior, "wide").state
+    sharp = _adjust_twice(graph, start, unknowns, prior).state
+    errors = [trajectory_error(state.cam_from_world, scene.cam_from_world) for state in (wide, sharp)]
+    assert errors[1] < 0.5 * errors[0]
+
+
+def test_distant_frames_weigh_more_and_all_together_the_same() -> None:
+    graph = observe(make_scene(T=5, size=(48, 72)))
+    favoured = favour_distance(graph)
+    far, near = (np.abs(graph.target - graph.source) == step for step in (3, 1))
+    factor = favoured.weights.max(axis=1) / graph.weights.max(axis=1)
+    assert_allclose(factor[far], 3 * factor[near].mean(), rtol=1e-5)
+    assert factor.mean() == pytest.approx(1.0, rel=1e-5)

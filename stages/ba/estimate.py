@@ -8,7 +8,7 @@ import numpy as np
 from stages.ba import classify, dba, initialise, reduced, rotation
 from stages.ba.classify import Statistics
 from stages.ba.dba import FocalPrior, Level, State, Step, Unknowns
-from stages.ba.graph import MIN_MATCHES, MIN_WEIGHT, FlowGraph
+from stages.ba.graph import MIN_MATCHES, MIN_WEIGHT, FlowGraph, favour_distance
 from stages.ba.initialise import Candidate
 from stages.ba.options import BAOptions
 from stages.ba.start import Observed, Start, find_start
@@ -24,7 +24,9 @@ WEAK_FOCAL, BLIND_FOCAL = 0.05, 0.15
 """Predicted relative error of the focal length above which it is called weak, and not estimated at all."""
 CONSISTENT_SHARE = 0.85
 """Share of confident matches within 1 px of the static model from which on a scene needs no masks to free the focal."""
-FINE = (Level(1.0, 12), Level(0.5, 20))
+FINE = (Level(1.0, 12), Level(0.5, 15))
+SHARP, SHARP_PX, SHARP_ITERATIONS = 2.0, (0.05, 0.5), 15
+"""The last robust scale in median residuals, its limits in px, and its iterations."""
 
 
 @dataclass(frozen=True)
@@ -197,10 +199,16 @@ def _reason_to_hold(problem: Problem, statistics: Statistics, state: State) -> s
 
 
 def _adjust_twice(graph: FlowGraph, state: State, unknowns: Unknowns, prior: FocalPrior) -> Candidate:
-    """Adjusted, then once more with the depths searched anew: some pixels were caught at a wrong depth before."""
+    """Adjusted, then once more for the noise found, with the depths searched anew: some were caught at a wrong one.
+
+    A kernel as narrow as the noise cuts off the biased flow along edges and repeated texture. Distant frames count for
+    more: errors hardly grow with the distance, and what all edges have in common adds up along a chain of short ones.
+    """
     first = initialise.adjust(graph, state, FINE, unknowns, prior, "refinement")
     searched = initialise.search_depth(graph, first.state, FINE[-1].sigma_px)
-    again = initialise.adjust(graph, searched, FINE[-1:], unknowns, prior, "refinement, depths searched")
+    sigma_px = float(np.clip(SHARP * median_residual(graph, first.state), *SHARP_PX))
+    sharp = (Level(sigma_px, SHARP_ITERATIONS),)
+    again = initialise.adjust(favour_distance(graph), searched, sharp, unknowns, prior, "refinement, sharp")
     return replace(again, steps=first.steps + again.steps)
 
 

@@ -109,6 +109,12 @@ def thin_graph(graph: FlowGraph, factor: int) -> FlowGraph:
     return replace(graph, pixels=pixels, matches=matches, weights=weights, stride=graph.stride * factor)
 
 
+def favour_distance(graph: FlowGraph) -> FlowGraph:
+    """Weights in proportion to the distance of the frames, the same on average over the edges."""
+    distance = np.abs(graph.target - graph.source).astype(np.float32)
+    return replace(graph, weights=graph.weights * (distance / distance.mean())[:, None])
+
+
 def mask_graph(graph: FlowGraph, static: np.ndarray) -> FlowGraph:
     """Multiply the weights by how static [T, h, w] (0..1) the pixel is at both ends of its match."""
     static = static.astype(np.float32)
