@@ -29,8 +29,8 @@ def flow_confidence(flow: np.ndarray, back: np.ndarray, source: np.ndarray, targ
     the flow leaves the frame.
     Above 0.5 the true error is under 1 px for more than nine pixels in ten (benchmarks/flow_accuracy.py measures it).
     """
-    disagreement = np.linalg.norm(flow + warp(back, flow), axis=-1)
-    expected = NOISE_PX + NOISE_PER_PX * np.minimum(np.linalg.norm(flow, axis=-1), FAST_PX)
+    disagreement = cv2.magnitude(*cv2.split(flow + warp(back, flow)))
+    expected = NOISE_PX + NOISE_PER_PX * np.minimum(cv2.magnitude(*cv2.split(flow)), FAST_PX)
     consistent = 1 / (1 + (disagreement / expected) ** 2) ** 2
     smooth = 1 / (1 + _local_variance(flow) / ROUGH_PX**2)
     similar = 1 / (1 + (_photometric_ratio(flow, source, target) / PHOTOMETRIC_LIMIT) ** 4)
@@ -40,9 +40,9 @@ def flow_confidence(flow: np.ndarray, back: np.ndarray, source: np.ndarray, targ
 
 def _local_variance(flow: np.ndarray) -> np.ndarray:
     """Variance of flow within 7 x 7 px, [h, w] px^2; taken about the mean flow, which keeps float32 exact."""
-    centred = flow - flow.mean(axis=(0, 1))
-    mean = cv2.blur(centred, (7, 7))
-    return np.asarray(np.maximum(cv2.blur((centred**2).sum(axis=-1), (7, 7)) - (mean**2).sum(axis=-1), 0))
+    u, v = (channel - np.float32(channel.mean()) for channel in cv2.split(flow))
+    mean_u, mean_v, mean_square = (cv2.blur(values, (7, 7)) for values in (u, v, u * u + v * v))
+    return np.asarray(np.maximum(mean_square - mean_u**2 - mean_v**2, 0))
 
 
 def _photometric_ratio(flow: np.ndarray, source: np.ndarray, target: np.ndarray) -> np.ndarray:

@@ -5,6 +5,7 @@ where dense search loses its way and matches are many and right; elsewhere it co
 nothing, hence the gate.
 """
 
+import threading
 from collections.abc import Mapping
 
 import cv2
@@ -17,11 +18,13 @@ from stages.shared.warp import warp
 
 MAX_CONFIDENT_SHARE, LOST_SHARE = 0.5, 0.1
 """Pairs that are confident on more of their pixels than this are left alone: fast ones, and others."""
-MIN_MATCHES, MIN_INLIER_SHARE, MIN_MOTION_PX = 250, 0.8, 15.0
+MIN_MATCHES, MIN_INLIER_SHARE, MIN_MOTION_PX = 250, 0.7, 10.0
 """The gate: so many matches, of which so many fit one epipolar geometry, moving by so much in the median."""
-KEYPOINTS, CONTRAST, RATIO = 4000, 0.008, 0.85
+KEYPOINTS, CONTRAST, EDGE, RATIO = 4000, 0.008, 20, 0.85
 EPIPOLAR_PX, ITERATIONS, PROBABILITY = 1.0, 2000, 0.999
 RESIDUAL_WINDOW_PX = 9
+_ONE_AT_A_TIME = threading.Lock()
+"""The interpolators of two threads share state: side by side, some of their flows come out different."""
 
 
 def restarted_pair(
@@ -83,7 +86,7 @@ def restarted(
 ) -> np.ndarray | None:
     """Flow [h, w, 2] px searched anew from densified matches, wherever that explains the target better than `flow`.
 
-    The same bytes in every call, if OpenCV runs single-threaded: its interpolator is seeded here.
+    The same bytes in every call and thread, if OpenCV itself runs single-threaded.
 
     Args:
         source, target: [h, w, 3] uint8 frames.
@@ -92,10 +95,11 @@ def restarted(
     Returns:
         None where the interpolator refuses the matches (too sparse or clustered).
     """
-    cv2.setRNGSeed(0)
     here, there = np.ascontiguousarray(matches[:, 0]), np.ascontiguousarray(matches[:, 1])
     try:
-        start = cv2.ximgproc.createRICInterpolator().interpolate(source, here, target, there)
+        with _ONE_AT_A_TIME:
+            cv2.setRNGSeed(0)
+            start = cv2.ximgproc.createRICInterpolator().interpolate(source, here, target, there)
     except cv2.error:
         return None
     grey = [cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY) for frame in (source, target)]
@@ -106,7 +110,9 @@ def restarted(
 
 def _features(frame: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Keypoints [n, 2] px and their RootSIFT descriptors [n, 128] (Arandjelovic and Zisserman, CVPR 2012)."""
-    found, descriptors = cv2.SIFT.create(KEYPOINTS, contrastThreshold=CONTRAST).detectAndCompute(frame, None)
+    found, descriptors = cv2.SIFT.create(KEYPOINTS, contrastThreshold=CONTRAST, edgeThreshold=EDGE).detectAndCompute(
+        frame, None
+    )
     if not found:
         return np.zeros((0, 2), np.float32), np.zeros((0, 128), np.float32)
     total = np.maximum(descriptors.sum(axis=1, keepdims=True), 1e-6)
