@@ -38,7 +38,7 @@ def test_next_tenth_is_priced_by_measured_settings_alone() -> None:
     words = tradeoff.next_tenth([start, slower, _point(9, 0.5, "lucky")], "ATE")
     assert "costs no time: lucky" in words
     assert "no measured setting is a tenth better" in tradeoff.next_tenth([start, _point(20, 0.95, "b")], "ATE")
-    assert "faster or better" in tradeoff.next_tenth([start, _point(20, 2.0, "b")], "ATE")
+    assert "more than 1 % better" in tradeoff.next_tenth([start, _point(20, 2.0, "b")], "ATE")
     failing = _point(10, 1.0, "balanced", complete=False, is_default=True)
     assert "no price" in tradeoff.next_tenth([failing, slower], "ATE")
 

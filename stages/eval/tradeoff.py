@@ -13,6 +13,7 @@ OTHER_METRICS = (
     *("iou", "psnr_db", "psnr_static_db", "psnr_dynamic_db", "ssim"),
     *("wall_s", "cpu_s", "poses_wall_s", "poses_cpu_s", "peak_mb", "model_mb"),
 )
+NOTICED = 0.01  # smaller differences are noise
 KEYS = ("group", "setting", "knob", "value", "is_default")
 
 
@@ -86,8 +87,8 @@ def next_tenth(points: Sequence[Point], what: str) -> str:
     if start is None:
         return f"The configured run has no {what} on every sequence, so that no price of less error can be given."
     here = f"{decimal(start.error, 2)} in {start.seconds:.0f} s"
-    if len(front) == 1 and front[0].error == start.error:
-        return f"{what}: no measured setting is faster or better than the configured one ({here})."
+    if front[-1].error > (1 - NOTICED) * start.error:
+        return f"{what}: no measured setting is more than 1 % better than the configured one ({here})."
     better = [p for p in front if p.error <= 0.9 * start.error]
     if not better:
         best = front[-1]

@@ -47,7 +47,7 @@ def draw_overall(points: Sequence[Point], presets: Sequence[Point], rivals: Sequ
             _annotate(axes, point, measure)
         for k, rival in enumerate(rivals):
             _scatter(axes, [rival], measure, OTHERS[k % len(OTHERS)], 34, RIVAL_MARKERS[k % 8], label=rival.name)
-        axes.set(xlabel="seconds", ylabel=measure.label, xscale="log")
+        axes.set(xlabel="wall seconds", ylabel=measure.label, xscale="log")
         axes.margins(x=0.12, y=0.1)
         if not measure.decibel:
             axes.set_yscale("log")
@@ -70,7 +70,7 @@ def draw_knob(panels: Sequence[tuple[Measure, Sequence[Point]]]) -> bytes:
             _scatter(axes, values, measure, COLOURS["ours"], 26)
             for point in values:
                 _annotate(axes, point, measure)
-            axes.set(xlabel="seconds", ylabel=measure.label)
+            axes.set(xlabel="wall seconds", ylabel=measure.label)
             _span(axes.set_ylim, y, 0.5 if measure.decibel else 0.1 * float(y.mean()))
             _span(axes.set_xlim, x, 0.1 * float(x.mean()))
     return done.getvalue()

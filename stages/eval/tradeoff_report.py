@@ -28,7 +28,9 @@ NO_EFFECT = 1e-3
 """A knob that changes an error by less than this share has no chart of it."""
 NOTE = (
     "Unweighted means over the swept sequences; seconds are wall and CPU time of all stages up to the result, shared "
-    "ones counted in full, COLMAP and evaluation left out; to poses: up to the last adjustment. PSNR and SSIM of "
+    "ones counted in full, COLMAP and evaluation left out; to poses: up to the last adjustment. "
+    "Charts show wall seconds, which other load on the machine lengthens. "
+    "PSNR and SSIM of "
     "held-out frames. Scored: sequences with an ATE; failed: no or partial poses."
 )
 GROWTH_NOTE = (
