@@ -19,6 +19,7 @@ from stages.gaussians.model import Cloud, GaussianScene
 from stages.gaussians.observations import Observations
 from stages.gaussians.optimise import Trainer
 from stages.gaussians.options import GaussiansOptions
+from stages.gaussians.poses import PoseTable
 from stages.gaussians.storage import halved, scene_from_tensors, scene_tensors
 from stages.shared.artifacts import read_metadata, read_model, write_model
 
@@ -80,7 +81,11 @@ def test_a_killed_training_resumes_to_the_same_result(monkeypatch: pytest.Monkey
     monkeypatch.setattr(optimise, "DENSIFY_EVERY", 8)
     options = GaussiansOptions(steps=40, stride_px=4)
     seen = truth.observations(TRAIN)
-    straight = Trainer(coloured_scene(seen), seen, options, arap_weight=0.01)
+    scenes = coloured_scene(seen), coloured_scene(seen)
+    for scene in scenes:
+        scene.poses = PoseTable(torch.tensor(seen.times), length=4.0)
+        scene.exposure = Exposure(torch.tensor(seen.times))
+    straight = Trainer(scenes[0], seen, options, arap_weight=0.01)
     saved: dict[int, tuple[dict[str, np.ndarray], int]] = {}
 
     def keep(trainer: Trainer) -> None:
@@ -89,7 +94,7 @@ def test_a_killed_training_resumes_to_the_same_result(monkeypatch: pytest.Monkey
             saved[21] = (arrays, trainer.scene.n_static)
 
     straight.run(keep)
-    resumed = Trainer(coloured_scene(seen), seen, options, arap_weight=0.01)
+    resumed = Trainer(scenes[1], seen, options, arap_weight=0.01)
     checkpoint.restore(resumed, *saved[21])
     assert resumed.step == 21
     resumed.run(lambda _: None)
