@@ -67,7 +67,9 @@ def test_a_mover_stands_out_sharply_with_cameras() -> None:
     scene = make_scene(disc_radius=0.5)
     pairs, edges = observed(scene)
     Ks = np.broadcast_to(scene.K, (scene.T, 3, 3))
-    evidence, _ = resweep.camera_evidence(pairs, scene.cam_from_world, Ks, np.full(scene.depth.shape, 0.2, np.float32))
+    evidence, _, _ = resweep.camera_evidence(
+        pairs, scene.cam_from_world, Ks, np.full(scene.depth.shape, 0.2, np.float32)
+    )
     misfit = pooling.pool(evidence, edges, pairs["flow"], pairs["weights"])
     assert overlap(motion.to_probability(misfit, *motion.CAMERA_CURVE) > 0.5, scene.dynamic) > 0.7
 
@@ -78,7 +80,7 @@ def test_static_scene_fits_its_depth_exactly() -> None:
     pairs, _ = observed(scene)
     Ks = np.broadcast_to(scene.K, (scene.T, 3, 3))
     start = np.full(scene.depth.shape, 0.3, np.float32)
-    evidence, sigma_px = resweep.camera_evidence(pairs, scene.cam_from_world, Ks, start)
+    evidence, _, sigma_px = resweep.camera_evidence(pairs, scene.cam_from_world, Ks, start)
     assert sigma_px == pytest.approx(0.5)
     assert evidence.misfit[evidence.weight > 1].max() < 1e-3
 

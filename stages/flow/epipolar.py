@@ -4,6 +4,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import cv2
+import numba
 import numpy as np
 
 MIN_CONFIDENCE = 0.5
@@ -112,24 +113,45 @@ def fit_homography(x: np.ndarray, y: np.ndarray, params: cv2.UsacParams) -> np.n
 
 def sampson_errors(F: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Sampson distance [...] px of matches x, y [..., 2] from the epipolar geometry F."""
-    line_y = x @ F[:, :2].T + F[:, 2]
-    line_x = y @ F[:2] + F[2]
-    numerator = (line_y[..., :2] * y).sum(axis=-1) + line_y[..., 2]
-    squared = (line_y[..., :2] ** 2).sum(axis=-1) + (line_x[..., :2] ** 2).sum(axis=-1)
-    return np.asarray(np.abs(numerator) / np.sqrt(np.maximum(squared, 1e-24)))
+    flat = _sampson(F, np.reshape(x, (-1, 2)), np.reshape(y, (-1, 2)))
+    return np.asarray(flat.reshape(x.shape[:-1]))
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _sampson(F, x, y):  # type: ignore[no-untyped-def]
+    errors = np.empty(len(x))
+    for k in range(len(x)):
+        u, v, s, t = x[k, 0], x[k, 1], y[k, 0], y[k, 1]
+        a, b = F[0, 0] * u + F[0, 1] * v + F[0, 2], F[1, 0] * u + F[1, 1] * v + F[1, 2]
+        c = F[2, 0] * u + F[2, 1] * v + F[2, 2]
+        d, e = F[0, 0] * s + F[1, 0] * t + F[2, 0], F[0, 1] * s + F[1, 1] * t + F[2, 1]
+        errors[k] = abs(a * s + b * t + c) / np.sqrt(max(a * a + b * b + d * d + e * e, 1e-24))
+    return errors
 
 
 def homography_errors(H: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Transfer error |y - H x| [...] px of matches x, y [..., 2]."""
-    there = x @ H[:, :2].T + H[:, 2]
-    return np.asarray(np.linalg.norm(y - there[..., :2] / there[..., 2:], axis=-1))
+    flat = _transfer(H, np.reshape(x, (-1, 2)), np.reshape(y, (-1, 2)))
+    return np.asarray(flat.reshape(x.shape[:-1]))
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _transfer(H, x, y):  # type: ignore[no-untyped-def]
+    errors = np.empty(len(x))
+    for k in range(len(x)):
+        u, v = x[k, 0], x[k, 1]
+        z = H[2, 0] * u + H[2, 1] * v + H[2, 2]
+        du = y[k, 0] - (H[0, 0] * u + H[0, 1] * v + H[0, 2]) / z
+        dv = y[k, 1] - (H[1, 0] * u + H[1, 1] * v + H[1, 2]) / z
+        errors[k] = np.sqrt(du * du + dv * dv)
+    return errors
 
 
 def _confident(pairs: PairMatches, edge: int, back: int) -> tuple[np.ndarray, np.ndarray]:
-    """Confident matches x [n, 2] and y [n, 2] of an edge and its reverse, pooled."""
-    there, here = pairs.weights[edge] > MIN_CONFIDENCE, pairs.weights[back] > MIN_CONFIDENCE
-    x = np.concatenate([pairs.pixels[there], pairs.matches[back][here]])
-    return x, np.concatenate([pairs.matches[edge][there], pairs.pixels[here]])
+    """Confident matches x [n, 2] and y [n, 2] of every other row and column of an edge and its reverse, pooled."""
+    pixels, onward, backward = (part[::2, ::2] for part in (pairs.pixels, pairs.matches[edge], pairs.matches[back]))
+    there, here = (pairs.weights[e, ::2, ::2] > MIN_CONFIDENCE for e in (edge, back))
+    return np.concatenate([pixels[there], backward[here]]), np.concatenate([onward[there], pixels[here]])
 
 
 def _usac(threshold_px: float, seed: int) -> cv2.UsacParams:

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 import cv2
 import numpy as np
 
-from stages.flow import epipolar, resweep
+from stages.flow import epipolar, photometric, resweep
 from stages.flow.epipolar import Evidence, PairMatches
 from stages.flow.options import MotionOptions
 from stages.flow.pooling import evidence_weights, pool
@@ -39,8 +39,9 @@ def main(
     """Estimate the probability that a pixel moves in the world, from geometry alone.
 
     Without cameras: misfit of the flow to the epipolar geometry of many frame pairs (to homographies where nothing
-    shows parallax). With the cameras of the round before: misfit to the best depth per pixel. Both are pooled along
-    the flow. The metadata of the output says which was used, and why.
+    shows parallax). With the cameras of the round before: misfit to the best depth per pixel, where flow is unreliable
+    only as far as the pictures confirm it. Both are pooled along the flow. The metadata of the output says which was
+    used, and why.
     """
     frames = read_sequence(sequence)
     pairs, scale = read_dense(flow), float(read_metadata(flow)["scale"])
@@ -51,7 +52,7 @@ def main(
         evidence, facts = _from_flow(pairs, edges, len(frames.numbers), options.seed)
     else:
         stride_px = float(read_metadata(previous_depth)["stride_px"])
-        evidence, facts = _from_cameras(pairs, cameras, read_dense(previous_depth), scale, stride_px)
+        evidence, facts = _from_cameras(frames, pairs, cameras, read_dense(previous_depth), scale, stride_px)
     misfit = pool(evidence, edges, pairs["flow"], pairs["weights"])
     probability = to_probability(misfit, *(FLOW_CURVE if cameras is None else CAMERA_CURVE))
     facts |= {"moving_share": float((probability > 0.5).mean())}
@@ -91,24 +92,35 @@ def _from_flow(
 
 
 def _from_cameras(
-    pairs: dict[str, np.ndarray], cameras: Cameras, depth: dict[str, np.ndarray], scale: float, stride_px: float
+    frames: Sequence,
+    pairs: dict[str, np.ndarray],
+    cameras: Cameras,
+    depth: dict[str, np.ndarray],
+    scale: float,
+    stride_px: float,
 ) -> tuple[Evidence, dict[str, Any]]:
     """Evidence from the cameras of the round before, depth searched anew, and what was used."""
     h, w = pairs["confidence"].shape[1:]
     start = resweep.resample(depth["inverse_depth"], stride_px * scale, h, w)
-    evidence, sigma_px = resweep.camera_evidence(
-        pairs, cameras.cam_from_world, scale_intrinsics(cameras.Ks, scale), start
-    )
+    seen = cameras.cam_from_world, scale_intrinsics(cameras.Ks, scale)
+    evidence, inverse_depth, sigma_px = resweep.camera_evidence(pairs, *seen, start)
+    grey = np.stack([cv2.cvtColor(_reduced(path, w, h), cv2.COLOR_RGB2GRAY) for path in frames.frames])
+    evidence = photometric.corroborate(evidence, grey, pairs, resweep.projections(pairs, *seen), inverse_depth)
     rotating = set(cameras.status) == {"rotation-only"}
     model = "rotations: the camera does not translate" if rotating else "depth re-sweep"
     return evidence, {"source": "cameras", "model": model, "sigma_px": sigma_px}
+
+
+def _reduced(path: Path, w: int, h: int) -> np.ndarray:
+    """A frame on the flow grid, [h, w, 3]."""
+    return np.asarray(cv2.resize(read_rgb(path), (w, h), interpolation=cv2.INTER_AREA))
 
 
 def _picture(frames: Sequence, probability: np.ndarray) -> np.ndarray:
     """Shown frames above the probability of motion."""
     shown = figures.spread(len(probability), 4)
     h, w = probability.shape[1:]
-    reduced = [cv2.resize(read_rgb(frames.frames[k]), (w, h), interpolation=cv2.INTER_AREA) for k in shown]
+    reduced = [_reduced(frames.frames[k], w, h) for k in shown]
     cells = [
         image
         for k, rgb in zip(shown, reduced, strict=True)

@@ -28,27 +28,44 @@ COARSE = 8
 
 def camera_evidence(
     pairs: Mapping[str, np.ndarray], cam_from_world: np.ndarray, Ks: np.ndarray, start: np.ndarray
-) -> tuple[Evidence, float]:
-    """Misfit [T, h, w] to the best depth under the cameras, with its weight, and the noise scale in px.
+) -> tuple[Evidence, np.ndarray, float]:
+    """Misfit [T, h, w] to the best depth under the cameras, with its weight; that inverse depth; the noise scale in px.
 
     The scale is three times the median residual within 0.5..3 px: a fixed one lets masks run away on noisy flow.
+    Edges weigh as much as their frames are apart: slow motion shows over many frames only.
 
     Args:
         pairs: source, target [E], flow [E, h, w, 2] px, weights [E, h, w].
         cam_from_world: [T, 4, 4]; Ks: [T, 3, 3] on the flow grid; start: [T, h, w] inverse depth.
     """
-    i, j = pairs["source"], pairs["target"]
     unit = float(np.median(start))
-    relative = cam_from_world[j] @ lie.inverse(cam_from_world[i])
-    A = Ks[j] @ relative[:, :3, :3] @ np.linalg.inv(Ks[i])
-    b = unit * (Ks[j] @ relative[:, :3, 3:])[..., 0]
-    pointer = np.searchsorted(i, np.arange(len(start) + 1))
-    inputs = (pairs["flow"], pairs["weights"], (start / unit).astype(np.float32))
+    A, b = projections(pairs, cam_from_world, Ks)
+    b = unit * b
+    pointer = np.searchsorted(pairs["source"], np.arange(len(start) + 1))
+    distance = np.abs(pairs["source"] - pairs["target"])
+    weights = pairs["weights"] * (distance / distance.mean()).astype(np.float32)[:, None, None]
+    inputs = (pairs["flow"], weights, (start / unit).astype(np.float32))
     _, inverse_depth = sweep(pointer, A, b, *inputs, 1.0, COARSE)
     sigma_px = float(np.clip(3 * _median_residual(A, b, pairs, inverse_depth), *SIGMA_RANGE_PX))
-    misfit, _ = sweep(pointer, A, b, *inputs, sigma_px, 1)
-    weight = np.add.reduceat(pairs["weights"], pointer[:-1], axis=0)
-    return Evidence(misfit, weight), sigma_px
+    misfit, inverse_depth = sweep(pointer, A, b, *inputs, sigma_px, 1)
+    weight = np.add.reduceat(weights, pointer[:-1], axis=0)
+    return Evidence(misfit, weight), unit * inverse_depth, sigma_px
+
+
+def projections(
+    pairs: Mapping[str, np.ndarray], cam_from_world: np.ndarray, Ks: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """A [E, 3, 3] and b [E, 3] of every edge, as above."""
+    i, j = pairs["source"], pairs["target"]
+    relative = cam_from_world[j] @ lie.inverse(cam_from_world[i])
+    return Ks[j] @ relative[:, :3, :3] @ np.linalg.inv(Ks[i]), (Ks[j] @ relative[:, :3, 3:])[..., 0]
+
+
+def rigid_flow(A: np.ndarray, b: np.ndarray, inverse_depth: np.ndarray) -> np.ndarray:
+    """Flow [h, w, 2] float32 px of a static world of inverse depth [h, w] along an edge with A [3, 3], b [3]."""
+    pixels = pixel_grid(*inverse_depth.shape).astype(np.float32)
+    there = pixels @ A[:, :2].T.astype(np.float32) + (A[:, 2] + inverse_depth[..., None] * b).astype(np.float32)
+    return np.asarray(there[..., :2] / np.maximum(there[..., 2:], Z_MIN) - pixels)
 
 
 def resample(inverse_depth: np.ndarray, cell_px: float, h: int, w: int) -> np.ndarray:
