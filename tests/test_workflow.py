@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+import yaml
 from conftest import copy_sources, run_snakemake, write_frames
 
 EVERY_RULE = {
@@ -14,6 +15,9 @@ EVERY_RULE = {
 }
 AFTER_FLOW = EVERY_RULE - {"simulate", "inspect", "flow", "colmap"}
 AFTER_SCENE = AFTER_FLOW - {"motion", "segment", "ba", "scene", "colmap_masked"}
+SWEEP = {"presets": ["fast"], "knobs": {"rounds": [1]}, "runs": {"claims": {"static": {"scene.dynamic": "no"}}}}
+SCALING = {"axes": {"control points": {"control.control_points": [8]}}}
+COLLECTED = {"collect_sweep", "report", "sweep"}
 
 
 def planned(result: subprocess.CompletedProcess[str]) -> set[str]:
@@ -25,14 +29,15 @@ def planned(result: subprocess.CompletedProcess[str]) -> set[str]:
 @pytest.fixture(scope="module")
 def everything_done(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A working folder in which Snakemake believes that everything has run (empty outputs, recorded params)."""
-    folder = copy_sources(tmp_path_factory.mktemp("done"))
-    plan = run_snakemake(folder, "-n")
+    folder = with_comparisons(copy_sources(tmp_path_factory.mktemp("done")))
+    plan = run_snakemake(folder, "-n", "sweep", "scaling")
     for line in re.findall(r"^    output: (.*)$", plan.stdout + plan.stderr, re.MULTILINE):
         for name in line.split(", "):
             path = folder / name
             path.parent.mkdir(parents=True, exist_ok=True)
             path.touch() if path.suffix else path.mkdir(exist_ok=True)
-    assert run_snakemake(folder, "--touch", "-F").returncode == 0
+    for arguments in (["sweep", "scaling", "-F"], []):  # last the plain run: its report reads what the others left
+        assert run_snakemake(folder, *arguments, "--touch").returncode == 0
     assert planned(run_snakemake(folder, "-n")) == set()
     return folder
 
@@ -41,7 +46,14 @@ def everything_done(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def finished(everything_done: Path) -> Iterator[Path]:
     """The finished folder, to edit freely: its sources are restored afterwards."""
     yield everything_done
-    copy_sources(everything_done)
+    with_comparisons(copy_sources(everything_done))
+
+
+def with_comparisons(folder: Path) -> Path:
+    """The folder with a shorter sweep and scaling than the shipped ones."""
+    path = folder / "config.yaml"
+    path.write_text(yaml.safe_dump(yaml.safe_load(path.read_text()) | {"sweep": SWEEP, "scaling": SCALING}))
+    return folder
 
 
 def with_options(folder: Path, text: str) -> list[str]:
@@ -133,3 +145,36 @@ def test_scenes_all_means_the_whole_scene_library(repo_copy: Path) -> None:
     count = re.search(r"^simulate +(\d+)$", result.stdout + result.stderr, re.MULTILINE)
     assert count is not None
     assert int(count.group(1)) == len(scenes)
+
+
+def test_a_sweep_runs_only_what_differs(repo_copy: Path) -> None:
+    result = run_snakemake(with_comparisons(repo_copy), "-n", "sweep")
+    counts = dict(re.findall(r"^(\w+) +(\d+)$", result.stdout, re.MULTILINE))
+    # Configured, fast, one round, static. The one round is the first of the configured run; fast has flow of its own.
+    expected = {"simulate": 1, "inspect": 1, "colmap": 1, "flow": 2, "motion": 4, "segment": 4, "ba": 4}
+    expected |= {"scene": 4, "control": 4, "train": 4, "render": 4, "evaluate": 4, "collect_sweep": 1, "report": 1}
+    assert {name: int(counts[name]) for name in expected} == expected
+    assert "collect_scaling" not in counts
+
+
+@pytest.mark.parametrize(
+    ("target", "override", "rerun"),
+    [
+        ("sweep", "gaussians: {steps: 33}", {"train", "render", "evaluate", *COLLECTED}),
+        ("sweep", "colmap: {seed: 5}", {"colmap", "colmap_masked", "evaluate", *COLLECTED}),
+        ("scaling", "control: {steps: 3}", {*AFTER_SCENE, "collect_scaling", "scaling"} - {"all"}),
+        ("all", "sweep: {knobs: {rounds: [3]}}", set()),
+    ],
+)
+def test_an_option_reruns_its_readers_under_every_setting(
+    finished: Path, target: str, override: str, rerun: set[str]
+) -> None:
+    assert planned(run_snakemake(finished, target, *with_options(finished, override))) == rerun
+
+
+def test_a_wrong_setting_stops_at_once(repo_copy: Path) -> None:
+    override = "sweep: {runs: {mine: {finer: {flow.finest_scal: 0}}}}"
+    result = run_snakemake(repo_copy, *with_options(repo_copy, override))
+    assert result.returncode == 2
+    assert "setting 'finer' of 'mine'" in result.stderr
+    assert "did you mean 'finest_scale'" in result.stderr
