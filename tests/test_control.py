@@ -226,6 +226,7 @@ def test_a_model_survives_its_files(model: Deformation, tmp_path: Path) -> None:
         torch.testing.assert_close(copy.log_radii, model.log_radii)
     quats, _ = model(times)
     torch.testing.assert_close(quats.norm(dim=-1), torch.ones(3, 12))
+    torch.testing.assert_close(model(times.double())[0], quats)  # times are float64 elsewhere
 
 
 def test_a_scene_without_motion_has_files_without_points(tmp_path: Path) -> None:

@@ -72,6 +72,16 @@ def test_tracks_end_where_flow_is_not_trusted() -> None:
     assert not found.visible[started_before][:, links.frames >= 7].any()
 
 
+def test_short_tracks_are_kept_where_no_long_one_passes() -> None:
+    links = tracks.training_links(**block_edges(), is_training=training())
+    masks = block_masks()[links.frames]
+    masks[2:4, 30:40, 40:52] = True  # another part, in sight for two frames
+    found = tracks.track_dynamic_pixels(links, masks, stride_px=2)
+    short = found.visible.sum(axis=1) == 2
+    assert short.sum() > 10
+    assert (found.uv[short][found.visible[short]][:, 0] >= 40).all()
+
+
 def test_a_part_that_shows_up_late_gets_tracks() -> None:
     masks = block_masks()
     masks[6:, 38:46, 44:60] = True

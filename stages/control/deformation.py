@@ -85,7 +85,7 @@ class MLPDeformation(Deformation):
     def raw_motion(self, times: Tensor) -> Tensor:
         position_frequencies, time_frequencies = self.frequencies.tolist()
         positions = _encode((self.points - self.centre) / self.extent, position_frequencies)
-        moments = _encode(2 * times[:, None] - 1, time_frequencies)
+        moments = _encode(2 * times[:, None].to(positions) - 1, time_frequencies)
         B, P = len(moments), len(positions)
         x = torch.cat([positions.expand(B, -1, -1), moments[:, None].expand(-1, P, -1)], dim=-1)
         for layer in self.hidden:

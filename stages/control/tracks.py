@@ -14,7 +14,7 @@ from stages.shared.cameras import Cameras, unproject
 MIN_CONFIDENCE = 0.3
 MIN_DEPTH_STD = 0.01
 MIN_FRAMES = 3
-"""A track seen in fewer training frames tells no motion from noise."""
+"""A track seen in fewer training frames hardly tells motion from noise: used where there is no other."""
 DEPTH_ACCELERATION = 0.02
 """Expected second difference of log depth per frame^2 along a track: how fast true depth may bend."""
 DEPTH_SPEED = 1.0
@@ -118,8 +118,20 @@ def track_dynamic_pixels(links: Links, masks: np.ndarray, stride_px: int) -> Tra
             uv.append(new_uv)
             visible.append(new_visible)
     tracks = Tracks(np.concatenate(uv), np.concatenate(visible))
-    long_enough = tracks.visible.sum(axis=1) >= min(MIN_FRAMES, F)
-    return Tracks(tracks.uv[long_enough], tracks.visible[long_enough])
+    kept = _worth_keeping(tracks, inner.shape[1:], stride_px)
+    return Tracks(tracks.uv[kept], tracks.visible[kept])
+
+
+def _worth_keeping(tracks: Tracks, shape: tuple[int, ...], stride_px: int) -> np.ndarray:
+    """Which tracks [n] to fit: the long ones, and those of two frames that pass where no long one does."""
+    sightings = tracks.visible.sum(axis=1)
+    kept = np.asarray(sightings >= min(MIN_FRAMES, tracks.visible.shape[1]))
+    long_uv, long_visible = tracks.uv[kept], tracks.visible[kept]
+    for k in range(tracks.visible.shape[1]):
+        short = np.flatnonzero(tracks.visible[:, k] & (sightings == MIN_FRAMES - 1))
+        u, v = np.rint(tracks.uv[short, k]).astype(int).T
+        kept[short[~_covered([long_uv], [long_visible], k, shape, stride_px)[v, u]]] = True
+    return kept
 
 
 def _covered(
