@@ -87,7 +87,7 @@ def _match(rgb: np.ndarray, options: FlowOptions) -> tuple[Flows, Flows, dict[st
 
     def confidence(edge: Edge) -> np.ndarray:
         i, j = edge
-        return flow_confidence(flow[i, j], flow[j, i], grey[i], grey[j])
+        return flow_confidence(flow[i, j], flow[j, i], grey[i], grey[j]).astype(np.float16)
 
     with ThreadPoolExecutor(threads) as pool:
         confidences = dict(zip(flow, pool.map(confidence, flow), strict=True))
