@@ -72,6 +72,12 @@ def test_tracks_end_where_flow_is_not_trusted() -> None:
     assert not found.visible[started_before][:, links.frames >= 7].any()
 
 
+def test_more_tracks_than_opencv_has_rows_are_sampled() -> None:
+    ramp = np.broadcast_to(np.arange(W, dtype=np.float32), (H, W))
+    uv = np.random.default_rng(0).uniform(0, H - 1, (70_000, 2))
+    np.testing.assert_allclose(tracks.bilinear(ramp, uv), uv[:, 0], atol=0.02)  # OpenCV's steps of 1/32 px
+
+
 def test_short_tracks_are_kept_where_no_long_one_passes() -> None:
     links = tracks.training_links(**block_edges(), is_training=training())
     masks = block_masks()[links.frames]

@@ -15,6 +15,8 @@ MIN_CONFIDENCE = 0.3
 MIN_DEPTH_STD = 0.01
 MIN_FRAMES = 3
 """A track seen in fewer training frames hardly tells motion from noise: used where there is no other."""
+REMAP_ROWS = 30_000
+"""OpenCV's remap takes fewer than 32768 rows."""
 DEPTH_ACCELERATION = 0.02
 """Expected second difference of log depth per frame^2 along a track: how fast true depth may bend."""
 DEPTH_SPEED = 1.0
@@ -169,9 +171,10 @@ def bilinear(image: np.ndarray, uv: np.ndarray) -> np.ndarray:
     """Values [n] or [n, C] of image [h, w] or [h, w, C] at pixels uv [n, 2]; the edge continues outside."""
     if len(uv) == 0:
         return np.zeros((0, *image.shape[2:]), np.float32)
-    u, v = np.ascontiguousarray(uv.T.astype(np.float32))[:, :, None]
-    sampled = cv2.remap(np.asarray(image, np.float32), u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(sampled[:, 0])
+    source, (u, v) = np.asarray(image, np.float32), np.ascontiguousarray(uv.T.astype(np.float32))[:, :, None]
+    blocks = [slice(start, start + REMAP_ROWS) for start in range(0, len(uv), REMAP_ROWS)]
+    sampled = [cv2.remap(source, u[b], v[b], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)[:, 0] for b in blocks]
+    return np.concatenate(sampled)
 
 
 def smooth_log_depth(log_depth: np.ndarray, std: np.ndarray, visible: np.ndarray) -> np.ndarray:
