@@ -23,16 +23,20 @@ def true_state(scene: Scene, graph: FlowGraph) -> State:
     return State(scene.cam_from_world, graph.resample(1 / scene.depth), scene.focal_px)
 
 
-def test_sampson_jacobian_equals_finite_differences() -> None:
+def test_sampson_normal_equations_equal_those_of_finite_differences() -> None:
     rng = np.random.default_rng(0)
-    x, y = rng.normal(0, 0.3, (20, 2)), rng.normal(0, 0.3, (20, 2))
-    R, t = lie.exp_so3(np.array([0.1, -0.2, 0.05])), np.array([0.6, 0.0, 0.8])
-    _, J = twoview._sampson_jacobian(R, t, x, y)
-    basis, h = twoview._tangent_basis(t), 1e-6
+    x, y, w = rng.normal(0, 0.3, (20, 2)), rng.normal(0, 0.3, (20, 2)), rng.uniform(0, 1, 20)
+    R, t, sigma = lie.exp_so3(np.array([0.1, -0.2, 0.05])), np.array([0.6, 0.0, 0.8]), 0.1
+    basis, h, J = twoview._tangent_basis(t), 1e-6, np.zeros((20, 5))
     for k in range(5):
         step = h * np.eye(5)[k]
         ends = [twoview.sampson_errors(lie.exp_so3(s * step[:3]) @ R, t + s * step[3:] @ basis, x, y) for s in (1, -1)]
-        assert_allclose(J[:, k], (ends[0] - ends[1]) / (2 * h), atol=1e-7)
+        J[:, k] = (ends[0] - ends[1]) / (2 * h)
+    residual = twoview.sampson_errors(R, t, x, y)
+    robust = w / (1 + (residual / sigma) ** 2) ** 2
+    normal, gradient = twoview._sampson_system(R, t, x, y, w, sigma)
+    assert_allclose(normal, J.T @ (J * robust[:, None]), atol=1e-7)
+    assert_allclose(gradient, J.T @ (robust * residual), atol=1e-7)
 
 
 def test_two_view_motion_survives_outliers_and_the_twisted_pair() -> None:
@@ -119,3 +123,12 @@ def test_a_moving_object_stands_where_it_touches_the_ground() -> None:
     filled = fill(inverse_depth, region, region)
     assert_allclose(filled[region], 0.7)
     assert_allclose(filled[~region], inverse_depth[~region])
+
+
+def test_masks_from_flow_alone_do_not_free_an_unusual_focal_length() -> None:
+    scene = make_scene(size=(96, 160), focal=1.9)
+    graph = observe(scene)
+    first = estimate(Problem(graph, masked=True), OPTIONS)
+    assert first.focal["decision"] == "held at prior"
+    later = estimate(Problem(graph, masked=True, previous=true_state(scene, graph)), OPTIONS)
+    assert later.state.focal_px == pytest.approx(scene.focal_px, rel=0.05)

@@ -19,7 +19,6 @@ INVERSE_DEPTHS = (1e-4, 20.0)
 """Range of inverse depths, relative to their median."""
 MAX_LOG_FOCAL_STEP = 0.35
 MAX_DAMPING = 1e4
-CONVERGED = 1e-5
 
 
 @dataclass(frozen=True)
@@ -64,10 +63,14 @@ class FocalPrior:
 
 
 class Level(NamedTuple):
-    """One stage of the graduated robust kernel: its scale in px and its largest number of iterations."""
+    """One stage of the graduated robust kernel: its scale in px and its largest number of iterations.
+
+    It ends before them at a step that lowers the cost by less than the share `gain`.
+    """
 
     sigma_px: float
     iterations: int
+    gain: float = 1e-5
 
 
 @dataclass(frozen=True)
@@ -154,7 +157,7 @@ def solve(
                 damping *= 8
             seconds = time.perf_counter() - start_s
             steps.append(Step(phase, level.sigma_px, cost, size, damping, state.focal_px, accepted, seconds))
-            if (accepted and gain < CONVERGED) or damping > MAX_DAMPING:
+            if (accepted and gain < level.gain) or damping > MAX_DAMPING:
                 break
     return normalise(state) if unknowns.translation else state, steps
 

@@ -87,6 +87,6 @@ def _search(graph: FlowGraph, coarse: FlowGraph, state: State) -> tuple[np.ndarr
     """Inverse depth and curvature [T, P] of the fine pixels, searched near the coarse ones and over all depths."""
     start = graph.resample(state.inverse_depth.reshape(graph.T, coarse.rows, coarse.columns))
     around = start * SPAN[:, None, None]
-    everywhere = np.broadcast_to(SWEEP[::2, None, None], (len(SWEEP[::2]), *start.shape))
+    everywhere = np.broadcast_to(SWEEP[:, None, None], (len(SWEEP), *start.shape))
     fine = State(state.cam_from_world, start, state.focal_px)
     return dba.sweep(graph, fine, np.concatenate([around, everywhere]), SIGMA_PX)

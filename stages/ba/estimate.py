@@ -19,6 +19,8 @@ PRIOR_FOCAL = 1.1
 """Centre of the prior of the focal length, in image widths (a horizontal view of 49 degrees)."""
 CORRELATION = 20.0
 """Measured error over that predicted from independent residuals: flow errors are alike over many pixels and edges."""
+UNUSUAL_FOCAL = 1.5
+"""Factor on the prior's centre beyond which a focal length needs masks that were made with cameras."""
 MIN_NOISE_PX = 0.01
 WEAK_FOCAL, BLIND_FOCAL = 0.05, 0.15
 """Predicted relative error of the focal length above which it is called weak, and not estimated at all."""
@@ -175,9 +177,9 @@ def _refine(problem: Problem, statistics: Statistics, start: Candidate, prior: F
     if not reason:
         refined = _adjust_twice(graph, start.state, Unknowns(focal=True), prior)
         sigma = focal_sigma(graph, refined.state)
-        if sigma <= BLIND_FOCAL:
+        reason = _reason_to_drop(problem, refined.state.focal_px / prior.focal_px, sigma)
+        if not reason:
             return refined, Focal("weakly observed" if sigma > WEAK_FOCAL else "estimated", sigma)
-        reason = f"its predicted error is {100 * sigma:.0f} %"
     if problem.known_focal_px:
         return _adjust_twice(graph, start.state, Unknowns(), prior), Focal("known", 0.0)
     held = replace(start.state, focal_px=prior.focal_px)
@@ -195,6 +197,16 @@ def _reason_to_hold(problem: Problem, statistics: Statistics, state: State) -> s
     consistent = graph.weights[dba.errors_px(graph, state) < 1.0].sum() / graph.weights.sum()
     if not problem.masked and consistent < CONSISTENT_SHARE:
         return f"there are no masks yet and only {100 * consistent:.0f} % of the matches fit a static scene"
+    return ""
+
+
+def _reason_to_drop(problem: Problem, ratio: float, sigma: float) -> str:
+    """Why an estimated focal length, `ratio` times the prior's, must not be taken, in words; empty if it may be."""
+    if sigma > BLIND_FOCAL:
+        return f"its predicted error is {100 * sigma:.0f} %"
+    if problem.masked and problem.previous is None and max(ratio, 1 / ratio) > UNUSUAL_FOCAL:
+        # What flow alone leaves of a large mover along the epipolar lines bends the focal length, at no cost.
+        return f"it came out {ratio:.1f} times the usual one, with masks from flow alone"
     return ""
 
 

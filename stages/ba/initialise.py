@@ -10,7 +10,7 @@ from stages.ba.dba import FocalPrior, Level, State, Step, Unknowns
 from stages.ba.graph import MIN_MATCHES, FlowGraph
 from stages.shared import lie
 
-SWEEP = np.geomspace(0.02, 10.0, 16)
+SWEEP = np.geomspace(0.02, 10.0, 8)
 """Inverse depths, relative to the median, that the search for a pixel's depth starts from."""
 COST_MARGIN = 0.15
 """Among solutions whose robust cost is this near to the lowest, cost does not tell the right one; smoothness does."""

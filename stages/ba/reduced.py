@@ -30,20 +30,22 @@ def assemble(
         first, last = graph.pointer[i], graph.pointer[i + 1]
         k = last - first
         n = 6 * k
+        H = hessians[first:last]
         local = -schur[i, : n + 2, : n + 2]
-        for edge, H in enumerate(hessians[first:last]):
-            rows = slice(6 * edge, 6 * edge + 6)
-            local[rows, rows] += H[:6, :6]
-            local[rows, n:] += H[:6, 6:]
-            local[n:, rows] += H[6:, :6]
-            local[n:, n:] += H[6:, 6:]
-        L = np.zeros((n + 1, n + 7))
-        L[:n, :6] = -adjoints[first:last].reshape(n, 6)
-        L[:, 6:] = np.eye(n + 1)
-        frames = np.concatenate([[i], graph.target[first:last]])
-        columns = np.append((6 * frames[:, None] + np.arange(6)).ravel(), 6 * T)
-        S[np.ix_(columns, columns)] += L.T @ local[: n + 1, : n + 1] @ L
-        rhs[columns] += L.T @ local[: n + 1, n + 1]
+        local[:n, :n].reshape(k, 6, k, 6)[np.arange(k), :, np.arange(k)] += H[:, :6, :6]
+        local[:n, n:] += H[:, :6, 6:].reshape(n, 2)
+        local[n:, :n] += H[:, 6:, :6].transpose(1, 0, 2).reshape(2, n)
+        local[n:, n:] += H[:, 6:, 6:].sum(axis=0)
+        A = -adjoints[first:last].reshape(n, 6)
+        columns = np.append((6 * graph.target[first:last, None] + np.arange(6)).ravel(), 6 * T)
+        source = slice(6 * i, 6 * i + 6)
+        across = A.T @ local[:n]
+        S[np.ix_(columns, columns)] += local[: n + 1, : n + 1]
+        S[source, columns] += across[:, : n + 1]
+        S[columns, source] += across[:, : n + 1].T
+        S[source, source] += across[:, :n] @ A
+        rhs[columns] += local[: n + 1, n + 1]
+        rhs[source] += across[:, n + 1]
     return S, rhs
 
 

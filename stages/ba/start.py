@@ -3,7 +3,7 @@
 Guesses are adjusted and compared on a coarse grid of pixels; the winner is refined on the full one.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -24,6 +24,10 @@ MATCHED = 0.5
 SMOOTHER = 0.5
 """Without masks the same matches are explained as well by a path this much smoother: then the masks are wrong."""
 FITTING_PX = (0.3, 1.0)
+ENOUGH = 1e-3
+"""Guesses are told apart by costs that differ by much more: smaller gains are left to the refinement."""
+FAR_BEHIND = 2.0
+"""A guess that costs this many times the lowest at the wide scale is no rival at the narrow one."""
 EXPLAINED = 0.85
 """If less than this share of the pixels fits the motion found, what is left may be the background."""
 
@@ -99,7 +103,6 @@ def find_start(observed: Observed) -> Start:
 def guess(observed: Observed, graph: FlowGraph) -> list[Candidate]:
     """Adjusted guesses on one graph: chains over focal lengths and steps, planes, and the solution before."""
     threshold_px = observed.threshold_px
-    schedule = (Level(2 * threshold_px, 6), Level(threshold_px, 8))
     states = {}
     if observed.previous:
         before = initialise.initial_state(graph, observed.previous.cam_from_world, observed.previous.focal_px)
@@ -115,8 +118,25 @@ def guess(observed: Observed, graph: FlowGraph) -> list[Candidate]:
         if planes:
             poses = planar.chain_planes(planes, focal_px)
             states[f"plane {at}"] = initialise.initial_state(graph, poses, focal_px)
-    adjust = initialise.adjust
-    return [adjust(graph, state, schedule, Unknowns(), observed.prior, name) for name, state in states.items()]
+    return adjust_guesses(graph, states, threshold_px, observed.prior)
+
+
+def adjust_guesses(
+    graph: FlowGraph, states: Mapping[str, State], sigma_px: float, prior: FocalPrior
+) -> list[Candidate]:
+    """Guesses adjusted in two levels, down to a scale of `sigma_px`; those far behind after the first are dropped."""
+
+    def adjust(state: State, level: Level, name: str) -> Candidate:
+        return initialise.adjust(graph, state, (level,), Unknowns(), prior, name)
+
+    wide = [adjust(state, Level(2 * sigma_px, 6, ENOUGH), name) for name, state in states.items()]
+    limit = FAR_BEHIND * min(candidate.cost for candidate in wide)
+    found = []
+    for first in wide:
+        if first.cost <= limit:
+            narrow = adjust(first.state, Level(sigma_px, 8, ENOUGH), first.name)
+            found.append(replace(narrow, steps=first.steps + narrow.steps))
+    return found
 
 
 def longest_step(graph: FlowGraph) -> int:

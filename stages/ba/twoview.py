@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numba import njit
 
 from stages.ba.graph import MIN_MATCHES, MIN_WEIGHT, FlowGraph
 from stages.shared import lie
@@ -81,10 +82,8 @@ def refine_motion(
 ) -> TwoView:
     """Minimise the weighted Sampson error over (R, direction of t), the robust scale falling from first to last."""
     for sigma_px in np.geomspace(*sigmas_px, iterations):
-        residual, J = _sampson_jacobian(R, t, x, y)
-        robust = w / (1 + (residual * focal_px / sigma_px) ** 2) ** 2
-        normal = J.T @ (J * robust[:, None])
-        step = np.linalg.solve(normal + 1e-9 * np.trace(normal) * np.eye(5), -J.T @ (robust * residual))
+        normal, gradient = _sampson_system(R, t, x, y, w, sigma_px / focal_px)
+        step = np.linalg.solve(normal + 1e-9 * np.trace(normal) * np.eye(5), -gradient)
         R, t = lie.exp_so3(step[:3]) @ R, t + step[3:] @ _tangent_basis(t)
         t = t / np.linalg.norm(t)
     residual = np.abs(sampson_errors(R, t, x, y)) * focal_px
@@ -157,18 +156,46 @@ def _epipolar(R: np.ndarray, t: np.ndarray, x: np.ndarray, y: np.ndarray) -> tup
     return numerator, np.sqrt(np.maximum(squared, 1e-24)), line_y, line_x
 
 
-def _sampson_jacobian(R: np.ndarray, t: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Sampson errors [n] and their derivative [n, 5] by the left rotation vector and two tangents of t."""
-    n, g, line_y, line_x = _epipolar(R, t, x, y)
-    X, Y = _homogeneous(x), _homogeneous(y)
-    top = np.array([1.0, 1.0, 0.0])
-    # d(n / g) / dE = (y x^T) / g - n / g^3 ((E x)_top x^T + y (E^T y)_top^T)
-    by_E = (Y / g[:, None])[:, :, None] * X[:, None, :]
-    ratio = (n / g**3)[:, None]
-    by_E -= (ratio * line_y * top)[:, :, None] * X[:, None, :] + (ratio * Y)[:, :, None] * (line_x * top)[:, None, :]
+def _sampson_system(
+    R: np.ndarray, t: np.ndarray, x: np.ndarray, y: np.ndarray, w: np.ndarray, sigma: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Normal matrix [5, 5] and gradient [5] of the Sampson errors by the left rotation vector and two tangents of t."""
+    E = lie.skew(t) @ R
     by_rotation = lie.skew(t) @ GENERATORS @ R
     by_translation = np.tensordot(_tangent_basis(t), GENERATORS, 1) @ R
-    return n / g, by_E.reshape(-1, 9) @ np.concatenate([by_rotation, by_translation]).reshape(5, 9).T
+    return _sum_normal(E, np.concatenate([by_rotation, by_translation]).reshape(5, 9), x, y, w, sigma)
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def _sum_normal(
+    E: np.ndarray, directions: np.ndarray, x: np.ndarray, y: np.ndarray, w: np.ndarray, sigma: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Sum robust normal equations over the matches; `directions` [5, 9] are the derivatives of E by the unknowns."""
+    normal, gradient, by_E, J = np.zeros((5, 5)), np.zeros(5), np.empty(9), np.empty(5)
+    for m in range(len(x)):
+        X, Y = (x[m, 0], x[m, 1], 1.0), (y[m, 0], y[m, 1], 1.0)
+        line_y0 = E[0, 0] * X[0] + E[0, 1] * X[1] + E[0, 2]
+        line_y1 = E[1, 0] * X[0] + E[1, 1] * X[1] + E[1, 2]
+        line_x0 = E[0, 0] * Y[0] + E[1, 0] * Y[1] + E[2, 0]
+        line_x1 = E[0, 1] * Y[0] + E[1, 1] * Y[1] + E[2, 1]
+        n = line_y0 * Y[0] + line_y1 * Y[1] + E[2, 0] * X[0] + E[2, 1] * X[1] + E[2, 2]
+        g = np.sqrt(max(line_y0**2 + line_y1**2 + line_x0**2 + line_x1**2, 1e-24))
+        lines_y, lines_x, ratio = (line_y0, line_y1, 0.0), (line_x0, line_x1, 0.0), n / g**3
+        # d(n / g) / dE = (y x^T) / g - n / g^3 ((E x)_top x^T + y (E^T y)_top^T)
+        for a in range(3):
+            for b in range(3):
+                by_E[3 * a + b] = Y[a] * X[b] / g - ratio * (lines_y[a] * X[b] + Y[a] * lines_x[b])
+        residual = n / g
+        robust = w[m] / (1.0 + (residual / sigma) ** 2) ** 2
+        for k in range(5):
+            J[k] = 0.0
+            for c in range(9):
+                J[k] += directions[k, c] * by_E[c]
+        for k in range(5):
+            gradient[k] += robust * residual * J[k]
+            for other in range(5):
+                normal[k, other] += robust * J[k] * J[other]
+    return normal, gradient
 
 
 def _tangent_basis(t: np.ndarray) -> np.ndarray:
