@@ -10,9 +10,6 @@ MIN_WEIGHT = 0.1
 POOLED_OFFSETS = (1, 2)
 PRIOR_WEIGHT = 0.3
 """Weight that a pixel needs before its misfit counts: without evidence a pixel is taken as static."""
-WELL_MATCHED = 0.5
-"""Below this share of confident matches all evidence is scarce, and less of it counts."""
-LEAST_SHARE = 0.05
 BLUR_PX = 1.0
 
 
@@ -40,5 +37,4 @@ def pool(evidence: Evidence, edges: dict[tuple[int, int], int], flow: np.ndarray
         if abs(i - j) in POOLED_OFFSETS:
             pooled[i] += weights[e] * warp(numerator[j], flow[e])
             total[i] += weights[e] * warp(denominator[j], flow[e])
-    share = max(float((weights > 0.5).mean()), LEAST_SHARE)
-    return pooled / (total + PRIOR_WEIGHT * min(1.0, share / WELL_MATCHED))
+    return pooled / (total + PRIOR_WEIGHT)
