@@ -13,8 +13,6 @@ from stages.ba.initialise import Candidate
 from stages.ba.options import BAOptions
 from stages.ba.start import Observed, Start, find_start
 
-START_FOCALS = (0.8, 1.05, 1.4)
-"""Focal lengths to start from, in image widths: from 0.65 to 1.6 all reach the same solution where it is observable."""
 PRIOR_FOCAL = 1.1
 """Centre of the prior of the focal length, in image widths (a horizontal view of 49 degrees)."""
 CORRELATION = 20.0
@@ -108,7 +106,7 @@ def estimate(problem: Problem, options: BAOptions) -> Estimate:
 def _estimate(problem: Problem, options: BAOptions) -> Estimate:
     graph = problem.graph
     prior = FocalPrior(PRIOR_FOCAL * graph.width)
-    focals = [problem.known_focal_px] if problem.known_focal_px else [f * graph.width for f in START_FOCALS]
+    focals = [problem.known_focal_px] if problem.known_focal_px else [f * graph.width for f in options.start_focals]
     if not _observed(graph):
         return _failure(graph, problem.known_focal_px or prior.focal_px)
     statistics = classify.measure(graph, focals, options.seed)

@@ -1,6 +1,6 @@
 """Options of the pose stage."""
 
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
@@ -17,6 +17,11 @@ class BAOptions(Options):
         "estimate", description="estimate cameras, or take the true poses and K and search the depth alone"
     )
     depth_from: Literal["estimate", "truth"] = Field("estimate", description="write estimated or true depth")
+    start_focals: tuple[Annotated[float, Field(ge=0.3, le=5)], ...] = Field(
+        (0.8, 1.05, 1.4),
+        min_length=1,
+        description="focal lengths that the first round's guesses start from, in image widths",
+    )
     stride_px: int = Field(
         8, ge=2, le=32, description="one inverse depth per this many pixels of the flow, each way, while solving poses"
     )
