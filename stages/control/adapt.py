@@ -60,7 +60,7 @@ def regrow(table: TableDeformation, kept: Tensor, places: Tensor, K: int) -> Tab
     points = torch.cat([table.points[kept], places])
     log_radii = torch.from_numpy(np.log(kernel_radii(points.double().numpy()))).float()
     log_radii[: int(kept.sum())] = table.log_radii[kept]
-    grown = TableDeformation(points, log_radii, table.knots)
+    grown = TableDeformation(points, log_radii, table.knots, max_extent=float(table.extent))
     identity = quats.new_tensor([1.0, 0.0, 0.0, 0.0])
     grown.table[..., :4] = torch.cat([quats[:, kept], turns], dim=1) - identity
     grown.table[..., 4:] = torch.cat([translations[:, kept], shifts], dim=1) / grown.extent

@@ -27,7 +27,8 @@ class Deformation(torch.nn.Module, abc.ABC):
         points: [P, 3] float32, canonical positions in scene units (a buffer: they are not trained).
         log_radii: [P] logarithms of the kernel radii sigma_k in scene units, trained.
         graph_index, graph_weights: [P, K] which control points should turn together, as in `arap.arap_graph`.
-        centre, extent: where the points lie and how far they reach; makes the motion independent of the scene's unit.
+        centre: their mean. extent: how far they reach, at most `max_extent`: the unit of the motion and of the
+            optimiser's steps, which makes both independent of the scene's.
     """
 
     points: Tensor
@@ -36,12 +37,13 @@ class Deformation(torch.nn.Module, abc.ABC):
     graph_index: Tensor
     graph_weights: Tensor
 
-    def __init__(self, points: Tensor, log_radii: Tensor) -> None:
+    def __init__(self, points: Tensor, log_radii: Tensor, max_extent: float = math.inf) -> None:
         super().__init__()
         centre = points.mean(0)
         self.register_buffer("points", points.clone())
         self.register_buffer("centre", centre)
-        self.register_buffer("extent", (points - centre).abs().max().clamp_min(log_radii.exp().max()))
+        reach = (points - centre).abs().max().clamp_min(log_radii.exp().max())
+        self.register_buffer("extent", reach.clamp_max(max_extent))
         for name, values in zip(("graph_index", "graph_weights"), arap_graph(points), strict=True):
             self.register_buffer(name, values, persistent=False)  # follows from the points
         self.log_radii = torch.nn.Parameter(log_radii.clone())
@@ -73,8 +75,9 @@ class MLPDeformation(Deformation):
         depth: int = 4,
         position_frequencies: int = 6,
         time_frequencies: int = 4,
+        max_extent: float = math.inf,
     ) -> None:
-        super().__init__(points, log_radii)
+        super().__init__(points, log_radii, max_extent)
         self.register_buffer("frequencies", torch.tensor([position_frequencies, time_frequencies]))
         sizes = [4 + 6 * position_frequencies + 2 * time_frequencies, *[width] * depth]
         self.hidden = torch.nn.ModuleList(torch.nn.Linear(a, b) for a, b in itertools.pairwise(sizes))
@@ -98,9 +101,9 @@ class TableDeformation(Deformation):
 
     knots: Tensor
 
-    def __init__(self, points: Tensor, log_radii: Tensor, knots: Tensor) -> None:
+    def __init__(self, points: Tensor, log_radii: Tensor, knots: Tensor, max_extent: float = math.inf) -> None:
         """knots: [F] ascending times in 0..1, one per training frame, F >= 2."""
-        super().__init__(points, log_radii)
+        super().__init__(points, log_radii, max_extent)
         self.register_buffer("knots", knots.to(torch.float64))
         self.table = torch.nn.Parameter(torch.zeros(len(knots), len(points), 7))
 

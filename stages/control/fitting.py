@@ -22,6 +22,8 @@ BENDING_WEIGHT = 0.01
 FRAMES_PER_STEP = 6
 OBSERVATIONS_PER_STEP = 6000
 STUCK_PX, STUCK_P90_PX = 0.5, 3.0
+NOISE_PX = 0.2
+"""Of tracks: no residual below it says that a fit is stuck."""
 
 
 @dataclass(frozen=True)
@@ -152,7 +154,8 @@ def residual_report(deformation: Deformation, seen: Observations) -> dict[str, f
 
     Returns:
         median_px, p90_px: reprojection error in full-frame pixels; at_rest_px: the median error of unmoved points;
-        stuck: whether the median is above STUCK_PX, or one in ten above STUCK_P90_PX.
+        stuck: whether the median is above STUCK_PX, or above both NOISE_PX and that of points at rest, or one in ten is
+            above STUCK_P90_PX.
     """
     with torch.no_grad():
         quats, translations = deformation(seen.times)
@@ -166,5 +169,5 @@ def residual_report(deformation: Deformation, seen: Observations) -> dict[str, f
         "median_px": median,
         "p90_px": p90,
         "at_rest_px": at_rest,
-        "stuck": bool(median > STUCK_PX or p90 > STUCK_P90_PX),
+        "stuck": bool(median > min(STUCK_PX, max(NOISE_PX, at_rest)) or p90 > STUCK_P90_PX),
     }

@@ -19,6 +19,9 @@ ALONE_RADII = 4.0
 TRACKS_PER_POINT = 8
 MAX_POINTS = 1000
 MIN_ARAP, ARAP_PER_PX = 0.05, 0.5
+MAX_EXTENT = 2.0
+"""Of the control points, in median depths of the tracks. A mover reaches about half its depth, a whole scene with sky a
+thousand of them, and so long would be the steps: a thousand pixels."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +91,11 @@ def _fit(
     if options.model == "mlp":
         report = {f"table_{name}": value for name, value in report.items()}
         model = MLPDeformation(
-            table.points, table.log_radii.detach(), options.width, time_frequencies=options.time_frequencies
+            table.points,
+            table.log_radii.detach(),
+            options.width,
+            time_frequencies=options.time_frequencies,
+            max_extent=float(table.extent),
         )
         distil.distil(table, model, options.seed)
         fitting.fit(model, seen, attempt.steps, options.learning_rate, arap_weight, options.seed)
@@ -145,7 +152,8 @@ def _new_table(rest: np.ndarray, sightings: Sightings, count: int) -> TableDefor
     importance = canonical.motion_importance(sightings.uv, sightings.visible)
     points = rest[canonical.farthest_points(rest, importance, count)]
     log_radii = torch.from_numpy(np.log(canonical.kernel_radii(points))).float()
-    table = TableDeformation(torch.from_numpy(points), log_radii, torch.from_numpy(sightings.times))
+    max_extent = MAX_EXTENT * float(np.median(sightings.depth[sightings.visible]))
+    table = TableDeformation(torch.from_numpy(points), log_radii, torch.from_numpy(sightings.times), max_extent)
     seed_from_tracks(table, rest, sightings.moved, sightings.visible)
     return table
 

@@ -6,9 +6,12 @@ import torch
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from stages.control import arap, canonical, lbs, quaternions
+from stages.control import arap, canonical, lbs, quaternions, stage1
 from stages.control.arap_kernels import best_rotations
 from stages.control.deformation import MLPDeformation, TableDeformation
+from stages.control.options import ControlOptions
+from stages.control.tracks import Sightings
+from stages.shared.cameras import centred_intrinsics, make_cameras, project
 
 DOUBLE = torch.float64
 Arguments = tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]
@@ -198,6 +201,24 @@ def test_skinning_does_not_depend_on_the_unit(scale: float) -> None:
     (moved, turned), (scaled_moved, scaled_turned) = lbs.blend(*unit), lbs.blend(*scaled)
     torch.testing.assert_close(scaled_moved / scale, moved, rtol=1e-4, atol=1e-5)
     torch.testing.assert_close(scaled_turned, turned, rtol=1e-4, atol=1e-5)
+
+
+def test_one_track_at_the_horizon_does_not_lengthen_the_steps() -> None:
+    """Steps in units of the farthest point are 10 px long here: the fit ends far above rest."""
+    generator, F = np.random.default_rng(0), 8
+    shape = np.concatenate([generator.uniform([-2, -1, 3], [2, 1, 6], (300, 3)), [[1000.0, 0.0, 10000.0]]])
+    near = (shape[:, 2] < 4)[:, None, None]
+    moved = shape[:, None] + near * np.linspace(-0.2, 0.2, F)[:, None] * np.array([1.0, 0.0, 0.0])
+    K = centred_intrinsics(200.0, 256, 192)
+    uv, depth = project(moved, np.eye(4), K)
+    every = np.ones(depth.shape, bool)
+    seen = Sightings(np.arange(F), np.linspace(0, 1, F), uv, every, depth, np.full(depth.shape, 0.02), moved)
+    cameras = make_cameras(np.tile(np.eye(4), (F, 1, 1)), K, np.arange(1, F + 1))
+    options = ControlOptions(control_points=100, steps=80)
+    _, report = stage1.fit_sightings(seen, cameras, {"points": 100, "arap_weight": 0.05}, options)
+    assert report["attempts"] == 1
+    assert report["median_px"] < 0.2
+    assert report["p90_px"] < 1.0
 
 
 @pytest.mark.parametrize("scale", [1e-4, 1e4])
