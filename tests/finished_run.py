@@ -10,7 +10,7 @@ from stages.eval.options import EvaluateOptions
 from stages.inspect import check
 from stages.inspect.options import InspectOptions
 from stages.shared import lie, sintel
-from stages.shared.artifacts import write_dense, write_json, write_table
+from stages.shared.artifacts import write_dense, write_json, write_model, write_table
 from stages.shared.cameras import centred_intrinsics, make_cameras, pixel_grid, project, unproject, write_cameras
 from stages.shared.images import write_image
 
@@ -91,6 +91,7 @@ def write_results(folder: Path) -> None:
         write_cameras(folder / part / "ba/poses.parquet", make_cameras(estimated, K, numbers), {"flags": ["a doubt"]})
     _write_depth(folder / "ba/depth.arrow", masks)
     _write_convergence(folder)
+    _write_models(folder)
     for k in range(T):
         split = "test" if k == 4 else "train"
         write_image(folder / f"renders/{split}/frame_{k + 1:04d}.png", cv2.GaussianBlur(picture(k), (0, 0), 0.6))
@@ -131,6 +132,19 @@ def _write_convergence(folder: Path) -> None:
     write_table(folder / "gaussians/convergence.parquet", {"step": steps, "loss": 1.0 / (1 + steps)})
 
 
+def _write_models(folder: Path) -> None:
+    """100 control points in 5 knots that carry 50 of 1000 Gaussians."""
+    fit = {"status": "fitted", "median_px": 0.2, "p90_px": 0.7, "control_points": 100, "tracks": 300, "attempts": 1}
+    table = {"table": np.zeros((5, 100, 7), np.float32)}
+    write_model(folder / "control/deformation.safetensors", table, fit)
+    tensors = {"means": np.zeros((1000, 3), np.float32), "deformation.table": table["table"]}
+    counts = {"n_static": 950, "n_dynamic": 50}
+    write_model(folder / "gaussians/model.safetensors", tensors, counts)
+    small = {name: values.astype(np.float16) for name, values in tensors.items()}
+    quality = {"training_psnr_db": 30.0, "psnr_loss_db": 0.02}
+    write_model(folder / "gaussians/model_half.safetensors", small, counts | quality)
+
+
 def stats_files(folder: Path) -> list[Path]:
     """The time files that the evaluation reads."""
     once = [folder / f"stats/{name}.json" for name in ("inspect", "flow", "scene", "control", "gaussians", "colmap")]
@@ -154,6 +168,9 @@ def finish(root: Path, name: str = "wall", truth: bool = True) -> Path:
         poses=[part / "ba/poses.parquet" for part in parts],
         depth=folder / "ba/depth.arrow",
         colmap=[folder / "colmap/poses.parquet"],
+        motion=folder / "control/deformation.safetensors",
+        model=folder / "gaussians/model.safetensors",
+        half=folder / "gaussians/model_half.safetensors",
         renders=folder / "renders",
         stage_stats=stats_files(folder),
         **{f"{kind}_table": folder / f"eval/{kind}.parquet" for kind in TABLES},

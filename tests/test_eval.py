@@ -6,9 +6,10 @@ import finished_run as run
 import numpy as np
 import pytest
 
-from stages.eval import score_poses
+from stages.eval import overview, score_models, score_poses
 from stages.eval.tables import read_rows
 from stages.shared import lie
+from stages.shared.artifacts import write_model
 from stages.shared.cameras import Cameras, make_cameras
 
 
@@ -88,6 +89,32 @@ def test_evaluation_of_images_masks_and_geometry(scored: Path) -> None:
     assert _row(checks, quantity="flow residual, 90th percentile")["value"] < 0.2  # half a pixel of nearest sampling
     assert _row(checks, quantity="flow end-point error")["value"] < 1e-2
     assert _row(checks, quantity="depth error (AbsRel)")["value"] < 1
+
+
+def test_checks_say_how_well_motion_is_fitted_and_what_the_model_takes(scored: Path) -> None:
+    checks = read_rows(scored / "eval/checks.parquet")
+    values = {row["quantity"]: row["value"] for row in checks}
+    assert (values[score_models.MEDIAN], values[score_models.P90], values[score_models.STUCK]) == (0.2, 0.7, 0)
+    assert (_row(checks, quantity="control points")["value"], _row(checks, quantity="control points")["n"]) == (100, 1)
+    assert values["PSNR lost by half precision"] == 0.02
+    full, half = ((scored / f"gaussians/{name}.safetensors").stat().st_size for name in ("model", "model_half"))
+    assert (values["model file"], values["model file, half precision"]) == (full / 1e6, half / 1e6)
+    computed = values["computed: model file with a motion per Gaussian and frame"]
+    assert 1e6 * computed == pytest.approx(full - 5 * 100 * 7 * 4 + 50 * run.T * 7 * 4)
+
+
+def test_a_stuck_fit_is_a_problem_and_a_still_scene_has_none(scored: Path, tmp_path: Path) -> None:
+    models = [scored / "gaussians/model.safetensors", scored / "gaussians/model_half.safetensors"]
+    fit = {"status": "stuck", "median_px": 1.25, "p90_px": 9.0, "control_points": 64, "tracks": 10, "attempts": 3}
+    for name, metadata in (("stuck", fit), ("still", {"status": "the scene has no moving parts"})):
+        write_model(tmp_path / f"{name}.safetensors", {}, metadata)
+    stuck, still = (
+        score_models.model_rows(name, run.T, tmp_path / f"{name}.safetensors", *models) for name in ("stuck", "still")
+    )
+    assert not any("motion fit" in row["quantity"] for row in still)
+    rows: dict[str, list] = {"poses": [], "checks": [*still, *stuck]}
+    (problem,) = overview.problems(rows, [])
+    assert problem.startswith("stuck: the fit of the control points is stuck after 3 attempts (residual 1.25 px")
 
 
 def test_time_rows_follow_the_order_of_the_stages(scored: Path) -> None:

@@ -15,6 +15,7 @@ from stages.eval import (
     score_geometry,
     score_images,
     score_masks,
+    score_models,
     score_poses,
     trajectory,
 )
@@ -55,12 +56,15 @@ def main(
     poses: Annotated[list[Path], In("tables of estimated poses, one per round, in order")],
     depth: Annotated[Path, In("inverse depth of the last round")],
     colmap: Annotated[list[Path], In("poses of the baseline, without and with our masks")],
+    motion: Annotated[Path, In("control/deformation.safetensors")],
+    model: Annotated[Path, In("Gaussians, model.safetensors")],
+    half: Annotated[Path, In("the same in half precision")],
     renders: Annotated[Path, In("folder of rendered views, a folder per split")],
     stage_stats: Annotated[list[Path], In("seconds and memory of the stages, stats/<stage>.json, rounds in order")],
     poses_table: Annotated[Path, Out("pose errors, a row per method")],
     images_table: Annotated[Path, Out("image scores, a row per method, split and region")],
     masks_table: Annotated[Path, Out("mask scores, a row per round and method")],
-    checks_table: Annotated[Path, Out("flow residual, flow and depth errors, a row per quantity")],
+    checks_table: Annotated[Path, Out("flow, depth, motion and file sizes, a row per quantity")],
     time_table: Annotated[Path, Out("seconds, memory and output size, a row per stage")],
     trajectory_table: Annotated[Path, Out("aligned camera centres, a row per method and frame")],
     frames_table: Annotated[Path, Out("image and mask scores of single frames")],
@@ -83,6 +87,7 @@ def main(
     write_rows(frames_table, [*image_frames, *mask_frames], FRAMES, {})
     grid = read_dense(depth), read_metadata(depth)["stride_px"]
     checks = score_geometry.score_geometry(frames, pairs, read_cameras(poses[-1]), *grid, own_masks[-1])
+    checks += score_models.model_rows(frames.name, len(frames.frames), motion, model, half)
     _log_rows("checks", checks)
     write_rows(checks_table, checks, CHECKS, {})
 

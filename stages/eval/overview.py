@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from stages.eval import published, report_tables, summaries
+from stages.eval import published, report_tables, score_models, summaries
 from stages.eval.costs import is_ours
 from stages.eval.sections import Figure
 from stages.eval.tables import Row, Table, decimal
@@ -46,7 +46,8 @@ TEXTS = {
     "images": "How well renders match frames. Held-out frames were never trained on; what their neighbours alone "
     "give, without any scene, is the least that a method must beat.",
     "masks": "How well the pixels called dynamic match those that truly move.",
-    "checks": "How well poses and depth explain the optical flow (needs no truth), and flow and depth against truth.",
+    "checks": "How well poses and depth explain the optical flow (needs no truth), flow and depth against truth, "
+    "how well control points explain the tracks of moving pixels, and what the model takes on disk.",
     "time": "What every stage cost, from the start of its process to the end.",
     "tradeoff": "The same sequences run again under other settings. One point per setting: how accurate, in how long.",
     "growth": "Time and memory of every stage while one size grows.",
@@ -68,7 +69,7 @@ def build_groups(rows: Rows, protocols: Mapping[str, str], numbers: Mapping[str,
         Group("poses", "Camera poses", [poses_mean] if many else [poses], [*([poses] if many else []), other_poses]),
         Group("images", "Images", [images_mean] if many else [images], [*([images] if many else []), other_images]),
         Group("masks", "Masks", [masks_mean] if many else [masks], [masks] if many else []),
-        Group("checks", "Flow and depth", [checks_mean] if many else [checks], [checks] if many else []),
+        Group("checks", "Flow, depth, motion and size", [checks_mean] if many else [checks], [checks] if many else []),
         Group("time", "Time and memory", [time_mean], [time] if many else []),
         Group("effects", "Effects", [] if many else effects, effects if many else []),
     ]
@@ -127,6 +128,7 @@ def problems(rows: Rows, names: Sequence[str]) -> list[str]:
     for row in rows["poses"]:
         if row["status"] not in ("ok", "no truth"):
             found.append(f"{row['sequence']}, {row['method']}: {row['status']} ({row['note']}).")
+    found += score_models.stuck_fits(rows["checks"])
     blind = sorted({row["sequence"] for row in rows["poses"] if row["status"] == "no truth"})
     if blind:
         found.append(f"No camera truth, hence no ATE or RPE: {', '.join(blind)}. See the checks without truth.")

@@ -92,13 +92,15 @@ def time_tables(rows: list[Row]) -> tuple[Table, Table]:
 
 
 def check_tables(rows: list[Row]) -> tuple[Table, Table]:
-    """What can be said without truth, and flow and depth where there is truth: means, and every sequence."""
+    """Flow and depth without and against truth, the motion fit and file sizes: means, and every sequence."""
     what, value, unit = Column("quantity", "quantity"), Column("value", "value"), Column("unit", "unit")
     note = statements(rows, "quantity")
     means = summaries.mean_rows(rows, ("quantity", "unit"), ("value",))
-    mean = Table("checks_mean", "Flow and depth, mean over sequences", note, (what, value, unit, N), means)
+    mean = Table(
+        "checks_mean", "Flow, depth, motion and size, mean over sequences", note, (what, value, unit, N), means
+    )
     columns = (SEQUENCE, what, value, unit, Column("n", "n"), HOW)
-    return mean, Table("checks", "Flow and depth of every sequence", note, columns, rows)
+    return mean, Table("checks", "Flow, depth, motion and size of every sequence", note, columns, rows)
 
 
 def decision_table(rows: list[Row]) -> Table:

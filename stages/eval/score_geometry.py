@@ -38,7 +38,7 @@ def score_geometry(
     static = static_pixels(sequence, masks, uv) & (depth["filled"] == 0) & (depth["inverse_depth"] > 0)
     residuals = edge_residuals(sequence, flow, cameras, depth["inverse_depth"], uv, static)
     rows = _residual_rows(residuals)
-    rows.append(_row("frames with a pose", *_registered(cameras), "frames", "status of ba/poses.parquet"))
+    rows.append(check_row("frames with a pose", *_registered(cameras), "frames", "status of ba/poses.parquet"))
     if has_some_true_flow(sequence):
         rows += flow_rows(sequence, flow)
     if sequence.has_truth("depth"):
@@ -46,7 +46,8 @@ def score_geometry(
     return [{"sequence": sequence.name} | row for row in rows]
 
 
-def _row(quantity: str, value: float, n: int, unit: str, protocol: str) -> dict[str, Any]:
+def check_row(quantity: str, value: float, n: int, unit: str, protocol: str) -> dict[str, Any]:
+    """A row of the check table but for its sequence: `n` is how many values went in."""
     return {"quantity": quantity, "value": float(value), "n": n, "unit": unit, "protocol": protocol}
 
 
@@ -87,9 +88,9 @@ def _residual_rows(residuals: np.ndarray) -> list[dict[str, Any]]:
     n, protocol = len(residuals), truthfree.PROTOCOL
     median, high = np.percentile(residuals, [50, 90])
     return [
-        _row("flow residual, median", median, n, "px", protocol),
-        _row("flow residual, 90th percentile", high, n, "px", protocol),
-        _row("flow residual below 1 px", 100 * float(np.mean(residuals < 1)), n, "%", protocol),
+        check_row("flow residual, median", median, n, "px", protocol),
+        check_row("flow residual, 90th percentile", high, n, "px", protocol),
+        check_row("flow residual below 1 px", 100 * float(np.mean(residuals < 1)), n, "%", protocol),
     ]
 
 
@@ -105,6 +106,6 @@ def _depth_rows(
     ratio /= np.median(ratio)
     close = 100 * float(np.mean(np.maximum(ratio, 1 / ratio) < 1.25))
     return [
-        _row("depth error (AbsRel)", 100 * float(np.mean(np.abs(ratio - 1))), len(ratio), "%", DEPTH_PROTOCOL),
-        _row("depth within 25 %", close, len(ratio), "%", DEPTH_PROTOCOL),
+        check_row("depth error (AbsRel)", 100 * float(np.mean(np.abs(ratio - 1))), len(ratio), "%", DEPTH_PROTOCOL),
+        check_row("depth within 25 %", close, len(ratio), "%", DEPTH_PROTOCOL),
     ]

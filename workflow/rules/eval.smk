@@ -47,6 +47,9 @@ rule evaluate:
         depth=artifact("ba", "ba/depth.arrow"),
         colmap=artifact("colmap", "colmap/poses.parquet"),
         masked=masked_baseline("colmap_masked/poses.parquet"),
+        motion=artifact("control", "control/deformation.safetensors"),
+        model=artifact("gaussians", "gaussians/model.safetensors"),
+        half=artifact("gaussians", "gaussians/model_half.safetensors"),
         renders=artifact("render", "renders"),
         stage_stats=stage_stats,
         masked_stats=masked_baseline("stats/colmap_masked.json"),
@@ -77,7 +80,8 @@ rule evaluate:
     shell:
         "python -m stages.eval.evaluate --sequence {input.sequence} --flow {input.flow} --priors {input.priors}"
         " --masks {input.masks} --poses {input.poses} --depth {input.depth} --colmap {input.colmap}"
-        " {input.masked} --renders {input.renders} --stage-stats {input.stage_stats} {input.masked_stats}"
+        " {input.masked} --motion {input.motion} --model {input.model} --half {input.half}"
+        " --renders {input.renders} --stage-stats {input.stage_stats} {input.masked_stats}"
         " --poses-table {output.poses}"
         " --images-table {output.images} --masks-table {output.masks} --checks-table {output.checks}"
         " --time-table {output.time} --trajectory-table {output.trajectory} --frames-table {output.frames}"
