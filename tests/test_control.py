@@ -109,7 +109,7 @@ def test_the_network_learns_from_the_table() -> None:
     assert report["median_px"] < 0.5
 
 
-def test_motion_that_cannot_be_explained_is_reported_after_other_attempts(caplog: pytest.LogCaptureFixture) -> None:
+def test_motion_that_cannot_be_explained_is_reported_after_other_attempts() -> None:
     """Every track goes its own way: no motion of control points carries them."""
     rng = np.random.default_rng(0)
     frames, T = np.flatnonzero(training(17)), 17
@@ -122,7 +122,6 @@ def test_motion_that_cannot_be_explained_is_reported_after_other_attempts(caplog
     assert report["status"] == "stuck"
     assert report["attempts"] == 3
     assert report["control_points"] == 64
-    assert sum("is stuck" in message for message in caplog.messages) == 3
 
 
 def test_a_noisy_fit_is_more_rigid_and_never_beyond_the_scene() -> None:

@@ -38,7 +38,7 @@ def load_lpips(path: Path) -> Distance:
 
     try:
         weights = torch.load(path, map_location="cpu", weights_only=True)
-    except Exception as error:  # pickle, zip, EOF and torch errors: one of many kinds for a file that is no state dict
+    except Exception as error:  # many kinds of errors, one for each way in which a file is no state dict
         found = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise InputError(path, "a state dict that torch saved", found, SAVED_BY) from error
     _check(path, weights)
