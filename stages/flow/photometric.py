@@ -38,9 +38,8 @@ def corroborate(
         pairs: source, target [E], flow [E, h, w, 2] px, confidence [E, h, w].
         projections: A [E, 3, 3] and b [E, 3] of `resweep`; inverse_depth: [T, h, w] in the units of b.
     """
-    reliability = np.zeros_like(evidence.misfit)
-    np.add.at(reliability, pairs["source"], pairs["confidence"])
-    reliability /= np.maximum(np.bincount(pairs["source"], minlength=len(grey)), 1)[:, None, None]
+    leaving = [pairs["confidence"][pairs["source"] == i] for i in range(len(grey))]
+    reliability = np.stack([edges.sum(axis=0, dtype=np.float32) / max(len(edges), 1) for edges in leaving])
     confirmed = _confirmed(grey, pairs, projections, inverse_depth)
     return evidence._replace(misfit=evidence.misfit * np.maximum(np.minimum(reliability / RELIABLE, 1), confirmed))
 

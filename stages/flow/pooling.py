@@ -19,9 +19,11 @@ def evidence_weights(flow: np.ndarray, confidence: np.ndarray) -> np.ndarray:
     Things that move fast or turn are matched badly in every pair; flow that fits neither the static world nor itself
     is weak evidence of motion, and often the only one. Flow that leaves the frame says nothing.
     """
-    floor = MIN_WEIGHT * (confidence > 0.5).mean(axis=(1, 2), keepdims=True)
-    inside = np.stack([is_inside(edge.astype(np.float32)) for edge in flow])
-    return np.where(inside, np.maximum(confidence, floor), 0).astype(np.float32)
+    weights = confidence.astype(np.float32)  # half precision is slow to compare
+    for edge, weight in zip(flow, weights, strict=True):
+        floor = np.float32(MIN_WEIGHT * (weight > 0.5).mean())
+        weight[:] = np.maximum(weight, floor) * is_inside(edge)
+    return weights
 
 
 def pool(evidence: Evidence, edges: dict[tuple[int, int], int], flow: np.ndarray, weights: np.ndarray) -> np.ndarray:

@@ -1,0 +1,85 @@
+"""From 30 frames to poses and masks: seconds of the presets against COLMAP's matching and incremental mapping.
+
+Run as `python -m benchmarks.bench_poses`. The frames are a simulated scene, 512 x 218 px, drawn beforehand. Ours is
+the whole of `snakemake poses` from flow to bundle adjustment, start-up of every stage included, on all cores. COLMAP
+runs on one thread, as in the report (with more, its result changes from run to run): its CPU seconds are the fairer
+figure.
+"""
+
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from stages.eval import trajectory
+from stages.eval.truth import true_cameras
+from stages.shared.artifacts import read_json, read_metadata
+from stages.shared.cameras import read_cameras
+from stages.shared.sequences import read_sequence
+
+SCENE, DATASET = "exposure_drift", "simulated"
+GOALS_S = {"fast": 12.0, "balanced": 30.0}
+REPOSITORY = Path(__file__).resolve().parents[1]
+
+
+def run_snakemake(folder: Path, preset: str, *arguments: str) -> float:
+    """Wall seconds of one run of the workflow in `folder`."""
+    command = [sys.executable, "-m", "snakemake", *arguments, "--quiet", "all", "--snakefile", REPOSITORY / "Snakefile"]
+    command += ["--cores", "all", "--directory", folder, "--config", f"scenes=[{SCENE}]", f"preset={preset}"]
+    began = time.perf_counter()
+    subprocess.run(list(map(str, command)), check=True, cwd=REPOSITORY)
+    return time.perf_counter() - began
+
+
+def own_cpu_s(results: Path) -> float:
+    """CPU seconds of all stages from flow to bundle adjustment, over all rounds."""
+    stages = ("flow", "motion", "segment", "ba")
+    return sum(read_json(file)["cpu_s"] for stage in stages for file in results.rglob(f"stats/{stage}.json"))
+
+
+def describe_error(results: Path) -> str:
+    """The error of the last round's path against the truth."""
+    truth = true_cameras(read_sequence(results / "sequence.json"))
+    assert truth is not None
+    cameras = read_cameras(results / "ba/poses.parquet")
+    errors = trajectory.pose_errors(cameras.cam_from_world, truth.cam_from_world, cameras.numbers)
+    focal_percent = trajectory.focal_error_percent(cameras.Ks, truth.Ks)
+    return f"ATE {errors.ate_percent:.3f} % of path, focal {focal_percent:+.1f} %"
+
+
+def colmap_seconds(results: Path, folder: Path) -> tuple[float, float]:
+    """Wall and CPU seconds of COLMAP's matching and incremental mapping on the same frames."""
+    table = folder / "colmap.parquet"
+    command = [sys.executable, "-m", "stages.eval.colmap", "--sequence", results / "sequence.json", "--output", table]
+    command += ["--mappers", "incremental", "--upsample", "1", "--stats", folder / "colmap.json"]
+    command += ["--log", folder / "colmap.log"]
+    subprocess.run(list(map(str, command)), check=True, cwd=REPOSITORY)
+    variant = read_metadata(table)["variants"][0]
+    print(f"COLMAP registered {variant['registered']} of {variant['total']} frames")
+    return float(variant["wall_s"]), float(variant["cpu_s"])
+
+
+def main() -> None:
+    """Print seconds and ratios; exit with an error where COLMAP needs less CPU time."""
+    slower = []
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch)
+        results = folder / "results" / DATASET / SCENE
+        run_snakemake(folder, "balanced", "poses")  # draws the frames and fills the cache of compiled kernels
+        wall_s, cpu_s = colmap_seconds(results, folder)
+        print(f"{'COLMAP incremental':20s} {wall_s:6.1f} s wall  {cpu_s:6.1f} s CPU")
+        for preset, goal_s in GOALS_S.items():
+            own_wall_s = run_snakemake(folder, preset, "poses", "--forcerun", "flow")
+            own_s = own_cpu_s(results)
+            print(
+                f"{preset:20s} {own_wall_s:6.1f} s wall  {own_s:6.1f} s CPU  goal {goal_s:.0f} s wall;"
+                f" COLMAP takes {cpu_s / own_s:.1f} times the CPU time; {describe_error(results)}"
+            )
+            slower += [preset] if own_s > cpu_s else []
+    if slower:
+        sys.exit(f"slower than COLMAP: {', '.join(slower)}")
+
+
+if __name__ == "__main__":
+    main()
