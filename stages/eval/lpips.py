@@ -22,7 +22,7 @@ LAYERS = (  # name, shape of the kernel, stride, padding, pooled before
 )
 EPSILON = 1e-10
 PROTOCOL = "LPIPS: version 0.1, AlexNet, whole images in -1..1"
-SAVED_BY = "save it by torch.save(lpips.LPIPS(net='alex').state_dict(), 'lpips_alex.pth')"
+SAVED_BY = "write the state_dict() of lpips.LPIPS(net='alex') by torch, as config.yaml shows"
 
 
 def load_lpips(path: Path) -> Distance:
