@@ -27,7 +27,8 @@ def flow_confidence(flow: np.ndarray, back: np.ndarray, source: np.ndarray, targ
     The product of four terms: forward-backward consistency with `back` (the flow of the target), smoothness,
     photometric residual between the grey frames source and target [h, w] uint8, and texture above the noise. Zero where
     the flow leaves the frame.
-    Above 0.5 the true error is under 1 px for more than nine pixels in ten (benchmarks/flow_accuracy.py measures it).
+    Above 0.5 the true error is under 1 px for more than nine pixels in ten (benchmarks/flow_accuracy.py measures it),
+    but not in dense fog at night, where few pixels are above it.
     """
     disagreement = cv2.magnitude(*cv2.split(flow + warp(back, flow)))
     expected = NOISE_PX + NOISE_PER_PX * np.minimum(cv2.magnitude(*cv2.split(flow)), FAST_PX)
