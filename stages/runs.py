@@ -16,11 +16,12 @@ SIZES = {
     "control points": ("control", "control/points.parquet"),
 }
 """The stage and the file that shows how large each thing that grows has become."""
+CONVERGENCE = "gaussians/convergence.parquet"
 SCORES = ("poses", "images", "masks", "time")
 
 
 def swept_run(settings: Sequence[Setting], setting: Setting, sequence: str) -> dict[str, Any]:
-    """What the table of the sweep says about a run, and where its scores and its model lie."""
+    """What the table of the sweep says about a run, and where its scores, its model and its training lie."""
     scores = _path(settings, setting, sequence, "evaluate", "eval")
     return {
         "sequence": sequence,
@@ -32,6 +33,8 @@ def swept_run(settings: Sequence[Setting], setting: Setting, sequence: str) -> d
         "is_default": scores == f"{sequence}/eval",
         "scores": scores,
         "model": _path(settings, setting, sequence, "gaussians", "gaussians/model.safetensors"),
+        "convergence": _path(settings, setting, sequence, "gaussians", CONVERGENCE),
+        "configured_convergence": f"{sequence}/{CONVERGENCE}",
     }
 
 
@@ -55,7 +58,8 @@ def scaled_run(settings: Sequence[Setting], setting: Setting, sequence: str) -> 
 def needed_files(run: dict[str, Any]) -> list[str]:
     """The files that a run's row is collected from."""
     if "scores" in run:
-        return [run["model"], *(f"{run['scores']}/{table}.parquet" for table in SCORES)]
+        trainings = dict.fromkeys((run["convergence"], run["configured_convergence"]))
+        return [run["model"], *trainings, *(f"{run['scores']}/{table}.parquet" for table in SCORES)]
     return [run["size"], *(path for paths in run["stats"].values() for path in paths)]
 
 

@@ -9,6 +9,7 @@ METRICS = (
     *("rpe_rot_deg", "focal_error_percent", "iou", "psnr_static_db", "psnr_dynamic_db", "ssim"),
     *("ate", "rpe_trans", "path", "registered", "total"),
     *("cpu_s", "poses_cpu_s", "peak_mb", "model_mb"),
+    *("step_ms", "equal_psnr_db", "equal_s", "configured_equal_s"),
 )
 
 

@@ -10,6 +10,7 @@ from conftest import write_frames
 
 from stages.eval import scaling, sweep
 from stages.eval.tables import read_rows, write_rows
+from stages.eval.training_speed import compare_training
 from stages.inspect import check
 from stages.inspect.options import InspectOptions
 from stages.shared.artifacts import write_dense, write_json, write_model, write_table
@@ -44,14 +45,22 @@ def swept(name: str, **changes: Any) -> dict[str, Any]:
     """A run of the listing."""
     about: dict[str, Any] = {"sequence": "a", "group": "presets", "setting": name, "knob": None, "value": None}
     paths = {"scores": f"a/{name}/eval", "model": f"a/{name}/model.safetensors"}
-    return about | {"overrides": {}, "is_default": False} | paths | changes
+    trainings = {"convergence": f"a/{name}/convergence.parquet", "configured_convergence": "a/one/convergence.parquet"}
+    return about | {"overrides": {}, "is_default": False} | paths | trainings | changes
+
+
+def training(step_s: float, steps: int) -> dict[str, np.ndarray]:
+    """A training whose PSNR rises by 0.1 dB a step from 10 dB, frames 1 dB above and below it in turn."""
+    step = np.arange(1, steps + 1)
+    return {"step": step, "psnr": 10 + 0.1 * step + (-1.0) ** step, "seconds": step_s * step}
 
 
 def test_a_row_says_what_a_setting_reached_and_cost(tmp_path: Path) -> None:
     write_scores(tmp_path / "a/one/eval", 0.5, {"whole": 25.0, "static": 26.0, "dynamic": 20.0})
     write_scores(tmp_path / "a/two/eval", None, {"whole": 24.0})
-    for name in ("one", "two"):
+    for name, step_s, steps in (("one", 0.1, 120), ("two", 0.3, 90)):
         (tmp_path / f"a/{name}/model.safetensors").write_bytes(bytes(2_500_000))
+        write_table(tmp_path / f"a/{name}/convergence.parquet", training(step_s, steps))
     knob = {"knob": "flow.offsets", "value": [1, 2], "overrides": {"flow.offsets": [1, 2]}, "group": "knobs"}
     write_json(tmp_path / "sweep/runs.json", {"runs": [swept("one", is_default=True), swept("two", **knob)]})
     sweep.main(tmp_path / "sweep/runs.json", tmp_path / "costs.parquet")
@@ -67,6 +76,15 @@ def test_a_row_says_what_a_setting_reached_and_cost(tmp_path: Path) -> None:
     assert (one["poses_wall_s"], one["wall_s"]) == (10 + 2 * 9, 10 + 2 * 9 + 1 + 5 + 6 + 20)
     assert (one["poses_cpu_s"], one["cpu_s"]) == (2 * one["poses_wall_s"], 2 * one["wall_s"])
     assert (one["peak_mb"], one["model_mb"]) == (120.0, 2.5)
+    # Run two ends after 90 steps, at a mean of 10 + 0.1 * (41..90) dB; run one is there at that step, 3 times as fast.
+    assert two["equal_psnr_db"] == pytest.approx(16.55)
+    assert (two["equal_s"], two["configured_equal_s"]) == pytest.approx((27.0, 9.0))
+    assert (one["step_ms"], two["step_ms"]) == pytest.approx((100.0, 300.0))
+
+
+def test_a_training_too_short_to_average_has_no_speed() -> None:
+    found = compare_training(training(0.1, 49), training(0.1, 100))
+    assert set(found.values()) == {None}
 
 
 def test_rows_of_growth_add_rounds_up(tmp_path: Path) -> None:

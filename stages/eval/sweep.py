@@ -6,8 +6,9 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from stages.eval.tables import Row, read_rows, write_rows
+from stages.eval.training_speed import compare_training
 from stages.shared import cli
-from stages.shared.artifacts import read_json
+from stages.shared.artifacts import read_json, read_table
 from stages.shared.cli import In, Out
 
 POSE_SCORES = (
@@ -19,12 +20,14 @@ COLUMNS = (
     *(*POSE_SCORES, "iou"),
     *("psnr_db", "psnr_static_db", "psnr_dynamic_db", "ssim"),
     *("wall_s", "cpu_s", "poses_wall_s", "poses_cpu_s", "peak_mb", "model_mb"),
+    *("step_ms", "equal_psnr_db", "equal_s", "configured_equal_s"),
 )
 POSE_STAGES = ("flow", "motion", "segment", "ba")
 BASELINE = "colmap"
 PROTOCOL = (
     "Seconds are those of all stages from the frames to the renders, shared ones counted in full, so that they are "
-    "what the setting costs from scratch; COLMAP and evaluation are left out. Poses: flow to adjustment, all rounds."
+    "what the setting costs from scratch; COLMAP and evaluation are left out. Poses: flow to adjustment, all rounds. "
+    "equal_s and configured_equal_s: seconds of training to the PSNR of training frames that both runs reach."
 )
 
 
@@ -44,12 +47,14 @@ def run_row(folder: Path, run: Row) -> Row:
 
     Args:
         folder: of the dataset's results; the paths in `run` start there.
-        run: sequence, group, setting, knob, value, is_default, overrides, scores (a folder), model (a file).
+        run: sequence, group, setting, knob, value, is_default, overrides, scores (a folder), model (a file), and
+            convergence and configured_convergence, the course of its training and of the configured run's.
     """
     scores = folder / run["scores"]
     named = {name: run[name] for name in ("sequence", "group", "setting", "knob", "is_default")}
     value = None if run["value"] is None else _text(run["value"])
     model_mb = (folder / run["model"]).stat().st_size / 1e6
+    trainings = (read_table(folder / run[name]) for name in ("convergence", "configured_convergence"))
     return {
         **named,
         "value": value,
@@ -59,6 +64,7 @@ def run_row(folder: Path, run: Row) -> Row:
         **image_scores(read_rows(scores / "images.parquet")),
         **costs(read_rows(scores / "time.parquet")),
         "model_mb": model_mb,
+        **compare_training(*trainings),
     }
 
 

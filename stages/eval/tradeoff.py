@@ -12,6 +12,7 @@ POSE_METRICS = ("ate_percent", "rpe_rot_deg", "focal_abs_percent")
 OTHER_METRICS = (
     *("iou", "psnr_db", "psnr_static_db", "psnr_dynamic_db", "ssim"),
     *("wall_s", "cpu_s", "poses_wall_s", "poses_cpu_s", "peak_mb", "model_mb"),
+    *("step_ms", "equal_psnr_db", "equal_s", "configured_equal_s"),
 )
 NOTICED = 0.01  # smaller differences are noise
 KEYS = ("group", "setting", "knob", "value", "is_default")

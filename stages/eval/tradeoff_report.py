@@ -57,6 +57,21 @@ COLUMNS = (
     Column("model_mb", "model", "MB", 2),
     *(Column("n", "scored"), Column("sequences", "of"), Column("failed", "failed")),
 )
+TRAINING_NOTE = (
+    "Both: the highest PSNR that this run and the configured one reach on training frames, averaged over 50 steps; "
+    "seconds of training to it, start-up left out. Means over the swept sequences; a ratio above 1 means that the "
+    "configured run is so many times as fast."
+)
+TRAINING_COLUMNS = (
+    Column("setting", "setting"),
+    Column("group", "group"),
+    Column("step_ms", "per step", "ms", 1),
+    Column("equal_psnr_db", "PSNR that both reach", "dB", 2),
+    Column("equal_s", "this run reaches it in", "s", 1),
+    Column("configured_equal_s", "configured run in", "s", 1),
+    Column("equal_ratio", "ratio", "this / configured", 2),
+    Column("sequences", "sequences"),
+)
 
 
 def sweep_part(costs: Sequence[Row], poses: Sequence[Row]) -> tuple[str, list[Figure], list[Table]]:
@@ -81,7 +96,8 @@ def sweep_part(costs: Sequence[Row], poses: Sequence[Row]) -> tuple[str, list[Fi
     knobs = dict.fromkeys(row["knob"] for row in rows if row["knob"])
     figures += [figure for knob in knobs for figure in _knob(rows, knob)]
     groups = dict.fromkeys(row["group"] for row in rows)
-    return " ".join(sentences), figures, [_table(group, rows, on_front) for group in groups]
+    tables = [*(_table(group, rows, on_front) for group in groups), *_training_tables(rows)]
+    return " ".join(sentences), figures, tables
 
 
 def pose_rows(costs: Sequence[Row]) -> list[Row]:
@@ -154,6 +170,15 @@ def _table(group: str, rows: Sequence[Row], on_front: Mapping[Measure, set[tuple
 
     listed = [row | {"front": ", ".join(names[m] for m in on_front if is_on_front(row, m))} for row in chosen]
     return Table(f"sweep_{group}", TITLES.get(group, group), NOTE, COLUMNS, listed)
+
+
+def _training_tables(rows: Sequence[Row]) -> list[Table]:
+    """Seconds to equal PSNR of every run that trains otherwise than the configured one; no table if there is none."""
+    trained = [row for row in rows if row["equal_s"] is not None and not row["is_default"]]
+    listed = [row | {"equal_ratio": row["equal_s"] / row["configured_equal_s"]} for row in trained]
+    return (
+        [Table("sweep_training", "Training to equal PSNR", TRAINING_NOTE, TRAINING_COLUMNS, listed)] if listed else []
+    )
 
 
 def growth_part(rows: Sequence[Row]) -> tuple[list[Figure], list[Table]]:
