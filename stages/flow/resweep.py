@@ -121,73 +121,85 @@ def sweep(
     """
     o = (stride - 1) // 2
     sampled = (np.ascontiguousarray(part[:, o::stride, o::stride], np.float32) for part in (flow, weights, start))
-    return _sweep(pointer, A, b, *sampled, float(sigma_px), stride, o)
-
-
-@numba.njit(cache=True, fastmath=True, error_model="numpy")
-def _misfit(first, last, A, b, flow, weights, y, x, u, v, d, sigma2):  # type: ignore[no-untyped-def]
-    """Cost at inverse depth d, and the Gauss-Newton step of d."""
-    cost, curvature, gradient = 0.0, RIDGE_PX2, 0.0
-    for e in range(first, last):
-        w = weights[e, y, x]
-        Z = A[e, 2, 0] * u + A[e, 2, 1] * v + A[e, 2, 2] + d * b[e, 2]
-        if w <= 0.0:
-            continue
-        if Z < Z_MIN:
-            cost += w
-            continue
-        pu = (A[e, 0, 0] * u + A[e, 0, 1] * v + A[e, 0, 2] + d * b[e, 0]) / Z
-        pv = (A[e, 1, 0] * u + A[e, 1, 1] * v + A[e, 1, 2] + d * b[e, 1]) / Z
-        ru, rv = u + flow[e, y, x, 0] - pu, v + flow[e, y, x, 1] - pv
-        ju, jv = (b[e, 0] - pu * b[e, 2]) / Z, (b[e, 1] - pv * b[e, 2]) / Z
-        q = (ru * ru + rv * rv) / sigma2
-        cost += w * q / (1 + q)
-        robust = w / ((1 + q) * (1 + q))
-        curvature += robust * (ju * ju + jv * jv)
-        gradient += robust * (ju * ru + jv * rv)
-    return cost, gradient / curvature
-
-
-@numba.njit(cache=True, fastmath=True, error_model="numpy")
-def _triangulated(A, b, du, dv, u, v, start):  # type: ignore[no-untyped-def]
-    """Inverse depth at which one edge's flow (du, dv) is met best, drawn to `start` where there is no parallax."""
-    a0 = A[0, 0] * u + A[0, 1] * v + A[0, 2]
-    a1 = A[1, 0] * u + A[1, 1] * v + A[1, 2]
-    a2 = A[2, 0] * u + A[2, 1] * v + A[2, 2]
-    su, sv = b[0] - (u + du) * b[2], b[1] - (v + dv) * b[2]
-    ou, ov = (u + du) * a2 - a0, (v + dv) * a2 - a1
-    d = (su * ou + sv * ov + RIDGE_PX2 * start) / (su * su + sv * sv + RIDGE_PX2)
-    return min(max(d, 0.0), D_MAX)
+    # float32 holds a pixel to 1e-4 px, and twice as many fit a vector instruction.
+    lines = A.astype(np.float32), b.astype(np.float32)
+    return _sweep(pointer, *lines, *sampled, np.float32(sigma_px**2), stride, o)
 
 
 @numba.njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
-def _sweep(pointer, A, b, flow, weights, start, sigma_px, stride, offset):  # type: ignore[no-untyped-def]
+def _sweep(pointer, A, b, flow, weights, start, sigma2, stride, offset):  # type: ignore[no-untyped-def]
     T, rows, columns = start.shape
-    misfit = np.zeros((T, rows, columns), np.float32)
-    inverse_depth = start.copy()
+    misfit, inverse_depth = np.zeros((T, rows, columns), np.float32), np.empty((T, rows, columns), np.float32)
+    u = (np.arange(columns) * stride + offset).astype(np.float32)
     for row in numba.prange(T * rows):
         i, y = row // rows, row % rows
-        first, last = pointer[i], pointer[i + 1]
-        for x in range(columns):
-            u, v = float(x * stride + offset), float(y * stride + offset)
-            total = 0.0
-            for e in range(first, last):
-                total += weights[e, y, x]
-            if total <= 0.0:
-                continue
-            best_d = float(start[i, y, x])
-            best, step = _misfit(first, last, A, b, flow, weights, y, x, u, v, best_d, sigma_px**2)
-            for e in range(first, last):
-                if weights[e, y, x] > 0.0:
-                    d = _triangulated(A[e], b[e], flow[e, y, x, 0], flow[e, y, x, 1], u, v, start[i, y, x])
-                    cost, its_step = _misfit(first, last, A, b, flow, weights, y, x, u, v, d, sigma_px**2)
-                    if cost < best:
-                        best, step, best_d = cost, its_step, d
-            for _ in range(REFINEMENTS):
-                d = min(max(best_d + step, 0.0), D_MAX)
-                cost, its_step = _misfit(first, last, A, b, flow, weights, y, x, u, v, d, sigma_px**2)
-                if cost < best:
-                    best, step, best_d = cost, its_step, d
-            misfit[i, y, x] = best / total
-            inverse_depth[i, y, x] = best_d
+        edges, v = (pointer[i], pointer[i + 1]), np.float32(y * stride + offset)
+        _sweep_row(edges, y, A, b, flow, weights, u, v, start[i, y], sigma2, misfit[i, y], inverse_depth[i, y])
     return misfit, inverse_depth
+
+
+@numba.njit(cache=True, fastmath=True, error_model="numpy")
+def _sweep_row(edges, y, A, b, flow, weights, u, v, start, sigma2, misfit, inverse_depth):  # type: ignore[no-untyped-def]
+    """Fill the best misfit [n] and inverse depth [n] of row y, of pixels u [n], v.
+
+    Pixels are the innermost loop, and lie next to each other, so that it becomes vector instructions.
+    """
+    first, last = edges
+    n = len(u)
+    s, t = np.empty((last - first, n), np.float32), np.empty((last - first, n), np.float32)
+    d, best, best_step = start.copy(), np.full(n, np.float32(1e30)), np.zeros(n, np.float32)
+    cost, gradient, curvature = np.zeros(n, np.float32), np.zeros(n, np.float32), np.zeros(n, np.float32)
+    for e in range(first, last):
+        for x in range(n):
+            s[e - first, x], t[e - first, x] = u[x] + flow[e, y, x, 0], v + flow[e, y, x, 1]
+            misfit[x] += weights[e, y, x]
+    for trial in range(first - 1, last + REFINEMENTS):
+        if first <= trial < last:
+            _triangulate(A[trial], b[trial], s[trial - first], t[trial - first], u, v, start, d)
+        elif trial >= last:
+            for x in range(n):
+                d[x] = min(max(inverse_depth[x] + best_step[x], np.float32(0)), np.float32(D_MAX))
+        cost[:], gradient[:], curvature[:] = 0, 0, RIDGE_PX2
+        for e in range(first, last):
+            _add_edge(A[e], b[e], s[e - first], t[e - first], weights[e, y], u, v, d, sigma2, cost, gradient, curvature)
+        for x in range(n):
+            matched = trial < first or trial >= last or weights[trial, y, x] > 0
+            if matched and cost[x] < best[x]:
+                best[x], best_step[x], inverse_depth[x] = cost[x], gradient[x] / curvature[x], d[x]
+    for x in range(n):
+        misfit[x] = best[x] / misfit[x] if misfit[x] > 0 else np.float32(0)
+
+
+@numba.njit(cache=True, fastmath=True, error_model="numpy")
+def _add_edge(A, b, s, t, weights, u, v, d, sigma2, cost, gradient, curvature):  # type: ignore[no-untyped-def]
+    """Add what one edge, to matches s [n], t [n], costs at inverse depths d [n], and its Gauss-Newton terms."""
+    a0, a1, a2 = A[0, 0], A[1, 0], A[2, 0]
+    c0, c1, c2 = A[0, 1] * v + A[0, 2], A[1, 1] * v + A[1, 2], A[2, 1] * v + A[2, 2]
+    b0, b1, b2 = b[0], b[1], b[2]
+    one, nearest = np.float32(1), np.float32(Z_MIN)
+    for x in range(len(d)):
+        Z = a2 * u[x] + c2 + d[x] * b2
+        inverse = one / max(Z, nearest)
+        pu, pv = (a0 * u[x] + c0 + d[x] * b0) * inverse, (a1 * u[x] + c1 + d[x] * b1) * inverse
+        ru, rv = s[x] - pu, t[x] - pv
+        ju, jv = (b0 - pu * b2) * inverse, (b1 - pv * b2) * inverse
+        inlier = one / (one + (ru * ru + rv * rv) / sigma2) if nearest <= Z else np.float32(0)
+        robust = weights[x] * inlier * inlier
+        cost[x] += weights[x] * (one - inlier)
+        curvature[x] += robust * (ju * ju + jv * jv)
+        gradient[x] += robust * (ju * ru + jv * rv)
+
+
+@numba.njit(cache=True, fastmath=True, error_model="numpy")
+def _triangulate(A, b, s, t, u, v, start, d):  # type: ignore[no-untyped-def]
+    """Fill the inverse depths d [n] that meet the matches s [n], t [n] of one edge best; `start` where none does."""
+    a0, a1, a2 = A[0, 0], A[1, 0], A[2, 0]
+    c0, c1, c2 = A[0, 1] * v + A[0, 2], A[1, 1] * v + A[1, 2], A[2, 1] * v + A[2, 2]
+    b0, b1, b2 = b[0], b[1], b[2]
+    ridge, zero, most = np.float32(RIDGE_PX2), np.float32(0), np.float32(D_MAX)
+    for x in range(len(d)):
+        z = a2 * u[x] + c2
+        du, dv = b0 - s[x] * b2, b1 - t[x] * b2
+        ou, ov = s[x] * z - (a0 * u[x] + c0), t[x] * z - (a1 * u[x] + c1)
+        met = (du * ou + dv * ov + ridge * start[x]) / (du * du + dv * dv + ridge)
+        d[x] = min(max(met, zero), most)
