@@ -6,15 +6,17 @@ from pathlib import Path
 import finished_run as clip
 import numpy as np
 import pytest
-from square_inputs import write_inputs
+from square_inputs import HELD_OUT, write_inputs
 
 from stages.scene import decide, motion, photometry, rules
 from stages.scene.observed import Observed, depth_on_grid, rigid_flow
 from stages.scene.options import SceneOptions
+from stages.shared.artifacts import read_dense, write_dense
 from stages.shared.cameras import pixel_grid, project
 from stages.shared.cli import run
 from stages.shared.errors import InputError
 from stages.shared.options import validate
+from stages.shared.sequences import read_sequence
 
 
 def observe(rgb: np.ndarray | None = None, dynamic: np.ndarray | None = None) -> Observed:
@@ -57,16 +59,16 @@ def test_rigid_flow_is_what_projection_says() -> None:
     np.testing.assert_allclose(rigid_flow(depth, clip.K, clip.K, relative), expected, atol=1e-9)
 
 
-def test_depth_lies_where_the_solver_put_it() -> None:
-    plane = np.exp(0.01 * pixel_grid(60, 80)[..., 0])
-    stride, scale = 4, 0.5
-    grid_u = stride * np.arange(40) + (stride - 1) / 2  # full-frame pixels
+@pytest.mark.parametrize("scale", [0.5, 512 / 854])
+def test_depth_lies_where_the_solver_put_it(scale: float) -> None:
+    """Every second pixel of the flow grid, also where that is no whole number of pixels of the frame."""
+    stride_px = 2 / scale
+    grid_u = stride_px * np.arange(40) + (stride_px - 1) / 2  # full-frame pixels
     coarse = np.repeat(np.exp(-0.01 * grid_u)[None], 30, axis=0)[None]
     full_u = (np.arange(80) + 0.5) / scale - 0.5
     inner = slice(4, 70)
-    found = depth_on_grid(coarse, stride, scale, 60, 80)[0]
+    found = depth_on_grid(coarse, stride_px, scale, 60, 80)[0]
     np.testing.assert_allclose(found[:, inner], np.exp(0.01 * full_u[None, inner]).repeat(60, 0), rtol=1e-3)
-    assert plane.shape == found.shape
 
 
 def test_a_moving_square_is_dynamic() -> None:
@@ -193,6 +195,17 @@ def test_decisions_of_the_square_and_of_the_bare_wall(tmp_path: Path) -> None:
     assert not square["rotation_only"]["needed"]
     overruled = decide_in(tmp_path / "wall", write_inputs(tmp_path / "wall", motion=False), "--dynamic", "yes")
     assert overruled["dynamic"] | {"why": ""} == wall["dynamic"] | {"needed": True, "source": "user", "why": ""}
+
+
+def test_a_depth_grid_of_broken_pixels_is_read_as_it_is(tmp_path: Path) -> None:
+    """Frames 854 pixels wide, matched at 512, have a depth every 6.67 pixels: 6 would shift the far edge by 85."""
+    paths = write_inputs(tmp_path)
+    inverse_depth = read_dense(paths["depth"])["inverse_depth"] * np.linspace(1, 2, clip.W // 4, dtype=np.float32)
+    write_dense(paths["depth"], {"inverse_depth": inverse_depth}, {"stride_px": 4.5})
+    content = read_sequence(paths.pop("sequence"))
+    seen = decide._observe(content, **paths, options=SceneOptions())
+    frames = [k for k in range(clip.T) if k != HELD_OUT]
+    np.testing.assert_allclose(seen.depth, depth_on_grid(inverse_depth[frames], 4.5, 1.0, clip.H, clip.W), rtol=1e-6)
 
 
 def test_held_out_frames_decide_nothing(tmp_path: Path) -> None:

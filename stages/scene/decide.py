@@ -65,7 +65,7 @@ def _observe(sequence: Sequence, flow: Path, masks: Path, poses: Path, depth: Pa
     is_training = ~held_out(len(sequence.frames), options)
     frames = np.flatnonzero(is_training)
     pairs, scale = read_dense(flow), float(read_metadata(flow)["scale"])
-    dense, stride = read_dense(depth), int(read_metadata(depth)["stride_px"])
+    dense, stride_px = read_dense(depth), float(read_metadata(depth)["stride_px"])
     cameras = read_cameras(poses)
     h, w = pairs["flow"].shape[1:3]
     rows = np.flatnonzero(is_training[pairs["source"]] & is_training[pairs["target"]])
@@ -78,7 +78,7 @@ def _observe(sequence: Sequence, flow: Path, masks: Path, poses: Path, depth: Pa
     return Observed(
         rgb=np.stack([resized(images.read_rgb(sequence.frames[k])) / 255 for k in frames]),
         dynamic=np.stack([resized(images.read_mask(masks / name)) > 0.5 for name in names]),
-        depth=depth_on_grid(dense["inverse_depth"][frames], stride, scale, h, w),
+        depth=depth_on_grid(dense["inverse_depth"][frames], stride_px, scale, h, w),
         cam_from_world=cameras.cam_from_world[frames],
         Ks=scale_intrinsics(cameras.Ks[frames], scale),
         edges=np.searchsorted(frames, ends),

@@ -49,14 +49,13 @@ def parallax_evidence(seen: Observed) -> dict[str, float]:
 
 
 def bending_evidence(seen: Observed) -> dict[str, float]:
-    """What is left of the flow of each moving region after the best planar rigid motion, and the regions' size.
+    """What is left of each moving region's flow to the next frame after the best planar rigid motion, and their size.
 
     The flow of a rigid plane is quadratic in the pixel with eight parameters (Longuet-Higgins and Prazdny 1980);
     a moderately curved rigid body comes close to one.
     """
     residuals, areas, spreads = [], [], []
-    shortest = np.abs(seen.offsets).min(initial=1)
-    for edge in _spread_edges(seen, shortest):
+    for edge in _spread_edges(seen, 1):
         dynamic = seen.dynamic[seen.edges[edge, 0]].astype(np.uint8)
         count, labels = cv2.connectedComponents(dynamic)
         areas.append(float(dynamic.sum()))

@@ -31,8 +31,14 @@ class Observed:
     offsets: np.ndarray
 
 
-def depth_on_grid(inverse_depth: np.ndarray, stride_px: int, scale: float, height: int, width: int) -> np.ndarray:
-    """z-depth [F, h, w] on the flow grid from the solver's inverse depth [F, h', w'] > 0, bilinear in its logarithm."""
+def depth_on_grid(inverse_depth: np.ndarray, stride_px: float, scale: float, height: int, width: int) -> np.ndarray:
+    """z-depth [F, h, w] on the flow grid from the solver's inverse depth [F, h', w'] > 0, bilinear in its logarithm.
+
+    Args:
+        stride_px: full-frame pixels per pixel of the solver's grid; no whole number where the flow grid is no whole
+            part of the frame (854 to 512 pixels: 6.67).
+        scale: width of the flow grid over that of the frame.
+    """
     full_uv = (pixel_grid(height, width) + 0.5) / scale - 0.5
     grid_uv = ((full_uv - (stride_px - 1) / 2) / stride_px).astype(np.float32)
     logs = np.log(inverse_depth).astype(np.float32)
