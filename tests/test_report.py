@@ -21,9 +21,9 @@ from PIL import Image
 
 from stages.eval import overview, pictures, plots, published, report, summaries
 from stages.eval.options import ReportOptions
-from stages.eval.sections import STAGE_FIGURES
+from stages.eval.sections import STAGE_FIGURES, build_section
 from stages.eval.tables import decimal
-from stages.shared.artifacts import write_json
+from stages.shared.artifacts import write_json, write_table
 
 PUBLISHED = REPO / "workflow" / "resources" / "published.yaml"
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
@@ -118,6 +118,19 @@ def test_failures_and_missing_parts_are_told(page: str) -> None:
     assert "poses: a doubt" in text
     assert "trajectories: no eval/trajectory.parquet; masks: no masks" in text
     assert "renders: no renders/test" in text
+
+
+def test_given_poses_and_no_training_leave_no_curve(results: Path, tmp_path: Path) -> None:
+    """`ba: {poses_from: truth}` adjusts nothing and `gaussians: {steps: 0}` trains nothing: their tables are empty."""
+    folder = tmp_path / "wall"
+    shutil.copytree(results / "results" / "wall", folder)
+    columns = {"ba": ("iteration", "cost", "phase", "sigma_px"), "gaussians": ("step", "loss")}
+    for stage, names in columns.items():
+        write_table(folder / stage / "convergence.parquet", {name: [] for name in names})
+    section = build_section(folder)
+    assert "adjustment: no rows in ba/convergence.parquet" in section.missing
+    assert "training: no rows in gaussians/convergence.parquet" in section.missing
+    assert any("Error of every camera" in figure.title for figure in section.figures)
 
 
 def test_comparisons_are_part_of_the_page(results: Path, page: str) -> None:

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import cv2
 import numpy as np
 
-from stages.eval.baseline import StepFailed, find_matches, reconstruct, run_limited
+from stages.eval.baseline import MIN_TRIANGULATION_DEG, StepFailed, find_matches, reconstruct, run_limited
 from stages.eval.options import ColmapOptions
 from stages.shared import cli, lie
 from stages.shared.artifacts import write_table
@@ -114,8 +114,10 @@ def _protocol(factor: int, masks: Path | None, options: ColmapOptions) -> str:
     pairs = f"the next {options.window} frames" if options.matching == "sequential" else "all others"
     size = "frames as they are" if factor == 1 else f"frames enlarged {factor} times (cubic)"
     left_out = "no features on pixels that our masks call dynamic (their time not counted)" if masks else "no masks"
+    start = f"first pair of incremental mapping from {MIN_TRIANGULATION_DEG:g} degrees on"
     return (
-        f"pycolmap, {size}, matched with {pairs}, one shared unknown focal, {left_out}, one thread, seed {options.seed}"
+        f"pycolmap, {size}, matched with {pairs}, one shared unknown focal, {left_out}, {start}, one thread, "
+        f"seed {options.seed}"
     )
 
 

@@ -23,7 +23,7 @@ def score_geometry(
     flow: Mapping[str, np.ndarray],
     cameras: Cameras,
     depth: Mapping[str, np.ndarray],
-    stride_px: int,
+    stride_px: float,
     masks: Mapping[int, np.ndarray],
 ) -> list[dict[str, Any]]:
     """Rows `quantity, value, unit, n, protocol` of one sequence.

@@ -66,7 +66,8 @@ def build_section(folder: Path) -> Section:
         "flow": partial(_flow_figures, folder),
         "depth": partial(_depth_figures, folder, sequence),
         "renders": partial(_render_figures, folder, sequence),
-        "convergence": partial(_convergence_figures, folder),
+        "adjustment": partial(_adjustment_figures, folder),
+        "training": partial(_training_figures, folder),
     }
     for name, draw in parts.items():
         try:
@@ -88,7 +89,7 @@ def _svg(title: str, content: bytes, alt: str) -> Figure:
 
 
 class MissingPart(Exception):
-    """A file of the results that is not there; the message is its name within the folder of the sequence."""
+    """What the results lack; the message names it, as in "masks" or "rows in ba/convergence.parquet"."""
 
 
 def _existing(folder: Path, name: str) -> Path:
@@ -193,20 +194,31 @@ def _render_figures(folder: Path, sequence: sequences.Sequence) -> list[Figure]:
     return found + _frame_chart(folder, "images", "psnr_db", "Image quality per frame", "PSNR (dB)")
 
 
-def _convergence_figures(folder: Path) -> list[Figure]:
-    steps = read_table(_existing(folder, "ba/convergence.parquet"))
+def _rows_of(folder: Path, name: str) -> dict[str, np.ndarray]:
+    """A table of the results that has rows: given poses take no adjustment, and 0 steps no training."""
+    table = read_table(_existing(folder, name))
+    if not len(next(iter(table.values()))):
+        raise MissingPart(f"rows in {name}")
+    return table
+
+
+def _adjustment_figures(folder: Path) -> list[Figure]:
+    steps = _rows_of(folder, "ba/convergence.parquet")
     cost = steps["cost"]
     runs = list(zip(steps["phase"].tolist(), steps["sigma_px"].tolist(), strict=True))
     title = "Bundle adjustment (orange: final refinement; grey: starts that compete)"
     alt = f"Robust cost over {len(cost)} iterations in {len(set(runs))} runs, at the end {cost[-1]:.4g}"
-    found = [_svg(title, plots.draw_runs(cost.tolist(), runs, "robust cost"), alt)]
-    training = read_table(_existing(folder, "gaussians/convergence.parquet"))
+    return [_svg(title, plots.draw_runs(cost.tolist(), runs, "robust cost"), alt)]
+
+
+def _training_figures(folder: Path) -> list[Figure]:
+    training = _rows_of(folder, "gaussians/convergence.parquet")
     window = max(1, len(training["loss"]) // 20)
     loss = np.convolve(training["loss"], np.full(window, 1 / window), "valid")
     line = {"ours": (training["step"][window - 1 :].tolist(), loss.tolist())}
     chart = plots.draw_lines(line, ("training step", "loss"), ["ours"], log=True)
     alt = f"Training loss, mean of {window} steps, from {loss[0]:.3g} to {loss[-1]:.3g}"
-    return [*found, _svg(f"Gaussian training (mean of {window} steps)", chart, alt)]
+    return [_svg(f"Gaussian training (mean of {window} steps)", chart, alt)]
 
 
 def _stage_figures(folder: Path) -> list[Figure]:

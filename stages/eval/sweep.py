@@ -5,6 +5,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any
 
+from stages.eval.costs import is_ours
 from stages.eval.tables import Row, read_rows, write_rows
 from stages.eval.training_speed import compare_training
 from stages.shared import cli
@@ -23,7 +24,6 @@ COLUMNS = (
     *("step_ms", "equal_psnr_db", "equal_s", "configured_equal_s"),
 )
 POSE_STAGES = ("flow", "motion", "segment", "ba")
-BASELINE = "colmap"
 PROTOCOL = (
     "Seconds are those of all stages from the frames to the renders, shared ones counted in full, so that they are "
     "what the setting costs from scratch; COLMAP and evaluation are left out. Poses: flow to adjustment, all rounds. "
@@ -94,7 +94,7 @@ def image_scores(rows: Iterable[Row]) -> Row:
 
 def costs(rows: Iterable[Row]) -> Row:
     """Seconds of all stages and of those up to the poses, and the greatest memory of any."""
-    counted = [row for row in rows if not row["stage"].startswith(BASELINE)]
+    counted = [row for row in rows if is_ours(row)]
     to_poses = [row for row in counted if row["stage"] in POSE_STAGES]
     return {
         "wall_s": sum(row["wall_s"] for row in counted),

@@ -20,9 +20,9 @@ class PoseErrors:
     Attributes:
         centres: [T, 3] estimated camera centres, aligned to the truth, scene units.
         centre_errors: [T] distance to the true centres, scene units.
-        step_errors: [T-1] translation of the relative pose error, scene units; NaN-free, one per pair used.
-        turn_errors_deg: [T-1] rotation angle of the relative pose error.
-        pairs: [T-1, 2] indices of the frames of each pair.
+        step_errors: [n] translation of the relative pose error of the n <= T - 1 pairs, scene units.
+        turn_errors_deg: [n] rotation angle of the relative pose error.
+        pairs: [n, 2] indices of the frames of each pair.
         path: length of the true path over these frames, scene units.
         scale: true size / estimated size.
     """

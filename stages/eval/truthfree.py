@@ -11,7 +11,7 @@ PROTOCOL = (
 )
 
 
-def solver_pixels(height: int, width: int, stride_px: int) -> np.ndarray:
+def solver_pixels(height: int, width: int, stride_px: float) -> np.ndarray:
     """Full-frame pixels [h, w, 2] of a solver grid [h, w] with this stride."""
     v, u = np.mgrid[:height, :width].astype(float)
     return np.stack([u, v], axis=-1) * stride_px + (stride_px - 1) / 2
