@@ -7,6 +7,8 @@ import cv2
 import numba
 import numpy as np
 
+from stages.shared.threads import threaded
+
 MIN_CONFIDENCE = 0.5
 MIN_MATCHES = 50
 MAX_ITERATIONS = 500
@@ -44,12 +46,17 @@ def flat_share(edges: dict[tuple[int, int], int], pairs: PairMatches, seed: int)
     Near 1 there is no parallax: the camera only turns, hardly moves, or looks at a plane. Then the epipole is free,
     and would be placed to suit whatever moves. 1 without matches.
     """
+    forward = [(i, j) for i, j in edges if i < j]
+
+    def share(pair: tuple[int, int]) -> float | None:
+        x, y = _confident(pairs, edges[pair], edges[pair[::-1]])
+        H = fit_homography(x, y, _usac(FLAT_PX, seed)) if len(x) >= MIN_MATCHES else None
+        return None if H is None else float((homography_errors(H, x, y) < FLAT_PX).mean())
+
     shares: dict[int, list[float]] = {}
-    for (i, j), e in edges.items():
-        x, y = _confident(pairs, e, edges[j, i])
-        H = fit_homography(x, y, _usac(FLAT_PX, seed)) if i < j and len(x) >= MIN_MATCHES else None
-        if H is not None:
-            shares.setdefault(j - i, []).append(float((homography_errors(H, x, y) < FLAT_PX).mean()))
+    for (i, j), found in zip(forward, threaded(share, forward), strict=True):
+        if found is not None:
+            shares.setdefault(j - i, []).append(found)
     return min((float(np.median(of_distance)) for of_distance in shares.values()), default=1.0)
 
 
@@ -62,22 +69,30 @@ def two_view_evidence(
         edges: (source, target) -> row; every edge has its reverse.
     """
     fit, errors = (fit_fundamental, sampson_errors) if parallax else (fit_homography, homography_errors)
-    misfit = np.zeros((T, *pairs.weights.shape[1:]), np.float32)
-    weight = np.zeros_like(misfit)
-    threshold_px = ransac_threshold_px(edges, pairs)
-    for (i, j), e in edges.items():
-        back = edges[j, i]
-        x, y = _confident(pairs, e, back)
-        model = fit(x, y, _usac(threshold_px, seed)) if i < j and len(x) >= MIN_MATCHES else None
-        if model is None:
-            continue
-        sigma_px = np.clip(3 * np.median(errors(model, x, y)), *SIGMA_RANGE_PX)
-        reverse = model.T if parallax else np.linalg.inv(model)
-        for frame, edge, its_model in ((i, e, model), (j, back, reverse)):
-            squared = (errors(its_model, pairs.pixels, pairs.matches[edge]) / sigma_px) ** 2
-            misfit[frame] += pairs.weights[edge] * squared / (1 + squared)
-            weight[frame] += pairs.weights[edge]
-    return Evidence(misfit / np.maximum(weight, 1e-6), weight)
+    params = _usac(ransac_threshold_px(edges, pairs), seed)
+    forward = [(i, j) for i, j in edges if i < j]
+
+    def fitted(pair: tuple[int, int]) -> tuple[np.ndarray, float] | None:
+        x, y = _confident(pairs, edges[pair], edges[pair[::-1]])
+        model = fit(x, y, params) if len(x) >= MIN_MATCHES else None
+        return None if model is None else (model, float(np.clip(3 * np.median(errors(model, x, y)), *SIGMA_RANGE_PX)))
+
+    fits = dict(zip(forward, threaded(fitted, forward), strict=True))
+
+    def of_frame(frame: int) -> tuple[np.ndarray, np.ndarray]:
+        misfit, weight = (np.zeros(pairs.weights.shape[1:], np.float32) for _ in range(2))
+        for (i, j), e in edges.items():
+            found = fits[min(i, j), max(i, j)] if i == frame else None
+            if found is not None:
+                model, sigma_px = found
+                its_model = model if i < j else model.T if parallax else np.linalg.inv(model)
+                squared = (errors(its_model, pairs.pixels, pairs.matches[e]) / np.float32(sigma_px)) ** 2
+                misfit += pairs.weights[e] * squared / (1 + squared)
+                weight += pairs.weights[e]
+        return misfit / np.maximum(weight, 1e-6), weight
+
+    misfits, weights = zip(*threaded(of_frame, range(T)), strict=True)
+    return Evidence(np.stack(misfits), np.stack(weights))
 
 
 def ransac_threshold_px(edges: dict[tuple[int, int], int], pairs: PairMatches) -> float:
@@ -87,7 +102,7 @@ def ransac_threshold_px(edges: dict[tuple[int, int], int], pairs: PairMatches) -
     """
     shortest = min((abs(i - j) for i, j in edges), default=0)
     moves = [
-        np.median(np.linalg.norm(pairs.matches[e] - pairs.pixels, axis=-1))
+        np.median(np.linalg.norm((pairs.matches[e] - pairs.pixels)[::2, ::2], axis=-1))
         for (i, j), e in edges.items()
         if abs(i - j) == shortest
     ]
@@ -117,9 +132,9 @@ def sampson_errors(F: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return np.asarray(flat.reshape(x.shape[:-1]))
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, nogil=True, error_model="numpy")
 def _sampson(F, x, y):  # type: ignore[no-untyped-def]
-    errors = np.empty(len(x))
+    errors = np.empty(len(x), np.float32)
     for k in range(len(x)):
         u, v, s, t = x[k, 0], x[k, 1], y[k, 0], y[k, 1]
         a, b = F[0, 0] * u + F[0, 1] * v + F[0, 2], F[1, 0] * u + F[1, 1] * v + F[1, 2]
@@ -135,9 +150,9 @@ def homography_errors(H: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray
     return np.asarray(flat.reshape(x.shape[:-1]))
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, nogil=True, error_model="numpy")
 def _transfer(H, x, y):  # type: ignore[no-untyped-def]
-    errors = np.empty(len(x))
+    errors = np.empty(len(x), np.float32)
     for k in range(len(x)):
         u, v = x[k, 0], x[k, 1]
         z = H[2, 0] * u + H[2, 1] * v + H[2, 2]
@@ -149,9 +164,22 @@ def _transfer(H, x, y):  # type: ignore[no-untyped-def]
 
 def _confident(pairs: PairMatches, edge: int, back: int) -> tuple[np.ndarray, np.ndarray]:
     """Confident matches x [n, 2] and y [n, 2] of every other row and column of an edge and its reverse, pooled."""
-    pixels, onward, backward = (part[::2, ::2] for part in (pairs.pixels, pairs.matches[edge], pairs.matches[back]))
-    there, here = (pairs.weights[e, ::2, ::2] > MIN_CONFIDENCE for e in (edge, back))
-    return np.concatenate([pixels[there], backward[here]]), np.concatenate([onward[there], pixels[here]])
+    x, y = _collect(pairs.pixels, pairs.matches[edge], pairs.weights[edge])
+    y_back, x_back = _collect(pairs.pixels, pairs.matches[back], pairs.weights[back])
+    return np.concatenate([x, x_back]), np.concatenate([y, y_back])
+
+
+@numba.njit(cache=True, nogil=True)
+def _collect(pixels, matches, weights):  # type: ignore[no-untyped-def]
+    h, w = weights.shape
+    x, y = np.empty((h * w, 2), np.float32), np.empty((h * w, 2), np.float32)
+    n = 0
+    for row in range(0, h, 2):
+        for column in range(0, w, 2):
+            if weights[row, column] > MIN_CONFIDENCE:
+                x[n], y[n] = pixels[row, column], matches[row, column]
+                n += 1
+    return x[:n], y[:n]
 
 
 def _usac(threshold_px: float, seed: int) -> cv2.UsacParams:

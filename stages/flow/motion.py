@@ -45,6 +45,7 @@ def main(
     """
     frames = read_sequence(sequence)
     pairs, scale = read_dense(flow), float(read_metadata(flow)["scale"])
+    pairs["flow"] = pairs["flow"].astype(np.float32)
     pairs["weights"] = evidence_weights(pairs["flow"], pairs["confidence"])
     edges = {(int(i), int(j)): e for e, (i, j) in enumerate(zip(pairs["source"], pairs["target"], strict=True))}
     cameras = _usable_cameras(previous_poses, previous_depth)

@@ -12,6 +12,7 @@ import numpy as np
 from stages.flow.epipolar import Evidence
 from stages.flow.pooling import POOLED_OFFSETS
 from stages.flow.resweep import rigid_flow
+from stages.shared.threads import threaded
 from stages.shared.warp import is_inside, warp
 
 RELIABLE = 0.25
@@ -52,20 +53,28 @@ def _confirmed(
 ) -> np.ndarray:
     """How clearly [T, h, w], 0..1, the flow matches the pictures better than the static world; 1 if unseen."""
     frames = np.stack([cv2.GaussianBlur(frame.astype(np.float32), (0, 0), 0.7) for frame in grey])
-    static, flowing, seen = np.zeros_like(frames), np.zeros_like(frames), np.zeros_like(frames)
-    depths = [(d, cv2.medianBlur(d, WINDOW_PX)) for d in inverse_depth.astype(np.float32)]
-    for e, (i, j) in enumerate(zip(pairs["source"], pairs["target"], strict=True)):
-        if abs(int(i) - int(j)) not in POOLED_OFFSETS:
-            continue
-        flow = pairs["flow"][e].astype(np.float32)
-        rigid = [rigid_flow(projections[0][e], projections[1][e], d) for d in depths[i]]
-        inside = is_inside(flow) & is_inside(rigid[0]) & is_inside(rigid[1])
-        difference = warp(frames[j], flow) - frames[i]
-        exposure = np.float32(np.median(difference))
-        flowing[i] += inside * _blurred(difference - exposure)
-        residuals = [_blurred(warp(frames[j], way) - frames[i] - exposure) for way in rigid]
-        static[i] += inside * np.minimum(*residuals)
-        seen[i] += inside
+
+    def of_frame(i: int) -> np.ndarray:
+        """Sums of residuals [2, h, w] after the static flow and after the flow, and the number of edges [h, w]."""
+        static, flowing, seen = np.zeros((3, *frames.shape[1:]), np.float32)
+        d = inverse_depth[i].astype(np.float32)
+        depths = d, cv2.medianBlur(d, WINDOW_PX)
+        for e in np.flatnonzero(pairs["source"] == i):
+            j = pairs["target"][e]
+            if abs(i - int(j)) not in POOLED_OFFSETS:
+                continue
+            flow = pairs["flow"][e].astype(np.float32, copy=False)
+            rigid = [rigid_flow(projections[0][e], projections[1][e], d) for d in depths]
+            inside = is_inside(flow) & is_inside(rigid[0]) & is_inside(rigid[1])
+            difference = warp(frames[j], flow) - frames[i]
+            exposure = np.float32(np.median(difference))
+            flowing += inside * _blurred(difference - exposure)
+            residuals = [_blurred(warp(frames[j], way) - frames[i] - exposure) for way in rigid]
+            static += inside * np.minimum(*residuals)
+            seen += inside
+        return np.stack([static, flowing, seen])
+
+    static, flowing, seen = np.stack(threaded(of_frame, range(len(frames))), axis=1)
     scale = np.maximum(seen, 1)
     noise = max(float(np.median(flowing / scale)), LEAST_NOISE)
     squared = (np.maximum(static - flowing, 0) / (scale * EXCESS * noise)) ** 2

@@ -63,9 +63,19 @@ def projections(
 
 def rigid_flow(A: np.ndarray, b: np.ndarray, inverse_depth: np.ndarray) -> np.ndarray:
     """Flow [h, w, 2] float32 px of a static world of inverse depth [h, w] along an edge with A [3, 3], b [3]."""
-    pixels = pixel_grid(*inverse_depth.shape).astype(np.float32)
-    there = pixels @ A[:, :2].T.astype(np.float32) + (A[:, 2] + inverse_depth[..., None] * b).astype(np.float32)
-    return np.asarray(there[..., :2] / np.maximum(there[..., 2:], Z_MIN) - pixels)
+    return np.asarray(_rigid_flow(A.astype(np.float32), b.astype(np.float32), inverse_depth.astype(np.float32)))
+
+
+@numba.njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+def _rigid_flow(A, b, inverse_depth):  # type: ignore[no-untyped-def]
+    flow = np.empty((*inverse_depth.shape, 2), np.float32)
+    for y in range(inverse_depth.shape[0]):
+        for x in range(inverse_depth.shape[1]):
+            u, v, d = np.float32(x), np.float32(y), inverse_depth[y, x]
+            Z = max(A[2, 0] * u + A[2, 1] * v + A[2, 2] + d * b[2], np.float32(Z_MIN))
+            flow[y, x, 0] = (A[0, 0] * u + A[0, 1] * v + A[0, 2] + d * b[0]) / Z - u
+            flow[y, x, 1] = (A[1, 0] * u + A[1, 1] * v + A[1, 2] + d * b[1]) / Z - v
+    return flow
 
 
 def resample(inverse_depth: np.ndarray, cell_px: float, h: int, w: int) -> np.ndarray:
