@@ -14,10 +14,12 @@ import numpy as np
 import pytest
 from conftest import REPO, run_snakemake, write_frames
 
+from stages.inspect import check
+from stages.inspect.options import InspectOptions
 from stages.shared import sintel
 from stages.shared.errors import InputError
 from stages.shared.images import read_rgb
-from stages.shared.sequences import check_sequence
+from stages.shared.sequences import check_sequence, read_sequence, sequence_folders
 
 
 def refuse(folder: Path, options: str, *phrases: str) -> None:
@@ -179,6 +181,44 @@ def test_truth_of_another_size(tmp_path: Path) -> None:
     result = run_check(folder, tmp_path / "sequence.json")
     assert result.returncode == 2
     assert "64 x 48 like the frames, found 20 x 10" in result.stderr
+
+
+@pytest.mark.parametrize("kind", ["occlusions", "invalid", "clean_right"])
+def test_pictures_of_the_truth_are_read_too(tmp_path: Path, kind: str) -> None:
+    """The evaluation reads them after minutes of work: what is wrong with them must stop before."""
+    folder = sintel_clip(tmp_path)
+    sequence = check_sequence("clip", folder)
+    check.check_truth(sequence)
+    path = tmp_path / "training" / kind / "clip" / "frame_0001.png"
+    path.parent.mkdir(parents=True)
+    cv2.imwrite(str(path), np.zeros((10, 20), np.uint8))
+    with pytest.raises(InputError, match="64 x 48 like the frames, found 20 x 10"):
+        check.check_truth(check_sequence("clip", folder))
+
+
+@pytest.mark.parametrize(
+    ("pose", "phrase"),
+    [
+        (np.diag([1.0, 1.0, -1.0, 1.0])[:3], "a rotation matrix"),
+        (np.diag([1.0, 1.0, 2.0, 1.0])[:3], "a rotation matrix"),
+        (np.column_stack([np.eye(3), [0.0, np.nan, 0.0]]), "a finite translation"),
+    ],
+)
+def test_cameras_that_cannot_be(tmp_path: Path, pose: np.ndarray, phrase: str) -> None:
+    sintel.write_cam(tmp_path / "frame_0001.cam", np.eye(3), pose)
+    with pytest.raises(InputError, match=phrase):
+        check.check_camera(tmp_path / "frame_0001.cam")
+
+
+def test_a_linked_sequence_keeps_its_name(tmp_path: Path) -> None:
+    """The workflow calls it by the link: under another name in its tables the report could not place its rows."""
+    target = write_frames(tmp_path / "elsewhere" / "take_7")
+    (tmp_path / "data").mkdir()
+    link = tmp_path / "data" / "clip"
+    link.symlink_to(target, target_is_directory=True)
+    assert list(sequence_folders(tmp_path / "data", "final")) == list(sequence_folders(link, "final")) == ["clip"]
+    check.main(link, tmp_path / "sequence.json", tmp_path / "inspect.png", InspectOptions())
+    assert read_sequence(tmp_path / "sequence.json").name == "clip"
 
 
 def test_an_output_folder_that_is_a_file(frames: Path) -> None:

@@ -68,6 +68,7 @@ def test_what_only_one_run_has_is_shown(runs: tuple[Path, Path]) -> None:
     assert "only in A: lost" in text
     assert "only in B: new" in text
     lines = text.splitlines()
+    assert sum(line.endswith("n = 2; 0 lost by B, 1 gained") for line in lines) == 1  # market's ATE
     assert next(line for line in lines if "alley" in line).split() == ["alley", "1.000", "0.500", "-0.500", "better"]
     assert next(line for line in lines if "market" in line).split() == ["market", "n/a", "3.000"]
     assert next(line for line in lines if line.startswith("  new")).split() == ["new", "n/a", "1.000"]

@@ -91,7 +91,7 @@ def describe(a: Mapping[str, Values], b: Mapping[str, Values]) -> str:
         title = f"{measure.label} ({measure.unit}, {'more' if measure.sign > 0 else 'less'} is better)"
         lines += ["", f"{title:<36}{'A':>10}{'B':>10}   B - A"]
         lines += [_line(name, a, b, measure) for name in sorted(set(a) | set(b))]
-        lines.append(f"  {summarise(list(differences(a, b, measure).values()), measure)}")
+        lines.append(f"  {summarise(list(differences(a, b, measure).values()), measure)}{_unpaired(a, b, measure)}")
     return "\n".join(lines).strip()
 
 
@@ -101,6 +101,13 @@ def _line(name: str, a: Mapping[str, Values], b: Mapping[str, Values], measure: 
     cells = ["n/a" if value is None else decimal(value, measure.digits) for value in values]
     change = "" if x is None or y is None else f"{y - x:+.{measure.digits}f} {_verdict(y - x, measure)}"
     return f"  {name:<34}{cells[0]:>10}{cells[1]:>10}   {change}".rstrip()
+
+
+def _unpaired(a: Mapping[str, Values], b: Mapping[str, Values], measure: Measure) -> str:
+    """How many sequences of both runs have the value in one of them alone: no difference shows what a failure costs."""
+    known = [(a[name][measure.key] is not None, b[name][measure.key] is not None) for name in a if name in b]
+    lost, gained = known.count((True, False)), known.count((False, True))
+    return f"; {lost} lost by B, {gained} gained" if lost or gained else ""
 
 
 def _verdict(change: float, measure: Measure) -> str:

@@ -1,6 +1,7 @@
-"""The input check: decode every frame, read every truth file's header, and write down what there is."""
+"""The input check: decode every frame, read every truth file, and write down what there is."""
 
 import hashlib
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
@@ -15,7 +16,7 @@ from stages.shared.errors import InputError
 from stages.shared.figures import contact_sheet, overlay_mask, spread
 from stages.shared.images import read_mask, read_rgb, write_figure
 from stages.shared.log import logger, progress
-from stages.shared.sequences import Sequence, check_sequence, sequence_to_json
+from stages.shared.sequences import Sequence, check_sequence, folder_name, sequence_to_json
 
 
 def main(
@@ -25,7 +26,7 @@ def main(
     options: InspectOptions,
 ) -> None:
     """Check one sequence completely, so that no later stage stumbles over its files."""
-    sequence = first_frames(check_sequence(frames.resolve().name, frames), options)
+    sequence = first_frames(check_sequence(folder_name(frames), frames), options)
     digest = frames_digest(sequence)
     check_truth(sequence)
     for warning in sequence.warnings:
@@ -65,7 +66,8 @@ def check_truth(sequence: Sequence) -> None:
     Raises:
         InputError: for a wrong tag, a truncated file, or a size other than the frames'.
     """
-    readers = {"flow": sintel.read_flo, "depth": sintel.read_dpt, "motion_mask": read_mask}
+    readers: dict[str, Callable[[Path], np.ndarray]] = {"flow": sintel.read_flo, "depth": sintel.read_dpt}
+    readers |= dict.fromkeys(("motion_mask", "occlusions", "invalid"), read_mask) | {"clean_right": read_rgb}
     for kind, read in readers.items():
         for path in sequence.truth.get(kind, {}).values():
             height, width = read(path).shape[:2]
@@ -83,8 +85,10 @@ def check_camera(path: Path) -> None:
     R = cam_from_world[:, :3]
     if not np.all(np.isfinite(K)) or K[0, 0] <= 0 or K[1, 1] <= 0:
         raise InputError(path, "positive focal lengths", f"{K[0, 0]:g} and {K[1, 1]:g}", sintel.ADVICE)
-    if not np.allclose(R @ R.T, np.eye(3), atol=1e-4):
-        raise InputError(path, "a rotation matrix", "one that is not orthonormal", sintel.ADVICE)
+    if not np.allclose(R @ R.T, np.eye(3), atol=1e-4) or np.linalg.det(R) < 0:
+        raise InputError(path, "a rotation matrix", "one that is not orthonormal, or a reflection", sintel.ADVICE)
+    if not np.all(np.isfinite(cam_from_world[:, 3])):
+        raise InputError(path, "a finite translation", f"{cam_from_world[:, 3].tolist()}", sintel.ADVICE)
 
 
 def missing_truth(sequence: Sequence) -> list[str]:

@@ -1,6 +1,7 @@
 """Find and check image sequences: MPI-Sintel folders, a folder of frame folders, or one folder of frames."""
 
 import difflib
+import os
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass, field
@@ -59,7 +60,7 @@ def sequence_folders(dataset: Path, pass_name: str) -> dict[str, Path]:
     if not dataset.is_dir():
         raise InputError(dataset, "a folder", "a file" if dataset.exists() else "nothing there", advice)
     if _frame_files(dataset):
-        return {dataset.resolve().name: dataset}
+        return {folder_name(dataset): dataset}
     training = dataset / "training" if (dataset / "training").is_dir() else dataset
     passes = [name for name in ("clean", "final") if (training / name).is_dir()]
     if passes and pass_name not in passes:
@@ -69,6 +70,11 @@ def sequence_folders(dataset: Path, pass_name: str) -> dict[str, Path]:
     if not folders:
         raise InputError(parent, "folders of PNG or JPG frames", "none", advice)
     return folders
+
+
+def folder_name(folder: Path) -> str:
+    """What a folder of frames is called: its own name, not that of the folder it may be a link to."""
+    return Path(os.path.abspath(folder)).name
 
 
 def choose(wanted: str | Iterable[str], folders: dict[str, Path], dataset: Path) -> dict[str, Path]:
