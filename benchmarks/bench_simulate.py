@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.timing import alternated
 from stages.shared.cameras import pixel_grid
 from stages.simulate import frames, raycast, truth
 from stages.simulate.effect_models import Effects
@@ -35,16 +36,9 @@ EFFECTS = {
 }
 
 
-def alternated(works: dict[str, Callable[[], object]]) -> dict[str, float]:
-    """Median CPU seconds of each work; every round runs all of them, so that they share the machine's moods."""
-    seconds: dict[str, list[float]] = {name: [] for name in works}
-    for turn in range(ROUNDS + 1):
-        for name, work in works.items():
-            began = time.process_time()
-            work()
-            if turn:
-                seconds[name].append(time.process_time() - began)
-    return {name: statistics.median(values) for name, values in seconds.items()}
+def cpu_seconds(works: dict[str, Callable[[], object]]) -> dict[str, float]:
+    """Median CPU seconds of each work."""
+    return alternated(works, ROUNDS, time.process_time)
 
 
 def growth(sizes: Iterable[float], seconds: Iterable[float]) -> float:
@@ -74,7 +68,7 @@ def by_scene() -> None:
         for name, stage in stages.items()
         for eye in ("left", "both")
     }
-    seconds = alternated(works)
+    seconds = cpu_seconds(works)
     for name in stages:
         print(f"  {name:18}{seconds[name + ' left']:8.3f} s{seconds[name + ' both']:8.3f} s with the right eye")
     medians = [statistics.median(seconds[f"{name} {eye}"] for name in stages) for eye in ("left", "both")]
@@ -86,7 +80,7 @@ def by_resolution() -> None:
     scene = load_scene(SCENES / "demo.yaml")
     sizes = [(128, 54), (256, 109), (512, 218), (1024, 436)]
     stages = {f"{w}x{h}": set_stage(scene.model_copy(update={"width": w, "height": h}), 0) for w, h in sizes}
-    seconds = alternated({name: lambda s=stage: clean_frame(s) for name, stage in stages.items()})
+    seconds = cpu_seconds({name: lambda s=stage: clean_frame(s) for name, stage in stages.items()})
     for name, value in seconds.items():
         print(f"  {name:18}{value:8.3f} s")
     print(f"  grows with pixels to the power {growth([w * h for w, h in sizes], seconds.values()):.2f}")
@@ -97,7 +91,7 @@ def by_objects() -> None:
     counts = (10, 40, 160, 640)
     for path in ([], [{"time": 0}, {"time": 1, "move": [0.3, 0, 0]}]):
         stages = {str(count): set_stage(_rocks(count, path), 0) for count in counts}
-        seconds = alternated({name: lambda s=stage: clean_frame(s) for name, stage in stages.items()})
+        seconds = cpu_seconds({name: lambda s=stage: clean_frame(s) for name, stage in stages.items()})
         for name, value in seconds.items():
             print(f"  {name:>4} {'moving' if path else 'resting'} rocks {value:8.3f} s")
         print(f"  grows with objects to the power {growth(counts, seconds.values()):.2f}")
@@ -118,7 +112,7 @@ def by_effect() -> None:
         "no effect": lambda: frames.final(plain, 7, now, seen, clean),
     }
     works |= {name: lambda s=stage: frames.final(s, 7, now, seen, clean) for name, stage in stages.items()}
-    seconds = alternated(works)
+    seconds = cpu_seconds(works)
     for name, value in seconds.items():
         print(f"  {name:18}{value:8.4f} s   {value / seconds['clean frame']:6.3f} of a clean frame")
 
@@ -135,7 +129,7 @@ def tree_against_brute_force() -> None:
         "tree": lambda: raycast.cast(now.snapshot, now.view, uv),
         "every": lambda: raycast.cast(every, now.view, uv),
     }
-    seconds = alternated(works)
+    seconds = cpu_seconds(works)
     print(f"  {len(still.corners)} triangles: the tree is {seconds['every'] / seconds['tree']:.0f} times as fast")
 
 

@@ -5,13 +5,18 @@ import time
 from collections.abc import Callable
 
 
-def alternated(works: dict[str, Callable[[], object]], rounds: int) -> dict[str, float]:
-    """Median seconds of each work after a warm-up; every round runs all, so that they share the machine's moods."""
+def alternated(
+    works: dict[str, Callable[[], object]], rounds: int, clock: Callable[[], float] = time.perf_counter
+) -> dict[str, float]:
+    """Median seconds of each work after a warm-up; every round runs all, so that they share the machine's moods.
+
+    The clock is that of the wall, or `time.process_time` for the CPU seconds of all threads.
+    """
     seconds: dict[str, list[float]] = {name: [] for name in works}
     for turn in range(rounds + 1):
         for name, work in works.items():
-            began = time.perf_counter()
+            began = clock()
             work()
             if turn:
-                seconds[name].append(time.perf_counter() - began)
+                seconds[name].append(clock() - began)
     return {name: statistics.median(values) for name, values in seconds.items()}

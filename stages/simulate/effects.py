@@ -63,7 +63,7 @@ def flicker(effect: Flicker, picture: np.ndarray, frame: float) -> np.ndarray:
 
 
 def exposure(effect: Exposure, picture: np.ndarray, time: float, seed: int) -> np.ndarray:
-    """Gains at `time` 0..1: slow sines with random phases, equal to 1 on average over phases."""
+    """Gains at `time` 0..1: slow sines with random phases; stops and tint are zero on average over phases."""
     phases = np.random.default_rng([seed, 4]).uniform(0, 2 * np.pi, 4)
     slow = np.sin(2 * np.pi * np.array([0.8, 0.5, 1.3, 0.9]) * time + phases)
     stops = effect.stops * (0.7 * slow[0] + 0.3 * slow[2])

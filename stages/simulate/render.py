@@ -1,7 +1,6 @@
 """Draw a scene file as an MPI-Sintel style sequence with exact truth."""
 
 import contextlib
-import shutil
 from pathlib import Path
 from typing import Annotated
 
@@ -52,10 +51,8 @@ def main(
 ) -> None:
     """Draw a scene: clean and final pass, flow, depth, cameras, occlusions, invalid, motion mask, right eye."""
     drawn, name = load_scene(scene), scene.stem
-    for kind in KINDS:
-        shutil.rmtree(output / "training" / kind / name, ignore_errors=True)
     manifest = output / f"{name}.json"
-    manifest.unlink(missing_ok=True)
+    manifest.unlink(missing_ok=True)  # first: it says that the rest is complete
     stage = frames.set_stage(drawn, options.seed)
     with contextlib.ExitStack() as stack:
         folders = {kind: stack.enter_context(atomic_folder(output / "training" / kind / name)) for kind in KINDS}
