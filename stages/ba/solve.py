@@ -192,9 +192,10 @@ def _write_depth(path: Path, maps: DepthMaps, frames: Sequence, stride_px: float
 
 def _write_convergence(path: Path, solution: Estimate) -> None:
     rows = [asdict(step) for step in solution.steps]
-    names = ("phase", "sigma_px", "cost", "step", "damping", "focal_px", "accepted", "seconds")
-    columns: dict[str, Any] = {name: [row[name] for row in rows] for name in names}
-    write_table(path, {"iteration": np.arange(len(rows)), **columns}, {"units": "px, px^2, s"})
+    names = ("sigma_px", "cost", "step", "damping", "focal_px", "accepted", "seconds")
+    columns: dict[str, Any] = {"iteration": np.arange(len(rows)), "phase": [row["phase"] for row in rows]}
+    columns |= {name: np.array([row[name] for row in rows]) for name in names}
+    write_table(path, columns, {"units": "px, px^2, s"})
 
 
 if __name__ == "__main__":
