@@ -1,7 +1,6 @@
 """SO(3) and SE(3) in float64, stable at zero and at half a turn; tangent vectors are [translation, rotation]."""
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 
 def skew(v: np.ndarray) -> np.ndarray:
@@ -14,13 +13,17 @@ def skew(v: np.ndarray) -> np.ndarray:
 def exp_so3(omega: np.ndarray) -> np.ndarray:
     """Rotation matrices [..., 3, 3] of rotation vectors [..., 3] in radians."""
     omega = np.asarray(omega, float)
-    return Rotation.from_rotvec(omega.reshape(-1, 3)).as_matrix().reshape(*omega.shape[:-1], 3, 3)
+    half = np.linalg.norm(omega, axis=-1, keepdims=True) / 2
+    return matrix_from_quat(np.concatenate([np.cos(half), np.sinc(half / np.pi) * omega / 2], axis=-1))
 
 
 def log_so3(R: np.ndarray) -> np.ndarray:
     """Rotation vectors [..., 3] in radians, of length 0..pi, of rotation matrices [..., 3, 3]."""
-    R = np.asarray(R, float)
-    return Rotation.from_matrix(R.reshape(-1, 3, 3)).as_rotvec().reshape(*R.shape[:-2], 3)
+    quat = quat_from_matrix(R)
+    w, v = quat[..., :1], quat[..., 1:]
+    sine = np.linalg.norm(v, axis=-1, keepdims=True)
+    half = np.arctan2(sine, w)
+    return np.asarray(2 * v / np.sinc(half / np.pi))
 
 
 def exp_se3(xi: np.ndarray) -> np.ndarray:
@@ -77,16 +80,35 @@ def from_parts(R: np.ndarray, t: np.ndarray) -> np.ndarray:
 
 
 def quat_from_matrix(R: np.ndarray) -> np.ndarray:
-    """Unit quaternions wxyz [..., 4], w >= 0, of rotation matrices [..., 3, 3]."""
+    """Unit quaternions wxyz [..., 4], w >= 0, of rotation matrices [..., 3, 3].
+
+    The symmetric matrix 4 q q^T - I is linear in R; its column of the largest component has no cancellation (Shepperd,
+    J. Guidance and Control 1978).
+    """
     R = np.asarray(R, float)
-    quat = Rotation.from_matrix(R.reshape(-1, 3, 3)).as_quat(canonical=True, scalar_first=True)
-    return quat.reshape(*R.shape[:-2], 4)
+    xx, yy, zz = R[..., 0, 0], R[..., 1, 1], R[..., 2, 2]
+    squared = np.stack([xx + yy + zz, xx - yy - zz, yy - xx - zz, zz - xx - yy], axis=-1)
+    outer = np.zeros((*R.shape[:-2], 4, 4))
+    outer[..., range(4), range(4)] = 1 + squared
+    for k in range(3):
+        i, j = (k + 1) % 3, (k + 2) % 3
+        outer[..., 0, k + 1] = outer[..., k + 1, 0] = R[..., j, i] - R[..., i, j]
+        outer[..., i + 1, j + 1] = outer[..., j + 1, i + 1] = R[..., i, j] + R[..., j, i]
+    largest = squared.argmax(axis=-1)[..., None, None]
+    quat = np.take_along_axis(outer, largest, axis=-1)[..., 0]
+    return np.asarray(quat / np.linalg.norm(quat, axis=-1, keepdims=True) * np.where(quat[..., :1] < 0, -1, 1))
 
 
 def matrix_from_quat(quat: np.ndarray) -> np.ndarray:
     """Rotation matrices [..., 3, 3] of quaternions wxyz [..., 4] (normalised here; zero raises ValueError)."""
     quat = np.asarray(quat, float)
-    return Rotation.from_quat(quat.reshape(-1, 4), scalar_first=True).as_matrix().reshape(*quat.shape[:-1], 3, 3)
+    largest = np.abs(quat).max(axis=-1, keepdims=True)
+    if (largest == 0).any():
+        raise ValueError("a quaternion of length zero is no rotation")
+    quat = quat / largest  # the squares of tiny ones would vanish
+    V = skew(quat[..., 1:])
+    w, squared = quat[..., :1, None], (quat**2).sum(axis=-1)[..., None, None]
+    return np.asarray(np.eye(3) + 2 / squared * (w * V + V @ V))
 
 
 def _one_minus_cos(angle: np.ndarray) -> np.ndarray:
