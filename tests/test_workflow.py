@@ -1,6 +1,7 @@
 """What Snakemake would do, read from dry-run reasons: targets, reruns, memory, working directories."""
 
 import re
+import shlex
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
@@ -137,6 +138,19 @@ def test_sequences_of_a_folder_with_memory_by_pixels(repo_copy: Path) -> None:
     assert memory["large"] > memory["small"] > 0
     assert all("threads: " in job for job in flow.values())
     assert "simulate" not in planned(result)
+
+
+def test_names_with_spaces_stay_one_word(repo_copy: Path) -> None:
+    """Or worse: a folder called `a; b` would run b."""
+    write_frames(repo_copy / "my clips" / "take 1; two", 4, (48, 64))
+    options = with_options(repo_copy, 'dataset: "my clips"\ncolmap: {upsample_masked: []}')
+    plan = run_snakemake(repo_copy, "-p", *options)
+    commands = [shlex.split(line) for line in plan.stdout.splitlines() if "python -m stages" in line]
+    assert len(commands) == len(EVERY_RULE - {"simulate", "colmap_masked", "all"}) + len(("motion", "segment", "ba"))
+    for words in commands:
+        assert "" not in words
+        assert any("my clips/take 1; two" in word for word in words)
+        assert not any(word.endswith("/my") for word in words)
 
 
 def test_scenes_all_means_the_whole_scene_library(repo_copy: Path) -> None:

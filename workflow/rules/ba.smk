@@ -23,6 +23,7 @@ rule ba:
         flags=flags("ba"),
         previous=previous_flags,
     shell:
-        "python -m stages.ba.solve --sequence {input.sequence} --flow {input.flow} --masks {input.masks}"
-        " {params.previous} --poses {output.poses} --trajectory {output.trajectory} --depth {output.depth}"
-        " --convergence {output.convergence} --figure {output.figure} {params.flags} --log {log} --stats {output.stats}"
+        "python -m stages.ba.solve --sequence {input.sequence:q} --flow {input.flow:q} --masks {input.masks:q}"
+        " {params.previous} --poses {output.poses:q} --trajectory {output.trajectory:q} --depth {output.depth:q}"
+        " --convergence {output.convergence:q} --figure {output.figure:q} {params.flags}"
+        " --log {log:q} --stats {output.stats:q}"

@@ -1,6 +1,7 @@
 # Shared by all stages: the checked configuration, the sequences, code digests, flags and memory.
 import os
 import re
+import shlex
 import sys
 from pathlib import Path
 
@@ -132,7 +133,13 @@ def previous_flags(wildcards, input):
     """The flags that hand over the round before."""
     if not hasattr(input, "previous_poses"):
         return ""
-    return f"--previous-poses {input.previous_poses} --previous-depth {input.previous_depth}"
+    flags = (
+        "--previous-poses",
+        input.previous_poses,
+        "--previous-depth",
+        input.previous_depth,
+    )
+    return shlex.join(flags)
 
 
 def scene_file(wildcards):

@@ -30,7 +30,7 @@ def comparison_flags(wildcards, input):
     flag = {"sweep": "--sweep", "scaling": "--growth"}
     paths = {name: workflow.pathvars.apply(path) for name, path in TABLES.items()}
     return " ".join(
-        f"{flag[name]} {path}"
+        f"{flag[name]} {shlex.quote(path)}"
         for name, path in paths.items()
         if hasattr(input, name) or Path(path).exists()
     )

@@ -22,6 +22,7 @@ rule control:
         code=code_digest("stages.control.fit"),
         flags=flags("control"),
     shell:
-        "python -m stages.control.fit --sequence {input.sequence} --flow {input.flow} --masks {input.masks}"
-        " --poses {input.poses} --depth {input.depth} --scene {input.scene} --points {output.points}"
-        " --deformation {output.deformation} --figure {output.figure} {params.flags} --log {log} --stats {output.stats}"
+        "python -m stages.control.fit --sequence {input.sequence:q} --flow {input.flow:q} --masks {input.masks:q}"
+        " --poses {input.poses:q} --depth {input.depth:q} --scene {input.scene:q} --points {output.points:q}"
+        " --deformation {output.deformation:q} --figure {output.figure:q} {params.flags}"
+        " --log {log:q} --stats {output.stats:q}"

@@ -17,8 +17,8 @@ rule colmap:
         flags=flags("colmap"),
         masks="",
     shell:
-        "python -m stages.eval.colmap --sequence {input.sequence} --output {output.poses}"
-        " {params.masks} {params.flags} --log {log} --stats {output.stats}"
+        "python -m stages.eval.colmap --sequence {input.sequence:q} --output {output.poses:q}"
+        " {params.masks} {params.flags} --log {log:q} --stats {output.stats:q}"
 
 
 # Apart from the rule above, which need not wait for the masks; for the configured run alone.
@@ -34,7 +34,7 @@ use rule colmap as colmap_masked with:
     params:
         code=code_digest("stages.eval.colmap"),
         flags=flags("colmap"),
-        masks=lambda wildcards, input: f"--masks {input.masks}",
+        masks=lambda wildcards, input: f"--masks {shlex.quote(input.masks)}",
 
 
 rule evaluate:
@@ -78,14 +78,14 @@ rule evaluate:
         code=code_digest("stages.eval.evaluate"),
         flags=flags("evaluate"),
     shell:
-        "python -m stages.eval.evaluate --sequence {input.sequence} --flow {input.flow} --priors {input.priors}"
-        " --masks {input.masks} --poses {input.poses} --depth {input.depth} --colmap {input.colmap}"
-        " {input.masked} --motion {input.motion} --model {input.model} --half {input.half}"
-        " --renders {input.renders} --stage-stats {input.stage_stats} {input.masked_stats}"
-        " --poses-table {output.poses}"
-        " --images-table {output.images} --masks-table {output.masks} --checks-table {output.checks}"
-        " --time-table {output.time} --trajectory-table {output.trajectory} --frames-table {output.frames}"
-        " --figure {output.figure} {params.flags} --log {log} --stats {output.stats}"
+        "python -m stages.eval.evaluate --sequence {input.sequence:q} --flow {input.flow:q} --priors {input.priors:q}"
+        " --masks {input.masks:q} --poses {input.poses:q} --depth {input.depth:q} --colmap {input.colmap:q}"
+        " {input.masked:q} --motion {input.motion:q} --model {input.model:q} --half {input.half:q}"
+        " --renders {input.renders:q} --stage-stats {input.stage_stats:q} {input.masked_stats:q}"
+        " --poses-table {output.poses:q} --images-table {output.images:q} --masks-table {output.masks:q}"
+        " --checks-table {output.checks:q} --time-table {output.time:q} --trajectory-table {output.trajectory:q}"
+        " --frames-table {output.frames:q} --figure {output.figure:q} {params.flags}"
+        " --log {log:q} --stats {output.stats:q}"
 
 
 rule report:
@@ -117,5 +117,6 @@ rule report:
         comparisons=comparison_flags,
         manifests="--manifests simulated" if DATASET == configuration.SIMULATED else "",
     shell:
-        "python -m stages.eval.report --sequences {params.sequences} --published-numbers {input.published}"
-        " {params.manifests} {params.comparisons} --output {output.html} --tables {output.tables} {params.flags} --log {log}"
+        "python -m stages.eval.report --sequences {params.sequences:q} --published-numbers {input.published:q}"
+        " {params.manifests} {params.comparisons} --output {output.html:q} --tables {output.tables:q} {params.flags}"
+        " --log {log:q}"

@@ -16,8 +16,8 @@ rule flow:
         code=code_digest("stages.flow.estimate"),
         flags=flags("flow"),
     shell:
-        "python -m stages.flow.estimate --sequence {input.sequence} --output {output.flow}"
-        " --figure {output.figure} {params.flags} --log {log} --stats {output.stats}"
+        "python -m stages.flow.estimate --sequence {input.sequence:q} --output {output.flow:q}"
+        " --figure {output.figure:q} {params.flags} --log {log:q} --stats {output.stats:q}"
 
 
 rule motion:
@@ -41,5 +41,5 @@ rule motion:
         flags=flags("motion"),
         previous=previous_flags,
     shell:
-        "python -m stages.flow.motion --sequence {input.sequence} --flow {input.flow} {params.previous}"
-        " --output {output.prior} --figure {output.figure} {params.flags} --log {log} --stats {output.stats}"
+        "python -m stages.flow.motion --sequence {input.sequence:q} --flow {input.flow:q} {params.previous}"
+        " --output {output.prior:q} --figure {output.figure:q} {params.flags} --log {log:q} --stats {output.stats:q}"

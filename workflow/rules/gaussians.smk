@@ -26,10 +26,11 @@ rule train:
         code=code_digest("stages.gaussians.train"),
         flags=flags("gaussians"),
     shell:
-        "python -m stages.gaussians.train --sequence {input.sequence} --masks {input.masks} --poses {input.poses}"
-        " --depth {input.depth} --scene {input.scene} --points {input.points} --deformation {input.deformation}"
-        " --ply {output.ply} --model {output.model} --half {output.half} --convergence {output.convergence}"
-        " --figure {output.figure} {params.flags} --log {log} --stats {output.stats}"
+        "python -m stages.gaussians.train --sequence {input.sequence:q} --masks {input.masks:q} --poses {input.poses:q}"
+        " --depth {input.depth:q} --scene {input.scene:q} --points {input.points:q}"
+        " --deformation {input.deformation:q} --ply {output.ply:q} --model {output.model:q} --half {output.half:q}"
+        " --convergence {output.convergence:q} --figure {output.figure:q} {params.flags}"
+        " --log {log:q} --stats {output.stats:q}"
 
 
 rule render:
@@ -58,5 +59,6 @@ rule render:
         code=code_digest("stages.gaussians.render"),
         flags=flags("render"),
     shell:
-        "python -m stages.gaussians.render --sequence {input.sequence} --poses {input.poses} --model {input.model}"
-        " --output {output.renders} --video {output.video} {params.flags} --log {log} --stats {output.stats}"
+        "python -m stages.gaussians.render --sequence {input.sequence:q} --poses {input.poses:q}"
+        " --model {input.model:q} --output {output.renders:q} --video {output.video:q} {params.flags}"
+        " --log {log:q} --stats {output.stats:q}"

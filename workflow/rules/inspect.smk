@@ -21,5 +21,5 @@ rule inspect:
         folder=frame_folder,
         flags=flags("inspect"),
     shell:
-        "python -m stages.inspect.check --frames {params.folder} --output {output.sequence}"
-        " --figure {output.figure} {params.flags} --log {log} --stats {output.stats}"
+        "python -m stages.inspect.check --frames {params.folder:q} --output {output.sequence:q}"
+        " --figure {output.figure:q} {params.flags} --log {log:q} --stats {output.stats:q}"

@@ -19,6 +19,6 @@ rule scene:
         code=code_digest("stages.scene.decide"),
         flags=flags("scene"),
     shell:
-        "python -m stages.scene.decide --sequence {input.sequence} --flow {input.flow} --masks {input.masks}"
-        " --poses {input.poses} --depth {input.depth} --output {output.scene} --figure {output.figure}"
-        " {params.flags} --log {log} --stats {output.stats}"
+        "python -m stages.scene.decide --sequence {input.sequence:q} --flow {input.flow:q} --masks {input.masks:q}"
+        " --poses {input.poses:q} --depth {input.depth:q} --output {output.scene:q} --figure {output.figure:q}"
+        " {params.flags} --log {log:q} --stats {output.stats:q}"

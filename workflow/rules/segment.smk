@@ -18,5 +18,5 @@ rule segment:
         code=code_digest("stages.segment.refine"),
         flags=flags("segment"),
     shell:
-        "python -m stages.segment.refine --sequence {input.sequence} --flow {input.flow} --prior {input.prior}"
-        " --output {output.masks} --figure {output.figure} {params.flags} --log {log} --stats {output.stats}"
+        "python -m stages.segment.refine --sequence {input.sequence:q} --flow {input.flow:q} --prior {input.prior:q}"
+        " --output {output.masks:q} --figure {output.figure:q} {params.flags} --log {log:q} --stats {output.stats:q}"

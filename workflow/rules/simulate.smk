@@ -14,4 +14,4 @@ rule simulate:
         code=code_digest("stages.simulate.render"),
         flags=flags("simulate"),
     shell:
-        "python -m stages.simulate.render --scene {input.scene} --output simulated {params.flags} --log {log}"
+        "python -m stages.simulate.render --scene {input.scene:q} --output simulated {params.flags} --log {log:q}"
