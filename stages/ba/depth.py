@@ -4,7 +4,6 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from scipy import ndimage
 
 from stages.ba import dba
 from stages.ba.dba import State
@@ -57,10 +56,14 @@ def fill(inverse_depth: np.ndarray, missing: np.ndarray, dynamic: np.ndarray) ->
     """
     if missing.all():
         return np.ones_like(inverse_depth)
-    nearest = ndimage.distance_transform_edt(missing, return_distances=False, return_indices=True)
-    filled = inverse_depth[tuple(nearest)]
-    regions, count = ndimage.label(dynamic)
-    for label in range(1, count + 1):
+    _, nearest = cv2.distanceTransformWithLabels(
+        missing.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5, labelType=cv2.DIST_LABEL_PIXEL
+    )
+    measured = np.empty(nearest.max() + 1)
+    measured[nearest[~missing]] = inverse_depth[~missing]
+    filled = measured[nearest]
+    count, regions = cv2.connectedComponents(dynamic.astype(np.uint8), connectivity=4)
+    for label in range(1, count):
         region = regions == label
         filled[region] = contact_inverse_depth(region, inverse_depth, ~missing)
     return np.asarray(filled)
@@ -79,7 +82,8 @@ def contact_inverse_depth(region: np.ndarray, inverse_depth: np.ndarray, measure
     contact = inverse_depth[below & measured]
     if contact.size:
         return float(np.median(contact))
-    around = inverse_depth[ndimage.binary_dilation(region, iterations=2) & measured]
+    cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
+    around = inverse_depth[(cv2.dilate(region.astype(np.uint8), cross, iterations=2) > 0) & measured]
     return float(np.percentile(around if around.size else inverse_depth[measured], 80))
 
 

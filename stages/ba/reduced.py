@@ -1,7 +1,6 @@
 """The reduced pose system: what is left of bundle adjustment after the inverse depths are eliminated."""
 
 import numpy as np
-import scipy.linalg
 
 from stages.ba.graph import FlowGraph
 from stages.shared import lie
@@ -50,15 +49,16 @@ def assemble(
 
 
 def solve_damped(S: np.ndarray, rhs: np.ndarray, free: np.ndarray, damping: float) -> np.ndarray:
-    """Step of the free unknowns (indices) by Cholesky with Levenberg-Marquardt damping; zero for the others.
+    """Step of the free unknowns (indices) with Levenberg-Marquardt damping; zero for the others.
 
     Raises:
         numpy.linalg.LinAlgError: if the damped system is not positive definite.
     """
     A = S[np.ix_(free, free)]
     A = A + np.diag(damping * np.diag(A) + 1e-9 * np.trace(A) / len(A) + 1e-300)
+    np.linalg.cholesky(A)  # to refuse what is not positive definite
     step = np.zeros(len(rhs))
-    step[free] = scipy.linalg.cho_solve(scipy.linalg.cho_factor(A), rhs[free])
+    step[free] = np.linalg.solve(A, rhs[free])
     return step
 
 
