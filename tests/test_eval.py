@@ -1,16 +1,18 @@
 """The evaluation of a run with known errors: what each table must say."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import finished_run as run
 import numpy as np
 import pytest
 
-from stages.eval import overview, score_models, score_poses
+from stages.eval import overview, score_geometry, score_masks, score_models, score_poses
 from stages.eval.tables import read_rows
 from stages.shared import lie
-from stages.shared.artifacts import write_model
-from stages.shared.cameras import Cameras, make_cameras
+from stages.shared.artifacts import read_dense, write_model
+from stages.shared.cameras import Cameras, make_cameras, read_cameras, write_cameras
+from stages.shared.sequences import read_sequence
 
 
 def _candidate(cameras: Cameras | None, failure: str | None = None) -> score_poses.Candidate:
@@ -101,6 +103,19 @@ def test_checks_say_how_well_motion_is_fitted_and_what_the_model_takes(scored: P
     assert (values["model file"], values["model file, half precision"]) == (full / 1e6, half / 1e6)
     computed = values["computed: model file with a motion per Gaussian and frame"]
     assert 1e6 * computed == pytest.approx(full - 5 * 100 * 7 * 4 + 50 * run.T * 7 * 4)
+
+
+def test_a_frame_without_matches_has_a_pose_in_no_table(scored: Path, tmp_path: Path) -> None:
+    status = np.full(run.T, "estimated", object)
+    status[2] = "unobserved"
+    cameras = replace(read_cameras(scored / "ba/poses.parquet"), status=status)
+    write_cameras(tmp_path / "poses.parquet", cameras)
+    (candidate,) = score_poses.own_candidates([tmp_path / "poses.parquet"], [(1.0, 1.0)])
+    sequence, flow = read_sequence(scored / "sequence.json"), read_dense(scored / "flow/pairs.arrow")
+    depth, masks = read_dense(scored / "ba/depth.arrow"), score_masks.read_masks(scored / "masks")
+    checks = score_geometry.score_geometry(sequence, flow, cameras, depth, run.STRIDE, masks)
+    assert candidate.cameras is not None
+    assert len(candidate.cameras.numbers) == _row(checks, quantity="frames with a pose")["value"] == run.T - 1
 
 
 def test_a_stuck_fit_is_a_problem_and_a_still_scene_has_none(scored: Path, tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ import numpy as np
 
 from stages.eval import truthfree
 from stages.eval.flow_error import flow_rows, has_some_true_flow
+from stages.eval.score_poses import has_pose
 from stages.shared import sintel
 from stages.shared.cameras import Cameras
 from stages.shared.sequences import Sequence
@@ -38,7 +39,8 @@ def score_geometry(
     static = static_pixels(sequence, masks, uv) & (depth["filled"] == 0) & (depth["inverse_depth"] > 0)
     residuals = edge_residuals(sequence, flow, cameras, depth["inverse_depth"], uv, static)
     rows = _residual_rows(residuals)
-    rows.append(check_row("frames with a pose", *_registered(cameras), "frames", "status of ba/poses.parquet"))
+    posed = has_pose(cameras)
+    rows.append(check_row("frames with a pose", posed.sum(), len(posed), "frames", "status of ba/poses.parquet"))
     if has_some_true_flow(sequence):
         rows += flow_rows(sequence, flow)
     if sequence.has_truth("depth"):
@@ -49,11 +51,6 @@ def score_geometry(
 def check_row(quantity: str, value: float, n: int, unit: str, protocol: str) -> dict[str, Any]:
     """A row of the check table but for its sequence: `n` is how many values went in."""
     return {"quantity": quantity, "value": float(value), "n": n, "unit": unit, "protocol": protocol}
-
-
-def _registered(cameras: Cameras) -> tuple[int, int]:
-    good = [not str(status).startswith("failed") for status in cameras.status]
-    return sum(good), len(good)
 
 
 def static_pixels(sequence: Sequence, masks: Mapping[int, np.ndarray], uv: np.ndarray) -> np.ndarray:

@@ -42,7 +42,7 @@ def own_candidates(tables: Sequence[Path], seconds: Sequence[tuple[float, float]
     candidates = []
     for k, (path, spent) in enumerate(zip(tables, seconds, strict=True), start=1):
         cameras = read_cameras(path)
-        good = ~np.isin(cameras.status.astype(str), WITHOUT_POSE)
+        good = has_pose(cameras)
         method = "ours" if k == len(tables) else f"ours, round {k}"
         protocol = f"no intrinsics given, after round {k} of {len(tables)}"
         if read_metadata(path).get("options", {}).get("intrinsics") == "truth":
@@ -51,6 +51,11 @@ def own_candidates(tables: Sequence[Path], seconds: Sequence[tuple[float, float]
         failure = None if good.any() else str(cameras.status[0])
         candidates.append(Candidate(method, protocol, len(good), registered, failure, *spent))
     return candidates
+
+
+def has_pose(cameras: Cameras) -> np.ndarray:
+    """Which frames [T] have an estimated pose, by their status."""
+    return ~np.isin(cameras.status.astype(str), WITHOUT_POSE)
 
 
 def colmap_candidates(*tables: Path) -> list[Candidate]:
