@@ -124,10 +124,11 @@ def _setting(
 
 
 def _refuse_data(option: str, where: str) -> None:
-    """A setting changes how a sequence is processed, never which sequences there are."""
+    """A setting changes how we process a sequence: neither which sequences there are, nor the baseline beside them."""
     section, _, _ = option.partition(".")
-    if section not in (*UPSTREAM, *SHARED_KEYS, "rounds", "preset"):
-        expected = f"an option of {', '.join(UPSTREAM)}, or one of {', '.join(SHARED_KEYS)}, rounds"
+    ours = [stage for stage in UPSTREAM if stage != "colmap"]
+    if section not in (*ours, *SHARED_KEYS, "rounds", "preset"):
+        expected = f"an option of {', '.join(ours)}, or one of {', '.join(SHARED_KEYS)}, rounds"
         raise InputError(where, expected, f"'{option}'", "write it as section.option")
 
 

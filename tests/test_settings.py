@@ -110,6 +110,7 @@ def test_a_preset_in_the_sweep_keeps_the_users_own_values() -> None:
         ({"knobs": {"flow.finest_scal": [1]}}, "did you mean 'finest_scale'"),
         ({"knobs": {"flow.finest_scale": [9]}}, "flow.finest_scale.*less than or equal to 3"),
         ({"knobs": {"scenes": [["demo"]]}}, "expected an option of inspect, .* found 'scenes'"),
+        ({"knobs": {"colmap.window": [5]}}, "expected an option of inspect, .* found 'colmap.window'"),
         ({"runs": {"g": {"n": {"steps": 3}}}}, "setting 'n' of 'g'.*write it as section.option"),
         ({"runs": {"g": {"a b": {"seed": 1}, "a_b": {"seed": 2}}}}, "names that differ"),
         ({"presets": ["quick"]}, "'fast', 'balanced' or 'accurate'"),
