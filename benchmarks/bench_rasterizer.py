@@ -13,7 +13,7 @@ from torch import Tensor
 
 from benchmarks import torch_rasterizer
 from benchmarks.timing import alternated
-from stages.gaussians import raster_adjoint, raster_kernels
+from stages.gaussians import raster_adjoint, raster_bins, raster_kernels
 from stages.gaussians.rasterize import drawing_order
 from stages.gaussians.ssim import Target, ssim, ssim_torch
 
@@ -47,24 +47,24 @@ def kernels(splats: dict[str, Tensor], g_image: np.ndarray, g_alpha: np.ndarray)
     height, width = g_alpha.shape
     arrays = [splats[name].numpy() for name in ("centres", "factors", "opacities", "colours", "depths")]
     order = drawing_order(arrays[-1])
-    rows = raster_kernels.gather(order, *arrays, height)
-    starts, ranks = raster_kernels.bin_tiles(rows, width, height)
+    rows = raster_bins.gather(order, *arrays, height)
+    starts, entries, slots = raster_bins.bin_tiles(rows, width, height)
     image, transmittance = np.empty((height, width, 4), np.float32), np.empty((height, width), np.float32)
-    raster_kernels.composite(rows, starts, ranks, np.zeros(3, np.float32), image, transmittance)
-    per_tile = raster_adjoint.composite_adjoint(rows, starts, ranks, image, transmittance, g_image, g_alpha)
-    return raster_adjoint.scatter(order, starts, ranks, per_tile, len(arrays[-1]))
+    raster_kernels.composite(rows, starts, entries, np.zeros(3, np.float32), image, transmittance)
+    sums = raster_adjoint.composite_adjoint(rows, starts, entries, image, transmittance, g_image, g_alpha)
+    return raster_adjoint.splat_gradients(order, rows, slots, sums, len(arrays[-1]))
 
 
 @njit(cache=True)
 def contributing_pairs(splats: np.ndarray, starts: np.ndarray, ranks: np.ndarray, width: int, height: int) -> int:
     """(Pixel, Gaussian) pairs above both thresholds: the work that no implementation can avoid."""
-    columns = (width + raster_kernels.TILE - 1) // raster_kernels.TILE
+    columns = (width + raster_bins.TILE - 1) // raster_bins.TILE
     pairs = 0
     for v in range(height):
         for u in range(width):
-            tile = v // raster_kernels.TILE * columns + u // raster_kernels.TILE
+            tile = v // raster_bins.TILE * columns + u // raster_bins.TILE
             T = 1.0
-            for k in range(starts[tile * raster_kernels.CHUNKS], starts[(tile + 1) * raster_kernels.CHUNKS]):
+            for k in range(starts[tile], starts[tile + 1]):
                 splat = splats[ranks[k]]
                 dx, dy = splat[0] - u, splat[1] - v
                 q, r = splat[2] * dx + splat[3] * dy, splat[4] * dy
@@ -110,8 +110,9 @@ def bench_rasterizer(N: int, width: int, height: int, rounds: int, flops: float)
     tiles = -(-width // 16) * -(-height // 16)
     weights = torch.tensor(random.normal(size=(tiles, 256, 5)), dtype=torch.float32)
     arrays = [splats[name].numpy() for name in ("centres", "factors", "opacities", "colours", "depths")]
-    rows = raster_kernels.gather(drawing_order(arrays[-1]), *arrays, height)
-    pairs = contributing_pairs(rows, *raster_kernels.bin_tiles(rows, width, height), width, height)
+    rows = raster_bins.gather(drawing_order(arrays[-1]), *arrays, height)
+    bins = raster_bins.bin_tiles(rows, width, height)
+    pairs = contributing_pairs(rows, bins.starts, bins.entries[:, raster_bins.RANK].copy(), width, height)
     works = {
         "numba": lambda: kernels(splats, g_image, g_alpha),
         "torch": lambda: torch_rasterizer.forward_and_backward(splats, weights, width, height),

@@ -17,7 +17,7 @@ import torch
 
 from stages.control import arap, lbs_kernels
 from stages.control.deformation import TableDeformation
-from stages.gaussians import projection_kernels, raster_adjoint, raster_kernels, ssim_kernels
+from stages.gaussians import projection_kernels, raster_adjoint, raster_bins, raster_kernels, ssim_kernels
 from stages.gaussians.colours import ColourTable
 from stages.gaussians.model import Cloud, GaussianScene
 from stages.gaussians.observations import Observations
@@ -30,8 +30,8 @@ STEPS, WARM_UP = 30, 3
 N_LARGE = 200_000
 GOAL_MS = 60.0
 PARTS = {
-    "rasterise": [(raster_kernels, "gather"), (raster_kernels, "bin_tiles"), (raster_kernels, "composite")],
-    "rasterise, backward": [(raster_adjoint, "composite_adjoint"), (raster_adjoint, "scatter")],
+    "rasterise": [(raster_bins, "gather"), (raster_bins, "bin_tiles"), (raster_kernels, "composite")],
+    "rasterise, backward": [(raster_adjoint, "composite_adjoint"), (raster_adjoint, "splat_gradients")],
     "project": [(projection_kernels, "project")],
     "project, backward": [(projection_kernels, "project_adjoint")],
     "skin": [(lbs_kernels, name) for name in ("softmax_weights", "softmax_weights_adjoint", "blend", "blend_adjoint")],

@@ -6,8 +6,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from stages.gaussians import raster_kernels
-from stages.gaussians.raster_kernels import CHUNKS, TILE
+from stages.gaussians import raster_bins
+from stages.gaussians.raster_bins import RANK, TILE
 from stages.gaussians.rasterize import drawing_order
 
 BATCH_PAIRS = 2_000_000
@@ -19,10 +19,9 @@ def tile_lists(splats: dict[str, Tensor], width: int, height: int) -> list[np.nd
     arrays = {name: value.detach().numpy() for name, value in splats.items()}
     order = drawing_order(arrays["depths"])
     names = ("centres", "factors", "opacities", "colours", "depths")
-    rows = raster_kernels.gather(order, *(arrays[name] for name in names), height)
-    starts, ranks = raster_kernels.bin_tiles(rows, width, height)
-    bounds = starts[::CHUNKS]
-    return [order[ranks[a:b]] for a, b in itertools.pairwise(bounds)]
+    rows = raster_bins.gather(order, *(arrays[name] for name in names), height)
+    bins = raster_bins.bin_tiles(rows, width, height)
+    return [order[bins.entries[a:b, RANK]] for a, b in itertools.pairwise(bins.starts)]
 
 
 def batches(lists: list[np.ndarray]) -> list[np.ndarray]:

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from stages.gaussians import projection_kernels, raster_adjoint, raster_kernels, sh
+from stages.gaussians import projection_kernels, raster_adjoint, raster_bins, raster_kernels, sh
 from stages.shared.errors import InputError
 
 
@@ -162,20 +162,21 @@ class _Composite(torch.autograd.Function):
                 background: Tensor, width: int, height: int) -> tuple[Tensor, Tensor]:  # fmt: skip
         order = drawing_order(_float32(depths))
         arrays = [_float32(tensor) for tensor in (centres[0], factors, opacities, colours, depths)]
-        splats = raster_kernels.gather(order, *arrays, height)
-        starts, ranks = raster_kernels.bin_tiles(splats, width, height)
+        splats = raster_bins.gather(order, *arrays, height)
+        bins = raster_bins.bin_tiles(splats, width, height)
         image, transmittance = np.empty((height, width, 4), np.float32), np.empty((height, width), np.float32)
-        raster_kernels.composite(splats, starts, ranks, _float32(background), image, transmittance)
-        ctx.saved = (order, splats, starts, ranks, image, transmittance)
+        raster_kernels.composite(splats, bins.starts, bins.entries, _float32(background), image, transmittance)
+        ctx.saved = (order, splats, bins, image, transmittance)
         ctx.N = len(depths)
         return torch.from_numpy(image), torch.from_numpy(1 - transmittance)
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
-        order, splats, starts, ranks, image, transmittance = ctx.saved
+        order, splats, bins, image, transmittance = ctx.saved
         g_image, g_alpha = map(_float32, gradients)
-        per_tile = raster_adjoint.composite_adjoint(splats, starts, ranks, image, transmittance, g_image, g_alpha)
-        g = torch.from_numpy(raster_adjoint.scatter(order, starts, ranks, per_tile, ctx.N))
+        images = (image, transmittance, g_image, g_alpha)
+        sums = raster_adjoint.composite_adjoint(splats, bins.starts, bins.entries, *images)
+        g = torch.from_numpy(raster_adjoint.splat_gradients(order, splats, bins.slots, sums, ctx.N))
         g_background = None
         if ctx.needs_input_grad[5]:
             g_background = torch.from_numpy(np.einsum("hwc,hw->c", g_image[..., :3], transmittance))

@@ -1,0 +1,162 @@
+"""Sixteen float32 lanes as one value inside numba kernels, like the vector types of C compilers.
+
+LLVM's own vectoriser works on one short loop at a time: it adds up the lanes of every accumulator at the end of each
+row of pixels. Values of these types stay in vector registers for as long as the kernel wants; where registers are
+narrower than 16 floats (AVX2, NEON), LLVM splits them. Arithmetic is `fastmath`, like that of the kernels.
+"""
+
+import operator
+from collections.abc import Callable
+from typing import Any
+
+from llvmlite import ir
+from numba.core import cgutils, types
+from numba.extending import intrinsic, lower_builtin, models, register_model, type_callable
+
+LANES = 16
+FLOAT = ir.FloatType()
+FLOATS, BOOLS = ir.VectorType(FLOAT, LANES), ir.VectorType(ir.IntType(1), LANES)
+ARITHMETIC = {operator.add: "fadd", operator.sub: "fsub", operator.mul: "fmul", operator.truediv: "fdiv"}
+COMPARISONS = {operator.lt: "<", operator.le: "<=", operator.gt: ">", operator.ge: ">="}
+
+
+class Floats(types.Type):
+    """LANES float32."""
+
+
+class Bools(types.Type):
+    """LANES truth values, as the comparison of `Floats` gives them."""
+
+
+@register_model(Floats)
+class _FloatsModel(models.PrimitiveModel):  # type: ignore[misc]
+    def __init__(self, manager: Any, kind: types.Type) -> None:
+        super().__init__(manager, kind, FLOATS)
+
+
+@register_model(Bools)
+class _BoolsModel(models.PrimitiveModel):  # type: ignore[misc]
+    def __init__(self, manager: Any, kind: types.Type) -> None:
+        super().__init__(manager, kind, BOOLS)
+
+
+floats, bools = Floats("floats"), Bools("bools")
+
+
+def _shuffle(builder: Any, a: Any, b: Any, lanes: list[int]) -> Any:
+    """The named lanes of a, then (from LANES on) of b."""
+    return builder.shuffle_vector(a, b, ir.Constant(ir.VectorType(ir.IntType(32), LANES), lanes))
+
+
+def _spread(builder: Any, value: Any) -> Any:
+    """A scalar in every lane; lanes as they are."""
+    if isinstance(value.type, ir.VectorType):
+        return value
+    single = value if value.type == FLOAT else builder.fptrunc(value, FLOAT)
+    first = builder.insert_element(ir.Constant(FLOATS, ir.Undefined), single, ir.Constant(ir.IntType(32), 0))
+    return _shuffle(builder, first, first, [0] * LANES)
+
+
+def _define(function: Callable[..., Any], result: types.Type, emit: Callable[..., Any]) -> None:
+    """Let a binary operator act on lanes, and on lanes and a scalar."""
+
+    @type_callable(function)
+    def typing(_context: Any) -> Callable[..., Any]:
+        return lambda a, b: result if isinstance(a, (Floats, Bools)) or isinstance(b, (Floats, Bools)) else None
+
+    def lower(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
+        return emit(builder, *(_spread(builder, value) for value in arguments))
+
+    for pair in ((Floats, Floats), (Floats, types.Float), (types.Float, Floats), (Bools, Bools)):
+        lower_builtin(function, *pair)(lower)
+
+
+for _function, _name in ARITHMETIC.items():
+    _define(_function, floats, lambda builder, a, b, name=_name: getattr(builder, name)(a, b, flags=("fast",)))
+for _function, _name in COMPARISONS.items():
+    _define(_function, bools, lambda builder, a, b, name=_name: builder.fcmp_ordered(name, a, b))
+_define(operator.and_, bools, lambda builder, a, b: builder.and_(a, b))
+
+
+@intrinsic
+def where(_context: Any, mask: Any, a: Any, b: Any) -> Any:
+    """Lanes of a where the mask holds, else of b; both may be scalars."""
+
+    def emit(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
+        return builder.select(arguments[0], _spread(builder, arguments[1]), _spread(builder, arguments[2]))
+
+    return floats(mask, a, b), emit
+
+
+@intrinsic
+def load(_context: Any, array: Any, start: Any) -> Any:
+    """LANES consecutive entries of a contiguous float32 array, from `start` on in memory.
+
+    Rather than of a row of it: every view of an array made in a loop may cost two locked counts of its references.
+    """
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.load(_address(context, builder, signature, arguments), align=4)
+
+    return floats(array, start), emit
+
+
+@intrinsic
+def store(_context: Any, array: Any, start: Any, value: Any) -> Any:
+    """Set LANES consecutive entries of a contiguous float32 array, from `start` on in memory."""
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        builder.store(arguments[2], _address(context, builder, signature, arguments), align=4)
+        return context.get_dummy_value()
+
+    return types.void(array, start, value), emit
+
+
+def _address(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
+    return builder.bitcast(builder.gep(data, [arguments[1]]), FLOATS.as_pointer())
+
+
+@intrinsic
+def largest(_context: Any, value: Any) -> Any:
+    """The largest of all lanes, a float32."""
+
+    def emit(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
+        name = f"llvm.vector.reduce.fmax.v{LANES}f32"
+        reduce = cgutils.get_or_insert_function(builder.module, ir.FunctionType(FLOAT, [FLOATS]), name)
+        return builder.call(reduce, arguments, fastmath=("fast",))
+
+    return types.float32(value), emit
+
+
+@intrinsic
+def totals(_context: Any, values: Any) -> Any:
+    """The sum of all lanes of each of up to LANES values, in one value: lane k holds that of values[k].
+
+    A tree of shuffles that halves the number of values at each level: a third of the work of one sum after the other.
+    """
+
+    def emit(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
+        level, group = cgutils.unpack_tuple(builder, arguments[0]), LANES
+        while group > 1:
+            low = [s + k + side * LANES for s in range(0, LANES, group) for side in (0, 1) for k in range(group // 2)]
+            high = [lane + group // 2 for lane in low]
+            level += [ir.Constant(FLOATS, None)] * (len(level) % 2)
+            pairs = zip(level[::2], level[1::2], strict=True)
+            halves = ((_shuffle(builder, a, b, low), _shuffle(builder, a, b, high)) for a, b in pairs)
+            level, group = [builder.fadd(a, b, flags=("fast",)) for a, b in halves], group // 2
+        bits = LANES.bit_length() - 1
+        order = [int(f"{lane:0{bits}b}"[::-1], 2) for lane in range(LANES)]
+        return _shuffle(builder, level[0], level[0], order)
+
+    return floats(values), emit
+
+
+@intrinsic
+def trailing_zeros(_context: Any, value: Any) -> Any:
+    """Position of the lowest bit that is set in a positive integer."""
+
+    def emit(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
+        return builder.cttz(arguments[0], ir.Constant(ir.IntType(1), 1))
+
+    return value(value), emit

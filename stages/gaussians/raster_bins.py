@@ -1,0 +1,180 @@
+"""Numba kernels that list for every tile which splats reach which of its blocks, front to back.
+
+A splat is a row of floats: centre (px), factor, opacity, colour, depth. The factor (f0, f1, f2) is the Cholesky
+factor of half the inverse 2-D covariance, so that the exponent is a sum of squares: with (dx, dy) = centre - pixel,
+s = (f0 dx + f1 dy)^2 + (f2 dy)^2 and alpha = opacity exp(-s). The usual A dx^2 + 2 B dx dy + C dy^2 cancels for
+needle-shaped splats; this form cannot, at the same cost.
+
+Blocks are the unit of work: 4 x 4 pixels fill one vector, and small splats leave a third of the lanes idle, where rows
+of 16 pixels would leave more than half.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit, prange
+
+BLOCK = 4
+"""Side of a block in pixels: its 16 pixels are the lanes of one vector."""
+BLOCKS = 4
+"""Blocks along the side of a tile: its 16 blocks are the bits of an entry's mask."""
+TILE = BLOCK * BLOCKS
+CHUNKS = 8
+"""Splats are binned in this many parts: fixed, so the lists do not depend on the thread count."""
+SPLAT = 10
+"""Columns of a splat that carry gradients: x, y, f0, f1, f2, opacity, red, green, blue, depth."""
+LIMIT, TOP, BOTTOM, WIDTH = 10, 11, 12, 16
+"""Further columns: the exponent at which alpha is MIN_ALPHA, first and last pixel row within reach; then padding."""
+MIN_ALPHA = 1 / 255
+"""Smaller contributions are dropped, as in 3DGS and gsplat."""
+MARGIN = np.float32(1e-3)
+"""Added to the exponent's limit where blocks are chosen, against rounding; the pixels themselves keep to the limit."""
+RANK, MASK, SLOT = 0, 1, 2
+"""Columns of an entry: the splat's rank in drawing order, which blocks of the tile it reaches, its row of gradients."""
+
+FAST = {"cache": True, "fastmath": True, "error_model": "numpy"}
+ONE, ZERO = np.float32(1), np.float32(0)
+
+
+class Bins(NamedTuple):
+    """What is drawn where.
+
+    Attributes:
+        starts: [tiles + 1] where each tile's entries begin. entries: [n, 3] int32, see RANK, MASK and SLOT.
+        slots: [V + 1] where the gradients of each splat's entries begin: a permutation of the entries by splat.
+    """
+
+    starts: np.ndarray
+    entries: np.ndarray
+    slots: np.ndarray
+
+
+@njit(parallel=True, **FAST)
+def gather(order: np.ndarray, centres: np.ndarray, factors: np.ndarray, opacities: np.ndarray, colours: np.ndarray,
+           depths: np.ndarray, height: int) -> np.ndarray:  # fmt: skip
+    """Splats [V, WIDTH] in the order [V] of drawing."""
+    splats = np.zeros((len(order), WIDTH), np.float32)
+    for rank in prange(len(order)):
+        i = order[rank]
+        splats[rank, 0], splats[rank, 1] = centres[i, 0], centres[i, 1]
+        splats[rank, 2], splats[rank, 3], splats[rank, 4] = factors[i, 0], factors[i, 1], factors[i, 2]
+        splats[rank, 5] = opacities[i]
+        splats[rank, 6], splats[rank, 7], splats[rank, 8] = colours[i, 0], colours[i, 1], colours[i, 2]
+        splats[rank, 9] = depths[i]
+        _set_reach(splats[rank], height)
+    return splats
+
+
+@njit(inline="always", **FAST)
+def _set_reach(splat: np.ndarray, height: int) -> None:
+    """Fill the columns LIMIT, TOP and BOTTOM (TOP > BOTTOM if no pixel row is reached)."""
+    limit = math.log(max(splat[5], 1e-12) / MIN_ALPHA)
+    reach = math.sqrt(max(limit + float(MARGIN), 0.0)) / splat[4]
+    splat[LIMIT] = limit
+    splat[TOP] = max(math.ceil(splat[1] - reach), 0.0)
+    splat[BOTTOM] = min(math.floor(splat[1] + reach), height - 1.0) if limit > 0 else -1.0
+
+
+def bin_tiles(splats: np.ndarray, width: int, height: int) -> Bins:
+    """List the splats [V, WIDTH] of every tile, front to back; tiles row by row over the image."""
+    return Bins(*_bin(splats, width, height))
+
+
+@njit(parallel=True, **FAST)
+def _bin(splats: np.ndarray, width: int, height: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A counting sort by tile over CHUNKS runs of ranks, whose pairs of tile and mask are found first."""
+    V, tiles = len(splats), ((width + TILE - 1) // TILE) * ((height + TILE - 1) // TILE)
+    room, used = np.zeros(CHUNKS + 1, np.int64), np.zeros(CHUNKS + 1, np.int64)
+    for chunk in prange(CHUNKS):
+        room[chunk + 1] = _room(splats[chunk * V // CHUNKS : (chunk + 1) * V // CHUNKS], width)
+    room = np.cumsum(room)
+    pairs = np.empty((room[-1], 2), np.int32)  # too long by far where needles lie askew, but then never touched
+    counts, slots = np.zeros((CHUNKS, tiles), np.int64), np.zeros(V + 1, np.int64)
+    for chunk in prange(CHUNKS):
+        used[chunk + 1] = _visit(splats, chunk, width, pairs[room[chunk] : room[chunk + 1]], counts[chunk], slots)
+    used = np.cumsum(used)
+    starts = np.zeros(tiles * CHUNKS + 1, np.int64)
+    starts[1:] = np.cumsum(counts.T.copy().ravel())
+    entries = np.empty((used[-1], 3), np.int32)
+    cursors = starts[:-1].reshape(-1, CHUNKS).T.copy()
+    for chunk in prange(CHUNKS):
+        n, ahead = used[chunk], room[chunk] - used[chunk]
+        for rank in range(chunk * V // CHUNKS, (chunk + 1) * V // CHUNKS):
+            for _ in range(slots[rank + 1]):
+                tile, mask = pairs[n + ahead, 0], pairs[n + ahead, 1]
+                k = cursors[chunk, tile]
+                cursors[chunk, tile] = k + 1
+                entries[k, RANK], entries[k, MASK], entries[k, SLOT] = rank, mask, n
+                n += 1
+    return starts[::CHUNKS].copy(), entries, np.cumsum(slots)
+
+
+@njit(**FAST)
+def _room(splats: np.ndarray, width: int) -> int:
+    """No fewer than the tiles that the splats reach: those of their bounding boxes."""
+    total = 0
+    for rank in range(len(splats)):
+        splat = splats[rank]
+        f0, f1, f2, rows = splat[2], splat[3], splat[4], int(splat[BOTTOM]) // TILE - int(splat[TOP]) // TILE + 1
+        reach = math.sqrt(max(splat[LIMIT] + MARGIN, ZERO) * (f1 * f1 + f2 * f2)) / (f0 * f2)
+        left, right = max(splat[0] - reach, ZERO), min(splat[0] + reach, np.float32(width - 1))
+        if rows > 0 and left <= right:
+            total += rows * (int(right) // TILE - int(left) // TILE + 2)
+    return total
+
+
+@njit(**FAST)
+def _visit(splats: np.ndarray, chunk: int, width: int, pairs: np.ndarray, counts: np.ndarray,
+           slots: np.ndarray) -> int:  # fmt: skip
+    """Write the tile and the mask of all tiles that a chunk's splats reach; count them by tile and by splat."""
+    columns, V, n = (width + TILE - 1) // TILE, len(splats), 0
+    strips = np.empty((BLOCKS, 2), np.int64)
+    for rank in range(chunk * V // CHUNKS, (chunk + 1) * V // CHUNKS):
+        before = n
+        for row in range(int(splats[rank, TOP]) // TILE, int(splats[rank, BOTTOM]) // TILE + 1):
+            first, last = _strip_ranges(splats[rank], row * TILE, width, strips)
+            for column in range(first // BLOCKS, last // BLOCKS + 1):
+                mask = _mask(strips, column * BLOCKS)
+                if mask:
+                    pairs[n, 0], pairs[n, 1] = row * columns + column, mask
+                    counts[row * columns + column] += 1
+                    n += 1
+        slots[rank + 1] = n - before
+    return n
+
+
+@njit(inline="always", **FAST)
+def _strip_ranges(splat: np.ndarray, y0: int, width: int, strips: np.ndarray) -> tuple[int, int]:
+    """First and last block column [BLOCKS, 2] that the ellipse reaches in each strip of blocks below pixel row y0.
+
+    The ellipse is |f0 dx + f1 dy| <= sqrt(limit - (f2 dy)^2); its right edge is concave in dy with the maximum at
+    dy = (f1 / f2) sqrt(limit / (f1^2 + f2^2)) and its left edge is the mirror image. Returns the range over all strips.
+    """
+    f0, f1, f2, limit = splat[2], splat[3], splat[4], splat[LIMIT] + MARGIN
+    summit = f1 / f2 * math.sqrt(limit / (f1 * f1 + f2 * f2))
+    first, last = width, -1
+    for strip in range(BLOCKS):
+        low = splat[1] - min(splat[BOTTOM], np.float32(y0 + BLOCK * strip + BLOCK - 1))
+        high = splat[1] - max(splat[TOP], np.float32(y0 + BLOCK * strip))
+        right_dy, left_dy = min(max(summit, low), high), min(max(-summit, low), high)
+        right = splat[0] + (math.sqrt(max(limit - (f2 * right_dy) ** 2, ZERO)) + f1 * right_dy) / f0
+        left = splat[0] + (f1 * left_dy - math.sqrt(max(limit - (f2 * left_dy) ** 2, ZERO))) / f0
+        u, v = int(max(left, ZERO)), int(min(right, np.float32(width - 1)))  # truncated: ceil and floor are calls
+        a, b = (u + (u < left)) // BLOCK, v // BLOCK
+        if low > high or right < ZERO or u + (u < left) > v:
+            a, b = width, -1
+        strips[strip, 0], strips[strip, 1] = a, b
+        first, last = min(first, a), max(last, b)
+    return first, last
+
+
+@njit(inline="always", **FAST)
+def _mask(strips: np.ndarray, first: int) -> Any:
+    """The bits of the blocks of a tile, strip by strip, whose first block column is `first`."""
+    mask = 0
+    for strip in range(BLOCKS):
+        a, b = max(strips[strip, 0] - first, 0), min(strips[strip, 1] - first, BLOCKS - 1)
+        if a <= b:
+            mask |= ((2 << b) - (1 << a)) << (BLOCKS * strip)
+    return mask
