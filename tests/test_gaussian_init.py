@@ -8,7 +8,7 @@ from gaussian_training import CANONICAL, TRAIN, image_at, new_scene, psnr
 
 from stages.gaussians.initialise import cloud_within, dynamic_share, initial_cloud, lift, near_plane_of
 from stages.gaussians.model import GaussianScene
-from stages.gaussians.observations import dense_depth, with_movers
+from stages.gaussians.observations import dense_depth, nearest_on_frame, with_movers
 from stages.gaussians.skinning import skin, to_canonical
 
 
@@ -90,6 +90,15 @@ def test_depth_of_a_slanted_plane_is_exact_and_edges_follow_the_image() -> None:
     sharp = 1 / dense_depth(coarse_step, image.astype(np.float32), s)
     bilinear = np.interp(u, s * np.arange(width // s) + (s - 1) / 2, step[s // 2 :: s])
     assert np.abs(sharp - step)[inner].mean() < 0.6 * np.abs(bilinear - step)[12:-12].mean()
+
+
+def test_a_grid_whose_stride_is_no_whole_number_does_not_drift() -> None:
+    s, (height, width), (h, w) = 854 / 128, (480, 854), (72, 128)  # flow 512 px wide, every fourth pixel of it
+    coarse = np.broadcast_to(0.2 + 0.002 * (s * np.arange(w) + (s - 1) / 2), (h, w))
+    inverse = 1 / dense_depth(coarse, np.full((height, width, 3), 0.5, np.float32), s)
+    assert np.abs(inverse - (0.2 + 0.002 * np.arange(width)))[12:-12, 12:-12].max() < 1e-4
+    column = nearest_on_frame(np.broadcast_to(np.arange(w), (1, h, w)), s, height, width)[0, 0]
+    assert np.abs(column - (np.arange(width) + 0.5) / s + 0.5).max() <= 0.5 + 1e-9
 
 
 @pytest.mark.parametrize("unit", [1e-4, 1e4])

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from stages.gaussians.observations import Observations, dense_depth
+from stages.gaussians.observations import Observations, dense_depth, nearest_on_frame
 from stages.shared.artifacts import read_dense, read_metadata
 from stages.shared.cameras import Cameras, read_cameras
 from stages.shared.errors import InputError
@@ -22,11 +22,9 @@ def read_observations(sequence: Path, masks: Path, poses: Path, depth: Path, spl
     content, cameras = read_sequence(sequence), read_usable_cameras(poses)
     frames = np.flatnonzero(~held_out(len(content.frames), split)).tolist()
     images = np.stack([read_rgb(content.frames[k]) for k in frames]).astype(np.float32) / 255
-    grid, stride_px = read_dense(depth), int(read_metadata(depth)["stride_px"])
+    grid, stride_px = read_dense(depth), float(read_metadata(depth)["stride_px"])
     dense = [dense_depth(grid["inverse_depth"][k], image, stride_px) for k, image in zip(frames, images, strict=True)]
-    guessed = np.repeat(np.repeat(grid["filled"][frames] > 0, stride_px, axis=1), stride_px, axis=2)
-    missing = [(0, 0), (0, max(0, content.height - guessed.shape[1])), (0, max(0, content.width - guessed.shape[2]))]
-    guessed = np.pad(guessed, missing, mode="edge")[:, : content.height, : content.width]
+    guessed = nearest_on_frame(grid["filled"][frames] > 0, stride_px, content.height, content.width)
     return Observations(
         images,
         np.stack([_read_mask(masks, content, k) for k in frames]),

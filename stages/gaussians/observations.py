@@ -38,7 +38,7 @@ class Observations:
     times: np.ndarray
 
 
-def dense_depth(inverse_depth: np.ndarray, image: np.ndarray, stride_px: int) -> np.ndarray:
+def dense_depth(inverse_depth: np.ndarray, image: np.ndarray, stride_px: float) -> np.ndarray:
     """Full-size z-depth [H, W] from inverse depth [h, w] on the pose stage's grid, with edges where the frame has them.
 
     Grid pixel k lies at frame pixel s k + (s - 1) / 2. Joint bilateral upsampling (Kopf et al. 2007) over the four
@@ -47,12 +47,12 @@ def dense_depth(inverse_depth: np.ndarray, image: np.ndarray, stride_px: int) ->
 
     Args:
         image: [H, W, 3] float32 in 0..1.
+        stride_px: s, no whole number where the flow grid is no whole part of the frame (854 to 512 pixels: 6.67).
     """
     rows, row_weights = _grid_neighbours(image.shape[0], inverse_depth.shape[0], stride_px)
     columns, column_weights = _grid_neighbours(image.shape[1], inverse_depth.shape[1], stride_px)
-    at_row = np.minimum(np.arange(len(inverse_depth)) * stride_px + stride_px // 2, len(image) - 1)
-    at_column = np.minimum(np.arange(inverse_depth.shape[1]) * stride_px + stride_px // 2, image.shape[1] - 1)
-    grid_image = image[np.ix_(at_row, at_column)]
+    centres = (_grid_centres(*sizes, stride_px) for sizes in zip(image.shape[:2], inverse_depth.shape, strict=True))
+    grid_image = image[np.ix_(*centres)]
     total, weight = np.zeros(image.shape[:2]), np.zeros(image.shape[:2])
     for v, v_weight in zip(rows, row_weights, strict=True):
         for u, u_weight in zip(columns, column_weights, strict=True):
@@ -64,7 +64,22 @@ def dense_depth(inverse_depth: np.ndarray, image: np.ndarray, stride_px: int) ->
     return (1 / np.maximum(inverse, np.median(inverse) / FARTHEST)).astype(np.float32)
 
 
-def _grid_neighbours(size: int, grid_size: int, stride_px: int) -> tuple[np.ndarray, np.ndarray]:
+def nearest_on_frame(grid: np.ndarray, stride_px: float, height: int, width: int) -> np.ndarray:
+    """Values [F, h, w] on the pose stage's grid, for every pixel of the frames: [F, height, width]."""
+    rows, columns = (
+        np.minimum((np.arange(size) + 0.5) / stride_px, grid_size - 1).astype(int)
+        for size, grid_size in zip((height, width), grid.shape[1:], strict=True)
+    )
+    return np.asarray(grid[:, rows][:, :, columns])
+
+
+def _grid_centres(size: int, grid_size: int, stride_px: float) -> np.ndarray:
+    """The pixel [grid_size] of `size` that is nearest to the centre of each grid pixel, the later one of two."""
+    at = np.arange(grid_size) * stride_px + (stride_px - 1) / 2
+    return np.minimum((at + 0.5).astype(int), size - 1)
+
+
+def _grid_neighbours(size: int, grid_size: int, stride_px: float) -> tuple[np.ndarray, np.ndarray]:
     """The two grid indices [2, size] around each of `size` pixels, clipped, and their linear weights [2, size]."""
     at = (np.arange(size) - (stride_px - 1) / 2) / stride_px
     low = np.floor(at).astype(int)
