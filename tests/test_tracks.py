@@ -26,7 +26,7 @@ def block_edges(T: int = F, reach: int = 2) -> dict[str, np.ndarray]:
     masks = block_masks(T)
     flow = np.stack([masks[i][..., None] * STEP * (j - i) for i, j in pairs]).astype(np.float16)
     source, target = np.array(pairs).T
-    return {"source": source, "target": target, "flow": flow, "confidence": np.ones(flow.shape[:3], np.float16)}
+    return {"source": source, "target": target, "flow": flow}
 
 
 def training(T: int = F) -> np.ndarray:
@@ -47,10 +47,9 @@ def test_tracks_follow_the_block_over_the_held_out_frame() -> None:
 def test_no_edge_that_touches_a_held_out_frame_is_read() -> None:
     edges = block_edges()
     touched = (edges["source"] == HELD_OUT) | (edges["target"] == HELD_OUT)
-    edges["flow"][touched], edges["confidence"][touched] = np.nan, np.nan
+    edges["flow"][touched] = np.nan
     links = tracks.training_links(**edges, is_training=training())
     assert np.isfinite(links.flow).all()
-    assert np.isfinite(links.confidence).all()
 
 
 def test_a_missing_skip_edge_is_named_and_ends_the_tracks() -> None:
@@ -61,15 +60,16 @@ def test_a_missing_skip_edge_is_named_and_ends_the_tracks() -> None:
     assert not (found.visible[:, before].any(axis=1) & found.visible[:, after].any(axis=1)).any()
 
 
-def test_tracks_end_where_flow_is_not_trusted() -> None:
+@pytest.mark.parametrize(("error_px", "survive"), [(0.7, True), (1.5, False)])
+def test_tracks_end_where_flow_and_flow_back_disagree(error_px: float, survive: bool) -> None:
     edges = block_edges()
-    step = np.isin(edges["source"], (6, 7)) & np.isin(edges["target"], (6, 7))
-    edges["confidence"][step] = 0.0
+    back = (edges["source"] == 7) & (edges["target"] == 6)
+    edges["flow"][back, ..., 1] += error_px
     links = tracks.training_links(**edges, is_training=training())
     found = tracks.track_dynamic_pixels(links, block_masks()[links.frames], stride_px=2)
     started_before = found.visible[:, links.frames == 1].any(axis=1)
     assert started_before.any()
-    assert not found.visible[started_before][:, links.frames >= 7].any()
+    assert found.visible[started_before][:, links.frames >= 7].any() == survive
 
 
 def test_more_tracks_than_opencv_has_rows_are_sampled() -> None:
