@@ -59,8 +59,9 @@ def fit(
     optimiser = torch.optim.Adam(groups, fused=True)
     schedule = torch.optim.lr_scheduler.ExponentialLR(optimiser, 0.05 ** (1 / max(steps, 1)))
     rows_of_frame = [torch.nonzero(seen.frame == f)[:, 0] for f in range(len(seen.times))]
+    sighted = torch.tensor([f for f, rows in enumerate(rows_of_frame) if len(rows)])  # a mover may be seen briefly
     for _ in progress(range(steps), "stage 1"):
-        frames = torch.randperm(len(seen.times), generator=generator)[:FRAMES_PER_STEP]
+        frames = sighted[torch.randperm(len(sighted), generator=generator)[:FRAMES_PER_STEP]]
         rows = torch.cat([rows_of_frame[f] for f in frames])
         rows = rows[torch.randint(len(rows), (OBSERVATIONS_PER_STEP,), generator=generator)]
         loss = _loss(deformation, seen, frames, rows, index, sq_dist, arap_weight)
