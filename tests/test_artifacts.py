@@ -11,6 +11,7 @@ from evo.tools import file_interface
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from safetensors.numpy import save_file
 
 from stages.shared import artifacts, lie, sintel
 from stages.shared.cameras import intrinsics, make_cameras, read_cameras, write_cameras, write_tum
@@ -57,12 +58,21 @@ def test_model_round_trip(tmp_path: Path) -> None:
         ("x.arrow", artifacts.read_dense),
         ("x.safetensors", artifacts.read_model),
         ("x.json", artifacts.read_json),
+        ("x.parquet", artifacts.read_metadata),
+        ("x.arrow", artifacts.read_metadata),
+        ("x.safetensors", artifacts.read_metadata),
     ],
 )
 def test_a_damaged_artifact_is_bad_input(tmp_path: Path, name: str, read: object) -> None:
     (tmp_path / name).write_bytes(b"damaged beyond recognition")
     with pytest.raises(InputError, match=name):
         read(tmp_path / name)  # type: ignore[operator]
+
+
+def test_metadata_of_foreign_origin_is_bad_input(tmp_path: Path) -> None:
+    save_file({"means": np.zeros(3)}, tmp_path / "foreign.safetensors", metadata={"format": "pt"})
+    with pytest.raises(InputError, match="expected metadata in JSON"):
+        artifacts.read_metadata(tmp_path / "foreign.safetensors")
 
 
 def test_a_failed_write_keeps_the_old_file_and_leaves_nothing_else(tmp_path: Path) -> None:

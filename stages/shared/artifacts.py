@@ -76,15 +76,14 @@ def read_dense(path: Path) -> dict[str, np.ndarray]:
 def read_metadata(path: Path) -> dict[str, Any]:
     """The metadata of a table (.parquet), dense file (.arrow) or model (.safetensors)."""
     if path.suffix == ".safetensors":
-        from safetensors import safe_open
-
-        with safe_open(path, framework="numpy") as file:
-            raw = {key.encode(): value.encode() for key, value in (file.metadata() or {}).items()}
+        raw = _checked(path, "a safetensors file", lambda: _model_metadata(path))
     elif path.suffix == ".parquet":
         raw = _checked(path, "a Parquet table", lambda: pq.read_schema(path).metadata)
     else:
         raw = _checked(path, "an Arrow file", lambda: pa.ipc.open_file(pa.memory_map(str(path))).schema.metadata)
-    return {key.decode(): json.loads(value) for key, value in (raw or {}).items() if not key.startswith(b"ARROW")}
+    texts = {key.decode(): value for key, value in (raw or {}).items() if not key.startswith(b"ARROW")}
+    read = _checked(path, "metadata in JSON", lambda: {key: json.loads(value) for key, value in texts.items()})
+    return dict(read)
 
 
 def write_model(path: Path, tensors: Mapping[str, np.ndarray], metadata: Mapping[str, Any] | None = None) -> None:
@@ -101,6 +100,13 @@ def read_model(path: Path) -> dict[str, np.ndarray]:
     from safetensors.numpy import load_file
 
     return dict(_checked(path, "a safetensors file", lambda: load_file(path)))
+
+
+def _model_metadata(path: Path) -> dict[bytes, bytes]:
+    from safetensors import safe_open
+
+    with safe_open(path, framework="numpy") as file:
+        return {key.encode(): value.encode() for key, value in (file.metadata() or {}).items()}
 
 
 def write_json(path: Path, content: Mapping[str, Any]) -> None:

@@ -210,10 +210,13 @@ def _report_failure(stage: str, error: BaseException, log_file: Path | None) -> 
         print(f"{stage}: interrupted; nothing half-written was left", file=sys.stderr)
         return 130
     if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
-        print(f"{stage}: {error.filename}: the disk is full; free some space and run again", file=sys.stderr)
+        where = f"{error.filename}: " if error.filename else ""  # a write to an open file does not know its name
+        print(f"{stage}: {where}the disk is full; free some space and run again", file=sys.stderr)
         return 2
     if isinstance(error, SystemExit):
-        return int(error.code or 0)
+        if isinstance(error.code, str):
+            print(f"{stage}: {error.code}", file=sys.stderr)
+        return error.code if isinstance(error.code, int) else int(error.code is not None)
     if log_file is None:
         traceback.print_exc()
     where = f"the traceback is in {log_file}" if log_file else "traceback above"

@@ -1,0 +1,35 @@
+"""What a stage's command line says, and with which exit code it ends, when it cannot go on."""
+
+import errno
+
+import pytest
+
+from stages.shared import cli
+
+
+def ending(error: BaseException, capsys: pytest.CaptureFixture[str]) -> tuple[object, str]:
+    """Exit code and standard error of a stage that ends in `error`."""
+
+    def main() -> None:
+        raise error
+
+    with pytest.raises(SystemExit) as ended:
+        cli.run(main, [])
+    return ended.value.code, capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("name", "told"), [(None, ": the disk is full"), ("a.png", "a.png: the disk is full")])
+def test_a_full_disk_is_told_with_the_file_where_it_is_known(
+    name: str | None, told: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, said = ending(OSError(errno.ENOSPC, "No space left on device", name), capsys)
+    assert code == 2
+    assert told in said
+    assert "None" not in said
+
+
+@pytest.mark.parametrize(("given", "expected"), [(None, 0), (3, 3), ("no such camera", 1)])
+def test_an_exit_by_code_or_by_text(given: int | str | None, expected: int, capsys: pytest.CaptureFixture[str]) -> None:
+    code, said = ending(SystemExit(given), capsys)
+    assert code == expected
+    assert said.strip().endswith(given if isinstance(given, str) else "")
