@@ -44,6 +44,7 @@ def refuse(folder: Path, options: str, *phrases: str) -> None:
         ("scenes: [dem]", ("'dem'", "did you mean 'demo'?")),
         ("scenes: [own.yaml]", ("own.yaml", "a scene file")),
         ("flwo: {}", ("flwo", "did you mean 'flow'?")),
+        ("flow: {offsets: [2, 4]}", ("flow.offsets", "1 among the frame distances")),
         ("flow: {ofsets: [1]}", ("flow.ofsets", "did you mean 'offsets'?")),
         ("flow: {finest_scale: many}", ("flow.finest_scale", "integer", "'many'")),
         ("flow: {max_width_px: -3}", ("flow.max_width_px", "greater than or equal to 64", "-3")),

@@ -2,7 +2,7 @@
 
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from stages.shared.options import Options
 
@@ -14,7 +14,7 @@ class FlowOptions(Options):
         "dis", description="dis: estimate it; truth: true flow of the sequence, to measure what errors of flow cost"
     )
     offsets: tuple[Annotated[int, Field(ge=1)], ...] = Field(
-        (1, 2, 3, 5), min_length=1, description="frame distances of the edges, both ways"
+        (1, 2, 3, 5), min_length=1, description="frame distances of the edges, both ways; 1 among them"
     )
     long_edges: int = Field(
         2,
@@ -31,6 +31,14 @@ class FlowOptions(Options):
         description="finest pyramid level that is searched: 0 is full size; 1 takes a third of the time"
         " and doubles the error of long edges",
     )
+
+    @field_validator("offsets")
+    @classmethod
+    def _links_neighbours(cls, value: tuple[int, ...]) -> tuple[int, ...]:
+        """Poses are chained, tracks followed and long edges started from frame to frame."""
+        if 1 not in value:
+            raise ValueError("1 among the frame distances")
+        return value
 
 
 class MotionOptions(Options):

@@ -1,33 +1,22 @@
 """Picture of the training for the report: frames, renders and their difference, and the PSNR over the steps."""
 
 import io
-from pathlib import Path
 
 import matplotlib
 import numpy as np
 import torch
-from PIL import Image
 
 from stages.gaussians.observations import Observations
 from stages.gaussians.optimise import Trainer
-from stages.shared.artifacts import atomic
 from stages.shared.figures import contact_sheet, spread
 
 WIDTH_PX = 1200
 GAIN = 4
-COLOURS = 96
-"""Size of the palette: a third of the bytes of full colour."""
 
 
 def to_uint8(image: np.ndarray) -> np.ndarray:
     """[..., 3] float 0..1 (clipped) to uint8."""
     return np.round(np.clip(image, 0, 1) * 255).astype(np.uint8)
-
-
-def write_figure(path: Path, image: np.ndarray) -> None:
-    """Write [H, W, 3] uint8 as a PNG with a palette."""
-    with atomic(path) as partial:
-        Image.fromarray(image).quantize(COLOURS, dither=Image.Dither.NONE).save(partial, "PNG", optimize=True)
 
 
 @torch.no_grad()
@@ -50,9 +39,8 @@ def _curve(trainer: Trainer) -> np.ndarray:
     from matplotlib import pyplot
 
     history = trainer.history
-    round_of = min(
-        len(trainer.targets), len(history.step)
-    )  # the mean over one round of frames: the single values differ by frame
+    # The mean over one round of frames: the single values differ by frame.
+    round_of = min(len(trainer.targets), len(history.step))
     psnr = np.convolve(history.psnr, np.full(round_of, 1 / round_of), mode="valid")
     dpi = 100
     figure, left = pyplot.subplots(figsize=(WIDTH_PX / dpi, 2.6), dpi=dpi, layout="constrained")

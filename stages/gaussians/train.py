@@ -42,11 +42,12 @@ def main(
     Static Gaussians never move. A killed training resumes from the checkpoint beside the model.
     """
     from stages.gaussians.checkpoint import Checkpoint
-    from stages.gaussians.figure import training_figure, write_figure
+    from stages.gaussians.figure import training_figure
     from stages.gaussians.inputs import read_observations
     from stages.gaussians.optimise import Trainer
     from stages.gaussians.ply import write_ply
     from stages.gaussians.storage import scene_tensors
+    from stages.shared.images import write_figure
 
     needs = read_json(scene)
     seen = read_observations(sequence, masks, poses, depth, options)
