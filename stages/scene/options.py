@@ -19,7 +19,9 @@ class SceneOptions(SplitOptions):
     """Which effects the reconstruction models: auto decides from evidence, yes and no overrule it."""
 
     dynamic: Choice = Field("auto", description="moving parts: control points and skinning")
-    rotation_only: Choice = Field("auto", description="a camera that only turns; stated in the report, poses do not follow it")
+    rotation_only: Choice = Field(
+        "auto", description="a camera that only turns; stated in the report, poses do not follow it"
+    )
     exposure: Choice = Field("auto", description="brightness that changes over time: a gain per frame")
     view_dependent: Choice = Field("auto", description="colours that change with the view: spherical harmonics")
     non_rigid: Choice = Field("auto", description="movers that bend: more control points, weaker rigidity")
