@@ -21,21 +21,34 @@ def test_the_adapter_puts_pixel_centres_where_gsplat_has_them(monkeypatch: pytes
                       viewmats: Tensor, Ks: Tensor, width: int, height: int, backgrounds: Tensor,
                       **settings: object) -> tuple[Tensor, Tensor, dict[str, Tensor]]:  # fmt: skip
         assert settings["eps2d"] == projection_kernels.BLUR
+        tensors = (means, quats, scales, opacities, colors, viewmats[0])
+        assert {tensor.dtype for tensor in (*tensors, Ks, backgrounds)} == {torch.float32}  # it reads all as the first
         K = Ks[0].clone()
         K[:2, 2] -= 0.5
-        tensors = (means, quats, scales, opacities, colors, viewmats[0])
         out = reference.render(*tensors, K=K, width=width, height=height, background=backgrounds[0])
         image = torch.cat([out.colour, out.depth[..., None]], dim=-1)
         return image[None], out.alpha[None, ..., None], {"means2d": torch.zeros(1, len(means), 2)}
 
     monkeypatch.setitem(sys.modules, "gsplat", SimpleNamespace(rasterization=rasterization))
     tensors, K = scene(), intrinsics()
-    arguments = (*(tensors[name] for name in NAMES), K, WIDTH, HEIGHT, 0.01, BACKGROUND)
+    single = {name: tensor.float() for name, tensor in tensors.items()} | {"viewmat": tensors["viewmat"]}  # as trained
+    arguments = (*(single[name] for name in NAMES), K, WIDTH, HEIGHT, 0.01, BACKGROUND.float())
     colour, depth, alpha, _ = _render_cuda(*arguments)
     safe = render_reference(tensors).safe
     for found, expected in zip((colour, depth, alpha), render_kernels(tensors), strict=True):
         assert (found - expected)[safe].abs().max() < 4e-5
     assert torch.equal(K, intrinsics())  # the caller's camera stays as it was
+
+
+def test_no_gaussian_never_reaches_gsplat(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its count of batches divides by the number of Gaussians."""
+    monkeypatch.setitem(sys.modules, "gsplat", SimpleNamespace(rasterization=None))
+    none = [torch.zeros(0, *shape) for shape in ((3,), (4,), (3,), (), (3,))]
+    camera = (torch.eye(4).double(), intrinsics(), WIDTH, HEIGHT, 0.01, BACKGROUND.float())
+    colour, depth, alpha, _ = _render_cuda(*none, *camera)
+    assert torch.equal(colour, BACKGROUND.float().expand(HEIGHT, WIDTH, 3))
+    assert not depth.any()
+    assert not alpha.any()
 
 
 def cuda_or_skip() -> torch.device:
@@ -67,6 +80,6 @@ def test_gsplat_has_the_same_image_and_gradients(sh_degree: int) -> None:
     safe = render_reference(scene()).safe
     for found, expected in zip(outputs_cuda, outputs_cpu, strict=True):
         assert (found - expected)[safe].abs().max() < 1e-4
-    for name in ("means", "quats", "scales", "opacities", "colours"):
+    for name in ("means", "quats", "scales", "opacities", "colours", "viewmat"):
         error = (gradients_cuda[name] - gradients_cpu[name]).abs().max() / gradients_cpu[name].abs().max()
         assert error < 1e-3, f"{name}: {error:.1e}"

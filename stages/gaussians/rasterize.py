@@ -66,6 +66,8 @@ def rasterize(
 def choose_device(device: str) -> torch.device:
     """The device of an option "auto", "cpu" or "cuda"; auto takes CUDA if it and gsplat are there.
 
+    Convolutions on CUDA then keep float32: the variances in SSIM are differences of sums that ten bits cannot tell apart.
+
     Raises:
         InputError: if CUDA is asked for and missing.
     """
@@ -75,6 +77,7 @@ def choose_device(device: str) -> torch.device:
     if device == "cuda" and not ready:
         found = "no CUDA device" if not torch.cuda.is_available() else "no gsplat"
         raise InputError("device: cuda", "a CUDA device and the package gsplat", found, "set `device: cpu`")
+    torch.backends.cudnn.allow_tf32 = False
     return torch.device("cuda" if ready and device != "cpu" else "cpu")
 
 
@@ -120,10 +123,14 @@ def _render_cuda(
 ) -> tuple[Tensor, ...]:
     from gsplat import rasterization
 
+    if len(means) == 0:  # gsplat divides by the number of Gaussians
+        empty = means.new_zeros(height, width)
+        return background.expand(height, width, 3), empty, empty, means.new_zeros(1, 0, 2)
     gsplat_K = K.to(means.dtype, copy=True)
     gsplat_K[:2, 2] += 0.5  # gsplat puts pixel centres at half-integers
+    viewmats = viewmat.to(means.dtype)[None]  # it reads all tensors as of the dtype of the means
     image, alpha, info = rasterization(
-        means, quats, scales, opacities, colours, viewmat[None], gsplat_K[None], width, height,
+        means, quats, scales, opacities, colours, viewmats, gsplat_K[None], width, height,
         near_plane=near_plane, backgrounds=background[None],
         render_mode="RGB+D", packed=False, eps2d=projection_kernels.BLUR,
     )  # fmt: skip
