@@ -66,7 +66,7 @@ def rasterize(
 def choose_device(device: str) -> torch.device:
     """The device of an option "auto", "cpu" or "cuda"; auto takes CUDA if it and gsplat are there.
 
-    Convolutions on CUDA then keep float32: the variances in SSIM are differences of sums that ten bits cannot tell apart.
+    Convolutions on CUDA then keep float32: ten bits cannot tell the sums apart whose differences are SSIM's variances.
 
     Raises:
         InputError: if CUDA is asked for and missing.
