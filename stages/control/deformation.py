@@ -50,7 +50,12 @@ class Deformation(torch.nn.Module, abc.ABC):
 
     @abc.abstractmethod
     def raw_motion(self, times: Tensor) -> Tensor:
-        """Motion [B, P, 7] at times [B]: quaternion minus identity, translation in extents."""
+        """What the model is trained on: the motion [B, P, 7] at times [B] in 0..1, zero at rest.
+
+        The first four columns are a quaternion wxyz of any length, less the identity, the last three a translation in
+        units of `extent`: both are of order one, so that one step size of the optimiser suits rotations, translations
+        and scenes of any unit. `forward` turns it into a rotation and scene units.
+        """
 
     def forward(self, times: Tensor) -> tuple[Tensor, Tensor]:
         """Unit quaternions wxyz [B, P, 4] and translations [B, P, 3] in scene units at times [B] in 0..1."""
