@@ -93,14 +93,65 @@ def test_a_failed_write_keeps_the_old_file_and_leaves_nothing_else(tmp_path: Pat
 def test_a_killed_write_leaves_no_final_name(tmp_path: Path) -> None:
     code = (
         "import os, signal, sys; from pathlib import Path; from stages.shared.artifacts import atomic_folder\n"
-        "with atomic_folder(Path(sys.argv[1])) as partial:\n"
+        "with atomic_folder(Path(sys.argv[1]), ['one']) as partial:\n"
         "    (partial / 'one').write_text('1'); os.kill(os.getpid(), signal.SIGKILL)"
     )
     subprocess.run([sys.executable, "-c", code, str(tmp_path / "masks")], cwd=REPO, check=False)
     assert not (tmp_path / "masks").exists()
-    with artifacts.atomic_folder(tmp_path / "masks") as partial:
+    with artifacts.atomic_folder(tmp_path / "masks", ["two"]) as partial:
         (partial / "two").write_text("2")
     assert [path.name for path in tmp_path.rglob("*")] == ["masks", "two"]
+
+
+def replace_renders(folder: Path) -> None:
+    """Write one image into a fresh `folder`, as the script that renders does."""
+    with artifacts.atomic_folder(folder, ["test/frame_*.png"]) as partial:
+        (partial / "test").mkdir()
+        (partial / "test" / "frame_0002.png").write_text("new")
+
+
+@pytest.mark.parametrize("precious", ["notes.txt", "frame_0001.png", "test/notes.txt", "test/frame_0001.png/notes.txt"])
+def test_a_folder_with_anything_else_in_it_is_never_replaced(tmp_path: Path, precious: str) -> None:
+    file = tmp_path / "desktop" / precious
+    file.parent.mkdir(parents=True)
+    file.write_text("precious")
+    with pytest.raises(InputError, match=r"desktop: expected a folder that is new.*found '.*' in it; choose another"):
+        replace_renders(tmp_path / "desktop")
+    assert file.read_text() == "precious"
+    assert list(tmp_path.iterdir()) == [tmp_path / "desktop"]
+
+
+def test_a_folder_of_earlier_output_is_replaced_as_a_whole(tmp_path: Path) -> None:
+    (tmp_path / "renders" / "test").mkdir(parents=True)
+    for name in ("test/frame_0001.png", ".snakemake_timestamp"):
+        (tmp_path / "renders" / name).write_text("old")
+    replace_renders(tmp_path / "renders")
+    assert [path.name for path in tmp_path.rglob("*")] == ["renders", "test", "frame_0002.png"]
+
+
+def test_a_kill_while_the_old_folder_is_deleted_leaves_the_new_one_whole(tmp_path: Path) -> None:
+    replace_renders(tmp_path / "renders")
+    code = (
+        "import os, shutil, signal, sys; from pathlib import Path; from stages.shared import artifacts\n"
+        "shutil.rmtree = lambda path: os.kill(os.getpid(), signal.SIGKILL)\n"
+        "with artifacts.atomic_folder(Path(sys.argv[1]), ['test/*']) as partial:\n"
+        "    [(partial / name).write_text('new') for name in 'ab']"
+    )
+    subprocess.run([sys.executable, "-c", code, str(tmp_path / "renders")], cwd=REPO, check=False)
+    assert sorted(path.name for path in (tmp_path / "renders").iterdir()) == ["a", "b"]
+    with artifacts.atomic_folder(tmp_path / "renders", ["a", "b"]):
+        pass
+    assert list(tmp_path.iterdir()) == [tmp_path / "renders"]  # the next write clears up what the kill left
+
+
+def test_no_file_takes_the_place_of_a_folder(tmp_path: Path) -> None:
+    (tmp_path / "desktop").mkdir()
+    (tmp_path / "desktop" / "notes.txt").write_text("precious")
+    with pytest.raises(InputError, match="desktop: expected a file to write, found a folder"):
+        artifacts.write_json(tmp_path / "desktop", {})
+    with pytest.raises(InputError, match=r"notes.txt: expected a folder to write, found a file"):
+        replace_renders(tmp_path / "desktop" / "notes.txt")
+    assert (tmp_path / "desktop" / "notes.txt").read_text() == "precious"
 
 
 @settings(max_examples=25, deadline=None)

@@ -43,8 +43,9 @@ def main(
     groups[-1:-1] = compared
     every = {table.name: table for group in groups for table in [*group.tables, *group.more]}
     about = provenance.tables(sequences)
-    with atomic_folder(tables) as target:
-        for table in [*every.values(), *about]:
+    written = [*every.values(), *about]
+    with atomic_folder(tables, [f"{table.name}.*" for table in written]) as target:
+        for table in written:
             table.write(target)
     page = render(
         title=options.title,

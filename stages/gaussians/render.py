@@ -11,6 +11,7 @@ from stages.shared.log import progress
 from stages.shared.sequences import read_sequence
 
 SECONDS_PER_FRAME = 1 / 12
+FILES = (*(f"{split}/frame_*.png" for split in ("train", "test", "novel", "right")), "splats/frame_*.ply")
 
 
 def main(
@@ -36,7 +37,7 @@ def main(
     shots = planned_shots(content, cameras, float(read_metadata(model)["median_depth"]), options)
     scene = load_scene(model, options.device)
     novel = []
-    with atomic_folder(output) as folder:
+    with atomic_folder(output, FILES) as folder:
         for shot in progress(shots, "rendering"):
             image = take(scene, shot, content.width, content.height)
             write_image(folder / shot.split / f"frame_{shot.number:04d}.png", image)

@@ -35,7 +35,7 @@ def main(
     if options.at_time is not None:
         times = np.full(T, options.at_time)
     scene = load_scene(model, options.device)
-    with atomic_folder(output) as folder:
+    with atomic_folder(output, ("frame_*.png", "frame_*.ply")) as folder:
         for number, time, pose, K in zip(eyes.numbers, times, eyes.cam_from_world, eyes.Ks, strict=True):
             shot = Shot("", int(number), float(time), pose, K)
             image = take(scene, shot, options.width_px or size["width"], options.height_px or size["height"])

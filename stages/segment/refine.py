@@ -41,7 +41,7 @@ def main(
     masks = _masks(options, frames, flow, prior)
     shares, guarded = {}, []
     shown, overlays = set(figures.spread(len(frames.numbers), 6).tolist()), []
-    with atomic_folder(output) as folder:
+    with atomic_folder(output, ("frame_*.png", "masks.json")) as folder:
         for k, (path, number) in enumerate(zip(frames.frames, frames.numbers, strict=True)):
             rgb = read_rgb(path)
             mask, was_guarded = masks(k, rgb)

@@ -9,7 +9,7 @@ import contextlib
 import json
 import shutil
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -21,29 +21,64 @@ from stages.shared.digest import code_digest
 from stages.shared.errors import InputError
 
 FORMAT_VERSION = 1
+SNAKEMAKE_STAMP = ".snakemake_timestamp"
+"""What Snakemake leaves in a folder that is a job's output."""
 
 
 @contextlib.contextmanager
 def atomic(path: Path) -> Iterator[Path]:
-    """A temporary name beside `path` (file or folder) that takes its place only if the block succeeds."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f".{path.name}.partial")
-    _remove(partial)
-    try:
+    """A temporary name beside the file `path` that takes its place only if the block succeeds.
+
+    Raises:
+        InputError: if `path` is a folder.
+    """
+    if path.is_dir():
+        raise InputError(path, "a file to write", "a folder", "choose another name")
+    with _replacing(path) as partial:
         yield partial
-        if path.is_dir():
-            shutil.rmtree(path)
-        partial.replace(path)
-    finally:
-        _remove(partial)
 
 
 @contextlib.contextmanager
-def atomic_folder(path: Path) -> Iterator[Path]:
-    """Like `atomic`, for a folder that is made empty."""
-    with atomic(path) as partial:
+def atomic_folder(path: Path, writes: Iterable[str]) -> Iterator[Path]:
+    """Like `atomic`, for a folder that is made empty and takes the place of an earlier one, files and all.
+
+    Args:
+        writes: patterns of the files that the caller writes, relative to the folder, as in "test/frame_*.png".
+
+    Raises:
+        InputError: if the earlier folder holds any other file, which would be lost.
+    """
+    _refuse_foreign(path, writes)
+    with _replacing(path) as partial:
         partial.mkdir()
         yield partial
+
+
+def _refuse_foreign(path: Path, writes: Iterable[str]) -> None:
+    advice = "choose another folder, or empty it yourself"
+    if path.exists() and not path.is_dir():
+        raise InputError(path, "a folder to write", "a file", advice)
+    own = {file for pattern in (*writes, SNAKEMAKE_STAMP) for file in path.glob(pattern)}
+    for file in path.rglob("*"):
+        if file not in own and (file.is_symlink() or not file.is_dir()):
+            expected = "a folder that is new, empty or full of nothing but earlier output"
+            raise InputError(path, expected, f"'{file.relative_to(path)}' in it", advice)
+
+
+@contextlib.contextmanager
+def _replacing(path: Path) -> Iterator[Path]:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial, old = (path.with_name(f".{path.name}.{kind}") for kind in ("partial", "old"))
+    _remove(partial)
+    try:
+        yield partial
+        if path.is_dir():  # moved aside first: a kill while it is deleted leaves no half of it under its name
+            _remove(old)
+            path.replace(old)
+        partial.replace(path)
+        _remove(old)
+    finally:
+        _remove(partial)
 
 
 def write_table(path: Path, columns: Mapping[str, Any], metadata: Mapping[str, Any] | None = None) -> None:
@@ -184,7 +219,7 @@ def _to_numpy(column: pa.ChunkedArray) -> np.ndarray:
 
 
 def _remove(path: Path) -> None:
-    if path.is_dir():
+    if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path)
     else:
         path.unlink(missing_ok=True)

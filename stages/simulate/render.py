@@ -36,6 +36,7 @@ KINDS = (
     "clean_right",
     "camdata_right",
 )
+FILES = ("frame_*.png", "frame_*.flo", "frame_*.dpt", "frame_*.cam")
 
 
 class RenderOptions(SimulateOptions):
@@ -55,7 +56,7 @@ def main(
     manifest.unlink(missing_ok=True)  # first: it says that the rest is complete
     stage = frames.set_stage(drawn, options.seed)
     with contextlib.ExitStack() as stack:
-        folders = {kind: stack.enter_context(atomic_folder(output / "training" / kind / name)) for kind in KINDS}
+        folders = {kind: stack.enter_context(atomic_folder(output / "training" / kind / name, FILES)) for kind in KINDS}
         before = now = stage.moment(0)
         for frame in progress(range(drawn.frames), name):
             refuse_blocked_camera(stage, now, frame, scene)
