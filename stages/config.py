@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from stages.ba.options import BAOptions
 from stages.comparisons import ScalingOptions, SweepOptions
@@ -60,6 +60,14 @@ class Config(Options):
     report: ReportOptions = ReportOptions()
     sweep: SweepOptions = SweepOptions()
     scaling: ScalingOptions = ScalingOptions()
+
+    @field_validator("scenes", "sequences")
+    @classmethod
+    def _not_none_at_all(cls, names: str | list[str]) -> str | list[str]:
+        """Refuse an empty list: there would be nothing to run, nor to report."""
+        if not names:
+            raise ValueError("'all' or at least one name")
+        return names
 
 
 SHARED_KEYS = ("intrinsics", "holdout_every", "holdout_first", "device", "seed")

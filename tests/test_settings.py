@@ -133,6 +133,13 @@ def test_sequences_of_a_comparison() -> None:
         chosen(["c"])
 
 
+@pytest.mark.parametrize("key", ["sequences", "scenes"])
+def test_a_run_without_any_sequence_is_refused(key: str) -> None:
+    """Every job of it would be left out but the report, which fails without results."""
+    with pytest.raises(InputError, match=rf"^config.yaml: {key}: expected 'all' or at least one name, found \[\]"):
+        configuration.load({key: []})
+
+
 def test_a_setting_that_takes_truth_needs_it() -> None:
     runs = {"inputs": {"masks": {"segment.source": "truth"}, "none": {"segment.source": "none"}}}
     masks, none = settings.compared({"sweep": {"runs": runs}})[0]
