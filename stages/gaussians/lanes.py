@@ -160,3 +160,18 @@ def trailing_zeros(_context: Any, value: Any) -> Any:
         return builder.cttz(arguments[0], ir.Constant(ir.IntType(1), 1))
 
     return value(value), emit
+
+
+@intrinsic
+def prefetch(_context: Any, array: Any, start: Any) -> Any:
+    """Ask for the cache line of one entry of a contiguous float32 array: rows read in no order arrive too late."""
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        pointer = builder.bitcast(_address(context, builder, signature, arguments), ir.IntType(8).as_pointer())
+        integer = ir.IntType(32)
+        kind = ir.FunctionType(ir.VoidType(), [pointer.type, integer, integer, integer])
+        function = cgutils.get_or_insert_function(builder.module, kind, "llvm.prefetch.p0")
+        builder.call(function, [pointer, *(integer(flag) for flag in (0, 3, 1))])
+        return context.get_dummy_value()
+
+    return types.void(array, start), emit

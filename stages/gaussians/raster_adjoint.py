@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 from numba import njit, prange
 
-from stages.gaussians.lanes import LANES, load, store, totals, trailing_zeros, where
-from stages.gaussians.raster_bins import CHUNKS, FAST, LIMIT, MASK, ONE, RANK, SLOT, SPLAT, TILE, ZERO
+from stages.gaussians.lanes import LANES, load, prefetch, store, totals, trailing_zeros, where
+from stages.gaussians.raster_bins import CHUNKS, FAST, LIMIT, MASK, ONE, RANK, SLOT, SPLAT, TILE, WIDTH, ZERO
 from stages.gaussians.raster_kernels import (
+    AHEAD,
     CHECK,
     MAX_ALPHA,
     MIN_TRANSMITTANCE,
@@ -68,6 +69,7 @@ def _adjoint_tile(entries: np.ndarray, splats: np.ndarray, x0: int, y0: int, sta
     alive = blocks_alive(state[0])
     for k in range(len(entries)):
         splat, mask = splats[entries[k, RANK]], entries[k, MASK] & alive
+        prefetch(splats, WIDTH * entries[min(k + AHEAD, len(entries) - 1), RANK])
         store(sums, LANES * entries[k, SLOT], _adjoint_entry(splat, mask, x0, y0, state))
         if k % CHECK == CHECK - 1:
             alive = blocks_alive(state[0])

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numba import njit, prange
 
-from stages.gaussians.lanes import LANES, largest, load, store, trailing_zeros, where
-from stages.gaussians.raster_bins import BLOCK, BLOCKS, FAST, LIMIT, MASK, ONE, RANK, TILE, ZERO
+from stages.gaussians.lanes import LANES, largest, load, prefetch, store, trailing_zeros, where
+from stages.gaussians.raster_bins import BLOCK, BLOCKS, FAST, LIMIT, MASK, ONE, RANK, TILE, WIDTH, ZERO
 
 MAX_ALPHA = np.float32(0.999)
 MIN_TRANSMITTANCE = np.float32(1e-4)
@@ -25,6 +25,8 @@ EXP = tuple(
 """Coefficients of a polynomial for exp(-s / 8)."""
 CHECK = 16
 """Blocks whose pixels are all done are looked for after every so many splats."""
+AHEAD = 6
+"""Splats are fetched so many entries before they are drawn."""
 LANE_X = (np.arange(LANES) % BLOCK).astype(np.float32)
 LANE_Y = (np.arange(LANES) // BLOCK).astype(np.float32)
 
@@ -76,6 +78,7 @@ def _composite_tile(entries: np.ndarray, splats: np.ndarray, x0: int, y0: int, s
     alive = blocks_alive(T)
     for k in range(len(entries)):
         splat, mask = splats[entries[k, RANK]], entries[k, MASK] & alive
+        prefetch(splats, WIDTH * entries[min(k + AHEAD, len(entries) - 1), RANK])
         opacity, r, g, b, z, limit = splat[5], splat[6], splat[7], splat[8], splat[9], splat[LIMIT]
         q0, p0 = block_corner(splat, x0, y0)
         while mask:
