@@ -21,12 +21,14 @@ TEXTURELESS = 0.45
 """Without texture above the noise, flow is a guess from its surroundings: its confidence stays below one half."""
 
 
-def flow_confidence(flow: np.ndarray, back: np.ndarray, source: np.ndarray, target: np.ndarray) -> np.ndarray:
+def flow_confidence(
+    flow: np.ndarray, back: np.ndarray, source: np.ndarray, target: np.ndarray, textured: np.ndarray | None = None
+) -> np.ndarray:
     """Confidence [h, w] float32 in 0..1 that flow [h, w, 2] px is right to a pixel.
 
     The product of four terms: forward-backward consistency with `back` (the flow of the target), smoothness,
-    photometric residual between the grey frames source and target [h, w] uint8, and texture above the noise. Zero where
-    the flow leaves the frame.
+    photometric residual between the grey frames source and target [h, w] uint8, and texture above the noise (that of
+    the source is `textured` where it is known). Zero where the flow leaves the frame.
     Above 0.5 the true error is under 1 px for more than nine pixels in ten (benchmarks/flow_accuracy.py measures it),
     but not in dense fog at night, where few pixels are above it.
     """
@@ -35,8 +37,13 @@ def flow_confidence(flow: np.ndarray, back: np.ndarray, source: np.ndarray, targ
     consistent = 1 / (1 + (disagreement / expected) ** 2) ** 2
     smooth = 1 / (1 + _local_variance(flow) / ROUGH_PX**2)
     similar = 1 / (1 + (_photometric_ratio(flow, source, target) / PHOTOMETRIC_LIMIT) ** 4)
-    textured = TEXTURELESS + (1 - TEXTURELESS) / (1 + _expected_variance(source))
+    textured = texture_confidence(source) if textured is None else textured
     return np.asarray(consistent * smooth * similar * textured * is_inside(flow), np.float32)
+
+
+def texture_confidence(source: np.ndarray) -> np.ndarray:
+    """The term [h, w] of a grey frame [h, w] uint8 that tells texture from noise, TEXTURELESS..1."""
+    return np.asarray(TEXTURELESS + (1 - TEXTURELESS) / (1 + _expected_variance(source)))
 
 
 def _local_variance(flow: np.ndarray) -> np.ndarray:
@@ -49,9 +56,9 @@ def _local_variance(flow: np.ndarray) -> np.ndarray:
 def _photometric_ratio(flow: np.ndarray, source: np.ndarray, target: np.ndarray) -> np.ndarray:
     """Grey-level residual [h, w] after the flow, without the pair's change of exposure, over the frame's median."""
     difference = warp(target.astype(np.float32), flow) - source
-    residual = cv2.blur(np.abs(difference - np.median(difference)), (5, 5))
+    residual = cv2.blur(np.abs(difference - np.median(difference[::2, ::2])), (5, 5))
     # One grey level is the least that 8-bit frames resolve: textureless frames have no smaller residual.
-    return np.asarray(residual / max(float(np.median(residual)), 1.0))
+    return np.asarray(residual / max(float(np.median(residual[::2, ::2])), 1.0))
 
 
 def _expected_variance(source: np.ndarray) -> np.ndarray:

@@ -24,15 +24,17 @@ def estimate_flow(
     target, which keeps the search within reach of large motions. The result does not depend on `threads`.
     """
     flow = dict(known or {})
-    levels = sorted({abs(i - j) for i, j in edges})
+
+    def solved(edge: Edge, distances: Sequence[int]) -> np.ndarray:
+        start = chained(flow, path(flow, distances, edge))
+        return solve_pair(grey[edge[0]], grey[edge[1]], start, finest_scale)
+
     with ThreadPoolExecutor(threads) as pool:
-        for offset in progress(levels, "flow"):
+        for offset in progress(sorted({abs(i - j) for i, j in edges}), "flow"):
             level = [edge for edge in edges if abs(edge[1] - edge[0]) == offset]
             distances = sorted({abs(i - j) for i, j in flow}, reverse=True)
-            starts = [chained(flow, path(flow, distances, edge)) for edge in level]
-            sources, targets = [grey[i] for i, _ in level], [grey[j] for _, j in level]
-            solved = pool.map(solve_pair, sources, targets, starts, [finest_scale] * len(level))
-            flow |= dict(zip(level, solved, strict=True))
+            found = list(pool.map(solved, level, [distances] * len(level)))
+            flow |= dict(zip(level, found, strict=True))
     return {edge: flow[edge] for edge in edges}
 
 

@@ -1,13 +1,12 @@
 """Dense optical flow with confidence between near frames of a sequence, and far ones with enough in common."""
 
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Annotated, Any
 
 import cv2
 import numpy as np
 
-from stages.flow.confidence import flow_confidence
+from stages.flow.confidence import flow_confidence, texture_confidence
 from stages.flow.dis import estimate_flow
 from stages.flow.edges import Edge, edge_list, long_edges
 from stages.flow.matches import restarted_pair
@@ -19,6 +18,7 @@ from stages.shared.cli import In, Out
 from stages.shared.images import read_rgb, write_figure
 from stages.shared.log import logger
 from stages.shared.sequences import Sequence, read_sequence
+from stages.shared.threads import threaded
 
 Flows = dict[Edge, np.ndarray]
 
@@ -45,8 +45,8 @@ def main(
     else:
         flows, confidences, facts = _match(rgb, options)
     edges = sorted(flows)
-    flow = np.stack([flows[edge].astype(np.float16) for edge in edges])
-    confidence = np.stack([confidences[edge].astype(np.float16) for edge in edges])
+    flow = np.stack(threaded(lambda edge: flows[edge].astype(np.float16), edges))
+    confidence = np.stack([confidences[edge].astype(np.float16, copy=False) for edge in edges])
     facts |= {"source": options.source, "long_edges": sum(j - i > max(options.offsets) for i, j in edges)}
     facts |= {"confident_share": float(np.mean(confidence > 0.5))}
     logger.info("%d edges of %d x %d px: %s", len(edges), w, h, facts)
@@ -78,19 +78,19 @@ def _match(rgb: np.ndarray, options: FlowOptions) -> tuple[Flows, Flows, dict[st
     cv2.setNumThreads(1)
     flow = estimate_flow(grey, [edge for pair in nearest for edge in (pair, pair[::-1])], scale, threads)
     anew: Flows = {}
-    with ThreadPoolExecutor(threads) as pool:
-        for found in pool.map(lambda pair: restarted_pair(rgb, grey, flow, pair, scale), nearest):
-            anew |= found
+    for found in threaded(lambda pair: restarted_pair(rgb, grey, flow, pair, scale), nearest):
+        anew |= found
     flow |= anew
     flow |= estimate_flow(grey, [edge for edge in short if edge not in flow], scale, threads, flow)
     flow |= estimate_flow(grey, long_edges(flow, len(rgb), options.long_edges), scale, threads, flow)
 
+    textured = threaded(texture_confidence, grey)
+
     def confidence(edge: Edge) -> np.ndarray:
         i, j = edge
-        return flow_confidence(flow[i, j], flow[j, i], grey[i], grey[j]).astype(np.float16)
+        return flow_confidence(flow[i, j], flow[j, i], grey[i], grey[j], textured[i]).astype(np.float16)
 
-    with ThreadPoolExecutor(threads) as pool:
-        confidences = dict(zip(flow, pool.map(confidence, flow), strict=True))
+    confidences = dict(zip(flow, threaded(confidence, flow), strict=True))
     cv2.setNumThreads(threads)
     return flow, confidences, {"started_from_matches": len(anew)}
 
