@@ -9,10 +9,12 @@ import torch
 from gaussian_training import psnr
 from PIL import Image
 
+from stages.control import fit
 from stages.control.deformation import save_deformation, save_points
+from stages.control.options import ControlOptions
 from stages.gaussians import checkpoint, render, train, view
 from stages.gaussians.checkpoint import Checkpoint
-from stages.gaussians.inputs import read_observations, read_usable_cameras
+from stages.gaussians.inputs import read_observations
 from stages.gaussians.optimise import Trainer
 from stages.gaussians.options import GaussiansOptions, RenderOptions, ViewOptions
 from stages.gaussians.ply import read_ply
@@ -20,7 +22,7 @@ from stages.gaussians.rasterize import rasterize
 from stages.gaussians.video import MAX_BYTES, write_gif
 from stages.gaussians.views import novel_path, right_eye
 from stages.shared import lie
-from stages.shared.artifacts import read_metadata, read_model, read_table, write_table
+from stages.shared.artifacts import read_json, read_metadata, read_model, read_table, write_table
 from stages.shared.cameras import make_cameras, write_cameras
 from stages.shared.errors import InputError
 from stages.shared.images import read_rgb
@@ -81,6 +83,7 @@ def outputs(folder: Path) -> dict[str, Path]:
 def test_the_scripts_train_and_render(tmp_path: Path) -> None:
     inputs, results = write_inputs(tmp_path), outputs(tmp_path / "out")
     train.main(**inputs, **results, options=GaussiansOptions(steps=40))
+    assert read_metadata(results["model"])["status"] == "trained"
     history = read_table(results["convergence"])
     assert history["step"].tolist() == list(range(1, 41))
     assert history["psnr"][-9:].mean() > history["psnr"][:9].mean() + 2
@@ -175,11 +178,28 @@ def test_a_killed_script_leaves_no_result_and_goes_on_from_its_checkpoint(
     assert other.origin != mine.origin  # another option: its checkpoint would not be used
 
 
-def test_failed_poses_are_refused(tmp_path: Path) -> None:
-    status = np.full(truth.T, "failed", object)
-    write_cameras(tmp_path / "poses.parquet", make_cameras(truth.cameras(), truth.K, np.arange(truth.T), status=status))
-    with pytest.raises(InputError, match="found status 'failed'"):
-        read_usable_cameras(tmp_path / "poses.parquet")
+def test_failed_poses_give_a_static_scene_that_says_so(tmp_path: Path) -> None:
+    """One sequence without poses must not keep the others out of the report; its movers stay where they are."""
+    inputs, results = write_inputs(tmp_path), outputs(tmp_path / "out")
+    assert read_json(inputs["scene"])["dynamic"]["needed"]
+    write_status(inputs["poses"], np.full(truth.T, "failed", object), np.tile(np.eye(4), (truth.T, 1, 1)))
+    control_inputs = {name: inputs[name] for name in ("sequence", "masks", "poses", "depth", "scene")}
+    written = {name: inputs[name] for name in ("points", "deformation")} | {"figure": tmp_path / "control.png"}
+    fit.main(flow=tmp_path / "never_read", **control_inputs, **written, options=ControlOptions())
+    train.main(**inputs, **results, options=GaussiansOptions(steps=2, stride_px=4))
+    assert read_metadata(inputs["deformation"])["status"] == "the poses failed"
+    for name in ("model", "half"):
+        metadata = read_metadata(results[name])
+        assert (metadata["status"], metadata["n_dynamic"]) == ("poses failed", 0)
+    renders, video = tmp_path / "out" / "renders", tmp_path / "out" / "video.gif"
+    chosen = RenderOptions(novel_views=2)
+    render.main(inputs["sequence"], inputs["poses"], results["model"], renders, video, chosen)
+    assert len(list(renders.glob("t*/frame_*.png"))) == truth.T
+
+
+def write_status(poses: Path, status: np.ndarray, cam_from_world: np.ndarray) -> None:
+    """Write the cameras of the scene with this status [T] and these poses [T, 4, 4]."""
+    write_cameras(poses, make_cameras(cam_from_world, truth.K, np.arange(1, truth.T + 1), status=status))
 
 
 def test_held_out_frames_are_never_opened(tmp_path: Path) -> None:

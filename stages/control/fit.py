@@ -32,14 +32,17 @@ def main(
 
     Dynamic pixels are followed by flow through the training frames only and lifted by depth. The canonical frame is
     the one that sees the tracks best; control points are spread over it and their motion is fitted in the image plane.
-    Where nothing moves, or nothing can be tracked, no control point is written, and metadata and log say so.
+    Where nothing moves, nothing can be tracked or the poses failed, no control point is written, and metadata and log
+    say so.
     """
     from stages.control import picture, stage1
     from stages.control.deformation import save_deformation, save_points
 
     content, cameras, decision = read_sequence(sequence), read_cameras(poses), read_json(scene)
-    model, metadata = None, {"status": "the scene has no moving parts", "arap_weight": 0.0, "region": options.region}
-    if decision["dynamic"]["needed"]:
+    failed = "failed" in cameras.status
+    status = "the poses failed" if failed else "the scene has no moving parts"
+    model, metadata = None, {"status": status, "arap_weight": 0.0, "region": options.region}
+    if decision["dynamic"]["needed"] and not failed:
         sightings = _sightings(content, flow, masks, cameras, depth, options)
         model, metadata = stage1.fit_sightings(sightings, cameras, decision["non_rigid"], options)
         if metadata["status"] != "fitted":

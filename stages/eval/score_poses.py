@@ -41,14 +41,18 @@ def own_candidates(tables: Sequence[Path], seconds: Sequence[tuple[float, float]
     """Our poses after each round, with the wall and CPU seconds until then; the last round is called "ours"."""
     candidates = []
     for k, (path, spent) in enumerate(zip(tables, seconds, strict=True), start=1):
-        cameras = read_cameras(path)
+        cameras, metadata = read_cameras(path), read_metadata(path)
         good = has_pose(cameras)
         method = "ours" if k == len(tables) else f"ours, round {k}"
         protocol = f"no intrinsics given, after round {k} of {len(tables)}"
-        if read_metadata(path).get("options", {}).get("intrinsics") == "truth":
+        if metadata.get("options", {}).get("intrinsics") == "truth":
             protocol = protocol.replace("no intrinsics given", "true intrinsics given")
         registered = select(cameras, good) if good.any() else None
-        failure = None if good.any() else str(cameras.status[0])
+        failure = (
+            None
+            if good.any()
+            else "; ".join(metadata.get("flags", [])).removeprefix("failed: ") or str(cameras.status[0])
+        )
         candidates.append(Candidate(method, protocol, len(good), registered, failure, *spent))
     return candidates
 

@@ -80,8 +80,11 @@ def build_section(folder: Path) -> Section:
 
 
 def _doubts(folder: Path) -> list[str]:
-    path = folder / "ba" / "poses.parquet"
-    return [f"poses: {flag}" for flag in read_metadata(path).get("flags", [])] if path.exists() else []
+    poses, model = folder / "ba" / "poses.parquet", folder / "gaussians" / "model.safetensors"
+    found = [f"poses: {flag}" for flag in read_metadata(poses).get("flags", [])] if poses.exists() else []
+    if model.exists() and read_metadata(model).get("status") == "poses failed":
+        found.append("Gaussians: the poses failed: a static scene was trained before a camera at rest")
+    return found
 
 
 def _svg(title: str, content: bytes, alt: str) -> Figure:

@@ -6,7 +6,7 @@ import numpy as np
 
 from stages.gaussians.observations import Observations, dense_depth, nearest_on_frame
 from stages.shared.artifacts import read_dense, read_metadata
-from stages.shared.cameras import Cameras, read_cameras
+from stages.shared.cameras import read_cameras
 from stages.shared.errors import InputError
 from stages.shared.images import read_mask, read_rgb
 from stages.shared.sequences import Sequence, read_sequence
@@ -17,9 +17,9 @@ def read_observations(sequence: Path, masks: Path, poses: Path, depth: Path, spl
     """The training frames; no file of a held-out frame is opened.
 
     Raises:
-        InputError: if a mask has another size than the frames, or the poses failed.
+        InputError: if a mask has another size than the frames.
     """
-    content, cameras = read_sequence(sequence), read_usable_cameras(poses)
+    content, cameras = read_sequence(sequence), read_cameras(poses)
     frames = np.flatnonzero(~held_out(len(content.frames), split)).tolist()
     images = np.stack([read_rgb(content.frames[k]) for k in frames]).astype(np.float32) / 255
     grid, stride_px = read_dense(depth), float(read_metadata(depth)["stride_px"])
@@ -34,19 +34,6 @@ def read_observations(sequence: Path, masks: Path, poses: Path, depth: Path, spl
         cameras.Ks[frames],
         frame_times(len(content.frames))[frames],
     )
-
-
-def read_usable_cameras(poses: Path) -> Cameras:
-    """The estimated cameras.
-
-    Raises:
-        InputError: if the pose stage found none.
-    """
-    cameras = read_cameras(poses)
-    if "failed" in cameras.status:
-        advice = "give a sequence with more texture or parallax, or `intrinsics: truth`"
-        raise InputError(poses, "estimated poses", "status 'failed'", advice)
-    return cameras
 
 
 def frame_times(T: int) -> np.ndarray:

@@ -6,6 +6,7 @@ from typing import Annotated
 from stages.gaussians.options import RenderOptions
 from stages.shared import cli
 from stages.shared.artifacts import read_metadata
+from stages.shared.cameras import read_cameras
 from stages.shared.cli import In, Out
 from stages.shared.log import progress
 from stages.shared.sequences import read_sequence
@@ -26,14 +27,13 @@ def main(
 
     During the fly-through time runs from 0 to 1 while the camera circles around the estimated path.
     """
-    from stages.gaussians.inputs import read_usable_cameras
     from stages.gaussians.shots import load_scene, planned_shots, take
     from stages.gaussians.storage import write_splats
     from stages.gaussians.video import write_gif
     from stages.shared.artifacts import atomic_folder
     from stages.shared.images import write_image
 
-    content, cameras = read_sequence(sequence), read_usable_cameras(poses)
+    content, cameras = read_sequence(sequence), read_cameras(poses)
     shots = planned_shots(content, cameras, float(read_metadata(model)["median_depth"]), options)
     scene = load_scene(model, options.device)
     novel = []

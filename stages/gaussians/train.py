@@ -9,6 +9,7 @@ import numpy as np
 from stages.gaussians.options import GaussiansOptions
 from stages.shared import cli
 from stages.shared.artifacts import read_json, read_metadata, write_model, write_table
+from stages.shared.cameras import read_cameras
 from stages.shared.cli import In, Out
 from stages.shared.log import logger
 
@@ -39,7 +40,8 @@ def main(
     """Train the 4D Gaussian scene on all frames but the held-out ones.
 
     Gaussians start from the depth of several frames and are labelled static or dynamic once, by a vote of the masks.
-    Static Gaussians never move. A killed training resumes from the checkpoint beside the model.
+    Static Gaussians never move. Where the poses failed, the scene is a static one before a camera at rest, and log and
+    metadata say so. A killed training resumes from the checkpoint beside the model.
     """
     from stages.gaussians.checkpoint import Checkpoint
     from stages.gaussians.figure import training_figure
@@ -49,7 +51,9 @@ def main(
     from stages.gaussians.storage import scene_tensors
     from stages.shared.images import write_figure
 
-    needs = read_json(scene)
+    needs, failed = read_json(scene), "failed" in read_cameras(poses).status
+    if failed:
+        logger.warning("gaussians: the poses failed: a static scene is trained before a camera at rest")
     seen = read_observations(sequence, masks, poses, depth, options)
     gaussians, seen = _new_scene(seen, needs, sequence, points, deformation, options)
     trainer = Trainer(gaussians, seen, options, read_metadata(deformation)["arap_weight"])
@@ -59,7 +63,7 @@ def main(
 
     tensors, settings = scene_tensors(gaussians)
     settings |= {"median_depth": float(np.median(seen.depths)), "options": options.model_dump()}
-    settings |= {"width": trainer.width, "height": trainer.height}
+    settings |= {"width": trainer.width, "height": trainer.height, "status": "poses failed" if failed else "trained"}
     write_table(convergence, vars(trainer.history), {"units": "seconds of training, dB", "device": str(trainer.device)})
     write_figure(figure, training_figure(trainer, seen))
     write_ply(ply, *(tensors[name] for name in ("means", "quats", "log_scales", "logits", "sh")))
