@@ -10,43 +10,89 @@ computed in float64; memory is float32.
 import numpy as np
 from numba import njit, prange
 
+from stages.control.quaternion_kernels import FAST, Quaternion, row, unit, unit_adjoint
+
 BLOCK = 1024
 """Gaussians per task; the camera's gradient is summed per block, so it does not depend on the thread count."""
 BLUR = 0.3
 """Variance in px^2 added to every splat, as in 3DGS and gsplat ("classic" antialiasing)."""
 MARGIN = 0.3
 """J is evaluated inside the field of view widened by this share: beyond, the linearisation explodes (as in gsplat)."""
-EXACT = {"cache": True, "error_model": "numpy"}
+Vector = tuple[float, float, float]
+Rows = tuple[Vector, Vector, Vector]
+"""Tuples stay in registers; small arrays inside the loops would cost more than the arithmetic."""
 
 
-@njit(**EXACT)
-def _rotation(quat: np.ndarray, R: np.ndarray) -> float:
-    """Rotation matrix [3, 3] of a quaternion wxyz into R; returns its length. Scaled first against underflow."""
-    largest = np.float64(max(abs(quat[0]), abs(quat[1]), abs(quat[2]), abs(quat[3])))
-    w, x, y, z = quat[0] / largest, quat[1] / largest, quat[2] / largest, quat[3] / largest
-    length = np.sqrt(w * w + x * x + y * y + z * z)
-    w, x, y, z = w / length, x / length, y / length, z / length
-    R[0, 0], R[0, 1], R[0, 2] = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
-    R[1, 0], R[1, 1], R[1, 2] = 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)
-    R[2, 0], R[2, 1], R[2, 2] = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
-    return largest * length
+@njit(**FAST)
+def _dot(a: Vector, b: Vector) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@njit(**EXACT)
-def _quat_adjoint(quat: np.ndarray, length: float, g: np.ndarray, out: np.ndarray) -> None:
-    """Gradient of the (unnormalised) quaternion, of this length, from that of its rotation matrix."""
-    w, x, y, z = quat[0] / length, quat[1] / length, quat[2] / length, quat[3] / length
-    gw = 2 * (x * (g[2, 1] - g[1, 2]) + y * (g[0, 2] - g[2, 0]) + z * (g[1, 0] - g[0, 1]))
-    a, b, c = g[0, 1] + g[1, 0], g[0, 2] + g[2, 0], g[1, 2] + g[2, 1]
-    gx = 2 * (y * a + z * b + w * (g[2, 1] - g[1, 2]) - 2 * x * (g[1, 1] + g[2, 2]))
-    gy = 2 * (x * a + z * c + w * (g[0, 2] - g[2, 0]) - 2 * y * (g[0, 0] + g[2, 2]))
-    gz = 2 * (x * b + y * c + w * (g[1, 0] - g[0, 1]) - 2 * z * (g[0, 0] + g[1, 1]))
-    radial = w * gw + x * gx + y * gy + z * gz
-    out[0], out[1] = (gw - radial * w) / length, (gx - radial * x) / length
-    out[2], out[3] = (gy - radial * y) / length, (gz - radial * z) / length
+@njit(**FAST)
+def _cross(a: Vector, b: Vector) -> Vector:
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-@njit(**EXACT)
+@njit(**FAST)
+def _each(a: Vector, b: Vector) -> Vector:
+    """Entry by entry."""
+    return a[0] * b[0], a[1] * b[1], a[2] * b[2]
+
+
+@njit(**FAST)
+def _sum(x: float, a: Vector, y: float, b: Vector) -> Vector:
+    """x a + y b."""
+    return x * a[0] + y * b[0], x * a[1] + y * b[1], x * a[2] + y * b[2]
+
+
+@njit(**FAST)
+def _times(w: Vector, R: Rows) -> Vector:
+    """w R."""
+    return (
+        w[0] * R[0][0] + w[1] * R[1][0] + w[2] * R[2][0],
+        w[0] * R[0][1] + w[1] * R[1][1] + w[2] * R[2][1],
+        w[0] * R[0][2] + w[1] * R[1][2] + w[2] * R[2][2],
+    )
+
+
+@njit(**FAST)
+def _vector(array: np.ndarray, i: int) -> Vector:
+    """The first three entries of row i, in float64."""
+    return np.float64(array[i, 0]), np.float64(array[i, 1]), np.float64(array[i, 2])
+
+
+@njit(**FAST)
+def _unit_quat(quats: np.ndarray, i: int) -> tuple[Quaternion, float]:
+    w, x, y, z = row(quats, i)
+    return unit((np.float64(w), np.float64(x), np.float64(y), np.float64(z)))
+
+
+@njit(**FAST)
+def _rotation(quat: Quaternion) -> Rows:
+    """Rotation matrix of a unit quaternion wxyz."""
+    w, x, y, z = quat
+    return (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+    )
+
+
+@njit(**FAST)
+def _rotation_adjoint(quat: Quaternion, g: Rows) -> Quaternion:
+    """Gradient of the unit quaternion from that of its rotation matrix."""
+    w, x, y, z = quat
+    a, b, c = g[0][1] + g[1][0], g[0][2] + g[2][0], g[1][2] + g[2][1]
+    d, e, f = g[2][1] - g[1][2], g[0][2] - g[2][0], g[1][0] - g[0][1]
+    return (
+        2 * (x * d + y * e + z * f),
+        2 * (y * a + z * b + w * d - 2 * x * (g[1][1] + g[2][2])),
+        2 * (x * a + z * c + w * e - 2 * y * (g[0][0] + g[2][2])),
+        2 * (x * b + y * c + w * f - 2 * z * (g[0][0] + g[1][1])),
+    )
+
+
+@njit(**FAST)
 def _limits(K: np.ndarray, width: int, height: int) -> tuple[float, float, float, float]:
     """Range of x/z and of y/z where J is evaluated; pixel centres at integers: the image spans -0.5 .. width - 0.5."""
     left, right = (
@@ -60,46 +106,37 @@ def _limits(K: np.ndarray, width: int, height: int) -> tuple[float, float, float
     return left, right, top, bottom
 
 
-@njit(**EXACT)
-def _to_camera(mean: np.ndarray, viewmat: np.ndarray, p: np.ndarray) -> None:
-    for a in range(3):
-        p[a] = viewmat[a, 0] * mean[0] + viewmat[a, 1] * mean[1] + viewmat[a, 2] * mean[2] + viewmat[a, 3]
+@njit(**FAST)
+def _to_camera(mean: Vector, viewmat: np.ndarray) -> Vector:
+    return (
+        viewmat[0, 0] * mean[0] + viewmat[0, 1] * mean[1] + viewmat[0, 2] * mean[2] + viewmat[0, 3],
+        viewmat[1, 0] * mean[0] + viewmat[1, 1] * mean[1] + viewmat[1, 2] * mean[2] + viewmat[1, 3],
+        viewmat[2, 0] * mean[0] + viewmat[2, 1] * mean[1] + viewmat[2, 2] * mean[2] + viewmat[2, 3],
+    )
 
 
-@njit(**EXACT)
-def _screen_axes(p: np.ndarray, K: np.ndarray, limits: tuple[float, float, float, float], viewmat: np.ndarray,
-                 R: np.ndarray, scales: np.ndarray, W: np.ndarray, B: np.ndarray, uv: np.ndarray) -> None:  # fmt: skip
-    """W = J R [2, 3], B = W R_q and uv = B diag(scales), whose rows are u and v."""
+@njit(**FAST)
+def _jacobian(p: Vector, K: np.ndarray, limits: tuple[float, float, float, float],
+              viewmat: np.ndarray) -> tuple[Vector, Vector]:  # fmt: skip
+    """The two rows of W = J R."""
     slope_x = min(max(p[0] / p[2], limits[0]), limits[1])
     slope_y = min(max(p[1] / p[2], limits[2]), limits[3])
-    for c in range(3):
-        W[0, c] = K[0, 0] / p[2] * (viewmat[0, c] - slope_x * viewmat[2, c])
-        W[1, c] = K[1, 1] / p[2] * (viewmat[1, c] - slope_y * viewmat[2, c])
-    for r in range(2):
-        for c in range(3):
-            B[r, c] = W[r, 0] * R[0, c] + W[r, 1] * R[1, c] + W[r, 2] * R[2, c]
-            uv[r, c] = B[r, c] * scales[c]
+    gain_x, gain_y, ahead = K[0, 0] / p[2], K[1, 1] / p[2], _vector(viewmat, 2)
+    return (
+        _sum(gain_x, _vector(viewmat, 0), -gain_x * slope_x, ahead),
+        _sum(gain_y, _vector(viewmat, 1), -gain_y * slope_y, ahead),
+    )
 
 
-@njit(**EXACT)
-def _cross(a: np.ndarray, b: np.ndarray, out: np.ndarray) -> None:
-    out[0], out[1], out[2] = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+@njit(**FAST)
+def _covariance(u: Vector, v: Vector) -> tuple[float, float, float, Vector]:
+    """Off-diagonal, vertical variance and determinant of the 2-D covariance, and u x v."""
+    normal = _cross(u, v)
+    det = _dot(normal, normal) + BLUR * (_dot(u, u) + _dot(v, v)) + BLUR * BLUR
+    return _dot(u, v), _dot(v, v) + BLUR, det, normal
 
 
-@njit(**EXACT)
-def _dot(a: np.ndarray, b: np.ndarray) -> float:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-@njit(**EXACT)
-def _covariance(uv: np.ndarray, normal: np.ndarray) -> tuple[float, float, float]:
-    """Off-diagonal, vertical variance and determinant of the 2-D covariance; u x v goes to `normal`."""
-    _cross(uv[0], uv[1], normal)
-    uu, vv = _dot(uv[0], uv[0]), _dot(uv[1], uv[1])
-    return _dot(uv[0], uv[1]), vv + BLUR, _dot(normal, normal) + BLUR * (uu + vv) + BLUR * BLUR
-
-
-@njit(parallel=True, **EXACT)
+@njit(parallel=True, **FAST)
 def project(means: np.ndarray, quats: np.ndarray, scales: np.ndarray, viewmat: np.ndarray, K: np.ndarray, width: int,
             height: int, near_plane: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
     """Centres [N, 2] px, factors [N, 3], depths [N]; depth 0 (and centre, factor 0) marks what is not in front."""
@@ -107,106 +144,97 @@ def project(means: np.ndarray, quats: np.ndarray, scales: np.ndarray, viewmat: n
     centres, factors = np.zeros((N, 2), np.float32), np.zeros((N, 3), np.float32)
     depths = np.zeros(N, np.float32)
     limits = _limits(K, width, height)
-    for block in prange((N + BLOCK - 1) // BLOCK):
-        p, normal, R = np.empty(3), np.empty(3), np.empty((3, 3))
-        W, B, uv = np.empty((2, 3)), np.empty((2, 3)), np.empty((2, 3))
-        for i in range(block * BLOCK, min(N, (block + 1) * BLOCK)):
-            _to_camera(means[i], viewmat, p)
-            if p[2] <= near_plane:
-                continue
-            _rotation(quats[i], R)
-            _screen_axes(p, K, limits, viewmat, R, scales[i], W, B, uv)
-            b, c, det = _covariance(uv, normal)
-            centres[i, 0] = K[0, 0] * p[0] / p[2] + K[0, 2]
-            centres[i, 1] = K[1, 1] * p[1] / p[2] + K[1, 2]
-            f0 = np.sqrt(c / (2 * det))
-            factors[i, 0], factors[i, 1], factors[i, 2] = f0, -b / c * f0, 1 / np.sqrt(2 * c)
-            depths[i] = p[2]
+    for i in prange(N):
+        p = _to_camera(_vector(means, i), viewmat)
+        if p[2] <= near_plane:
+            continue
+        R, scale = _rotation(_unit_quat(quats, i)[0]), _vector(scales, i)
+        W = _jacobian(p, K, limits, viewmat)
+        b, c, det, _ = _covariance(_each(_times(W[0], R), scale), _each(_times(W[1], R), scale))
+        centres[i, 0] = K[0, 0] * p[0] / p[2] + K[0, 2]
+        centres[i, 1] = K[1, 1] * p[1] / p[2] + K[1, 2]
+        f0 = np.sqrt(c / (2 * det))
+        factors[i, 0], factors[i, 1], factors[i, 2] = f0, -b / c * f0, 1 / np.sqrt(2 * c)
+        depths[i] = p[2]
     return centres, factors, depths
 
 
-@njit(**EXACT)
-def _axes_adjoint(uv: np.ndarray, normal: np.ndarray, factor: np.ndarray, g: np.ndarray, g_uv: np.ndarray) -> None:
-    """Gradients of u and v from those of the factor, through (b, c, det)."""
-    _, c, det = _covariance(uv, normal)
+@njit(**FAST)
+def _axes_adjoint(u: Vector, v: Vector, f: Vector, g: Vector) -> tuple[Vector, Vector]:
+    """Gradients of u and v from those of the factor f, through (b, c, det)."""
+    _, c, det, normal = _covariance(u, v)
     g_b = -g[1] / np.sqrt(2 * c * det)
-    g_c = (g[0] * factor[0] - g[1] * factor[1] - g[2] * factor[2]) / (2 * c)
-    g_det = -(g[0] * factor[0] + g[1] * factor[1]) / (2 * det)
-    _cross(uv[1], normal, g_uv[0])
-    _cross(normal, uv[0], g_uv[1])
-    for k in range(3):
-        g_uv[0, k] = g_b * uv[1, k] + 2 * g_det * (g_uv[0, k] + BLUR * uv[0, k])
-        g_uv[1, k] = g_b * uv[0, k] + 2 * g_c * uv[1, k] + 2 * g_det * (g_uv[1, k] + BLUR * uv[1, k])
+    g_c = (g[0] * f[0] - g[1] * f[1] - g[2] * f[2]) / (2 * c)
+    g_det = -(g[0] * f[0] + g[1] * f[1]) / (2 * det)
+    g_u = _sum(2 * g_det, _cross(v, normal), 2 * g_det * BLUR, u)
+    g_v = _sum(2 * g_det, _cross(normal, u), 2 * g_det * BLUR + 2 * g_c, v)
+    return _sum(1.0, g_u, g_b, v), _sum(1.0, g_v, g_b, u)
 
 
-@njit(**EXACT)
-def _camera_adjoint(mean: np.ndarray, p: np.ndarray, K: np.ndarray, limits: tuple[float, float, float, float],
-                    viewmat: np.ndarray, g_W: np.ndarray, g_centre: np.ndarray, g_depth: float, g_mean: np.ndarray,
-                    g_view: np.ndarray) -> None:  # fmt: skip
-    """Gradients of the mean, and of the camera (added to g_view [3, 4]), from those of W, the centre and the depth."""
-    g_p = (g_centre[0] * K[0, 0] / p[2], g_centre[1] * K[1, 1] / p[2])
-    g_p0, g_p1 = g_p
-    g_p2 = g_depth - (g_p[0] * p[0] + g_p[1] * p[1]) / p[2]
+@njit(**FAST)
+def _camera_adjoint(mean: Vector, p: Vector, K: np.ndarray, limits: tuple[float, float, float, float],
+                    viewmat: np.ndarray, g_W: tuple[Vector, Vector], g_centre: tuple[float, float], g_depth: float,
+                    g_view: np.ndarray) -> Vector:  # fmt: skip
+    """Gradient of p from those of W, the centre and the depth; that of the camera is added to g_view [4, 4]."""
+    g0, g1 = g_centre[0] * K[0, 0] / p[2], g_centre[1] * K[1, 1] / p[2]
+    g2 = g_depth - (g0 * p[0] + g1 * p[1]) / p[2]
     for r in range(2):
-        raw = p[r] / p[2]
-        slope = min(max(raw, limits[2 * r]), limits[2 * r + 1])
-        gain = K[r, r] / p[2]
-        along, across = _dot(g_W[r], viewmat[r]), _dot(g_W[r], viewmat[2])
-        g_p2 -= gain / p[2] * (along - slope * across)
+        raw, g_row = (p[0], p[1])[r] / p[2], g_W[r]
+        slope, gain = min(max(raw, limits[2 * r]), limits[2 * r + 1]), K[r, r] / p[2]
+        along, across = _dot(g_row, _vector(viewmat, r)), _dot(g_row, _vector(viewmat, 2))
+        g2 -= gain / p[2] * (along - slope * across)
         if raw == slope:
-            g_slope = -gain * across
-            if r == 0:
-                g_p0 += g_slope / p[2]
-            else:
-                g_p1 += g_slope / p[2]
-            g_p2 -= g_slope * raw / p[2]
+            g_slope = -gain * across / p[2]
+            g0, g1 = (g0 + g_slope, g1) if r == 0 else (g0, g1 + g_slope)
+            g2 -= g_slope * raw
         for k in range(3):
-            g_view[r, k] += gain * g_W[r, k]
-            g_view[2, k] -= gain * slope * g_W[r, k]
-    for k in range(3):
-        g_mean[k] = viewmat[0, k] * g_p0 + viewmat[1, k] * g_p1 + viewmat[2, k] * g_p2
-        g_view[0, k] += g_p0 * mean[k]
-        g_view[1, k] += g_p1 * mean[k]
-        g_view[2, k] += g_p2 * mean[k]
-    g_view[0, 3] += g_p0
-    g_view[1, 3] += g_p1
-    g_view[2, 3] += g_p2
+            g_view[r, k] += gain * g_row[k]
+            g_view[2, k] -= gain * slope * g_row[k]
+    for r in range(3):
+        g = (g0, g1, g2)[r]
+        for k in range(3):
+            g_view[r, k] += g * mean[k]
+        g_view[r, 3] += g
+    return g0, g1, g2
 
 
-@njit(parallel=True, **EXACT)
+@njit(parallel=True, **FAST)
 def project_adjoint(means: np.ndarray, quats: np.ndarray, scales: np.ndarray, viewmat: np.ndarray, K: np.ndarray,
                     width: int, height: int, factors: np.ndarray, depths: np.ndarray, g_centres: np.ndarray,
                     g_factors: np.ndarray, g_depths: np.ndarray
                     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
     """Gradients of means [N, 3], quats [N, 4], scales [N, 3] and viewmat [4, 4]."""
     N = len(means)
-    g_means, g_quats, g_scales = (
-        np.zeros((N, 3), np.float32),
-        np.zeros((N, 4), np.float32),
-        np.zeros((N, 3), np.float32),
-    )
+    g_means, g_quats = np.zeros((N, 3), np.float32), np.zeros((N, 4), np.float32)
+    g_scales = np.zeros((N, 3), np.float32)
     blocks = (N + BLOCK - 1) // BLOCK
     g_views = np.zeros((blocks, 4, 4))
     limits = _limits(K, width, height)
     for block in prange(blocks):
-        p, normal, R, g_R = np.empty(3), np.empty(3), np.empty((3, 3)), np.empty((3, 3))
-        W, B, uv = np.empty((2, 3)), np.empty((2, 3)), np.empty((2, 3))
-        g_uv, g_W = np.empty((2, 3)), np.empty((2, 3))
+        g_view = g_views[block]
         for i in range(block * BLOCK, min(N, (block + 1) * BLOCK)):
             if depths[i] == 0:
                 continue
-            _to_camera(means[i], viewmat, p)
-            length = _rotation(quats[i], R)
-            _screen_axes(p, K, limits, viewmat, R, scales[i], W, B, uv)
-            _axes_adjoint(uv, normal, factors[i], g_factors[i], g_uv)
-            for k in range(3):
-                g_scales[i, k] = g_uv[0, k] * B[0, k] + g_uv[1, k] * B[1, k]
-                g_uv[0, k] *= scales[i, k]
-                g_uv[1, k] *= scales[i, k]
-            for c in range(3):
-                g_W[0, c], g_W[1, c] = _dot(g_uv[0], R[c]), _dot(g_uv[1], R[c])
-                for k in range(3):
-                    g_R[c, k] = W[0, c] * g_uv[0, k] + W[1, c] * g_uv[1, k]
-            _quat_adjoint(quats[i], length, g_R, g_quats[i])
-            _camera_adjoint(means[i], p, K, limits, viewmat, g_W, g_centres[i], g_depths[i], g_means[i], g_views[block])
+            mean, scale = _vector(means, i), _vector(scales, i)
+            p = _to_camera(mean, viewmat)
+            quat, length = _unit_quat(quats, i)
+            R, W = _rotation(quat), _jacobian(p, K, limits, viewmat)
+            B = _times(W[0], R), _times(W[1], R)
+            g_u, g_v = _axes_adjoint(_each(B[0], scale), _each(B[1], scale), _vector(factors, i), _vector(g_factors, i))
+            g_scales[i, 0] = g_u[0] * B[0][0] + g_v[0] * B[1][0]
+            g_scales[i, 1] = g_u[1] * B[0][1] + g_v[1] * B[1][1]
+            g_scales[i, 2] = g_u[2] * B[0][2] + g_v[2] * B[1][2]
+            g_u, g_v = _each(g_u, scale), _each(g_v, scale)
+            g_R = (_sum(W[0][0], g_u, W[1][0], g_v), _sum(W[0][1], g_u, W[1][1], g_v), _sum(W[0][2], g_u, W[1][2], g_v))
+            g_quat = unit_adjoint(quat, length, _rotation_adjoint(quat, g_R))
+            g_quats[i, 0], g_quats[i, 1], g_quats[i, 2], g_quats[i, 3] = g_quat
+            g_W = (
+                (_dot(g_u, R[0]), _dot(g_u, R[1]), _dot(g_u, R[2])),
+                (_dot(g_v, R[0]), _dot(g_v, R[1]), _dot(g_v, R[2])),
+            )
+            g_centre = np.float64(g_centres[i, 0]), np.float64(g_centres[i, 1])
+            g_p = _camera_adjoint(mean, p, K, limits, viewmat, g_W, g_centre, g_depths[i], g_view)
+            g_means[i, 0], g_means[i, 1], g_means[i, 2] = _times(
+                g_p, (_vector(viewmat, 0), _vector(viewmat, 1), _vector(viewmat, 2))
+            )
     return g_means, g_quats, g_scales, g_views.sum(axis=0)
