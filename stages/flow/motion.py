@@ -20,7 +20,7 @@ from stages.shared.log import logger
 from stages.shared.sequences import Sequence, read_sequence
 
 FLOW_CURVE = (0.17, 0.04)
-CAMERA_CURVE = (0.4, 0.1)
+CAMERA_CURVE = (0.37, 0.1)
 """Pooled misfit at which a pixel moves as likely as not, and the width of the transition, with and without cameras.
 
 Two-view geometry absorbs part of every motion, so that less misfit means more.

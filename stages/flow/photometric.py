@@ -1,7 +1,8 @@
 """Does the static world explain the pictures where flow is unreliable?
 
 Flow that failed fits no depth, just as flow of a mover: fog, blur and repeated texture look like motion. The pictures
-tell them apart: warped by a static depth they match as well as by the flow, unless something moved.
+tell them apart: warped by a static depth, its own or that of its neighbours, they match as well as by the flow unless
+something moved.
 """
 
 from collections.abc import Mapping
@@ -10,18 +11,25 @@ import cv2
 import numpy as np
 
 from stages.flow.epipolar import Evidence
-from stages.flow.pooling import POOLED_OFFSETS
 from stages.flow.resweep import rigid_flow
 from stages.shared.threads import threaded
 from stages.shared.warp import is_inside, warp
 
-RELIABLE = 0.25
+RELIABLE = 0.5
 """Mean confidence over its edges from which on a pixel's flow speaks for itself."""
-EXCESS = 0.25
-"""Excess of the static world's residual over the flow's, in medians of the latter, that counts by half."""
-LEAST_NOISE = 0.5
-"""Grey levels: 8-bit frames resolve no less."""
-WINDOW_PX = 5
+REACH = 5
+"""Frames apart up to which pictures are compared: slow motion shows over several frames only."""
+FLOW_SHARE = 0.75
+"""Part of the flow's own residual that the static world is allowed: noise and blur trouble both."""
+EXCESS = 0.5
+"""Residual beyond that, in units of the tolerance, that counts by half."""
+TOLERANCE = 1.0, 0.5
+"""Residual that no motion explains: grey levels, and pixels by which the best static match may be off."""
+EXPLAINED = 0.35
+"""Misfit below which the depth of a pixel is offered to its neighbours."""
+WINDOW_PX, NEIGHBOURS_PX = 5, 15
+NEVER = np.float32(1e30)
+"""Beyond every inverse depth."""
 
 
 def corroborate(
@@ -31,7 +39,9 @@ def corroborate(
     projections: tuple[np.ndarray, np.ndarray],
     inverse_depth: np.ndarray,
 ) -> Evidence:
-    """Evidence with the misfit of unreliable flow cut to what the pictures confirm.
+    """Evidence with the misfit of unreliable flow cut to what the pictures confirm, and the weight they give it.
+
+    The pictures speak where flow is silent, the more the better the frame's other pixels were matched.
 
     Args:
         evidence: misfit [T, h, w] to the static world, and its weight.
@@ -39,48 +49,68 @@ def corroborate(
         pairs: source, target [E], flow [E, h, w, 2] px, confidence [E, h, w].
         projections: A [E, 3, 3] and b [E, 3] of `resweep`; inverse_depth: [T, h, w] in the units of b.
     """
-    leaving = [pairs["confidence"][pairs["source"] == i] for i in range(len(grey))]
-    reliability = np.stack([edges.sum(axis=0, dtype=np.float32) / max(len(edges), 1) for edges in leaving])
-    confirmed = _confirmed(grey, pairs, projections, inverse_depth)
-    return evidence._replace(misfit=evidence.misfit * np.maximum(np.minimum(reliability / RELIABLE, 1), confirmed))
-
-
-def _confirmed(
-    grey: np.ndarray,
-    pairs: Mapping[str, np.ndarray],
-    projections: tuple[np.ndarray, np.ndarray],
-    inverse_depth: np.ndarray,
-) -> np.ndarray:
-    """How clearly [T, h, w], 0..1, the flow matches the pictures better than the static world; 1 if unseen."""
     frames = np.stack([cv2.GaussianBlur(frame.astype(np.float32), (0, 0), 0.7) for frame in grey])
 
-    def of_frame(i: int) -> np.ndarray:
-        """Sums of residuals [2, h, w] after the static flow and after the flow, and the number of edges [h, w]."""
-        static, flowing, seen = np.zeros((3, *frames.shape[1:]), np.float32)
-        d = inverse_depth[i].astype(np.float32)
-        depths = d, cv2.medianBlur(d, WINDOW_PX)
-        for e in np.flatnonzero(pairs["source"] == i):
-            j = pairs["target"][e]
-            if abs(i - int(j)) not in POOLED_OFFSETS:
-                continue
-            flow = pairs["flow"][e].astype(np.float32, copy=False)
-            rigid = [rigid_flow(projections[0][e], projections[1][e], d) for d in depths]
-            inside = is_inside(flow) & is_inside(rigid[0]) & is_inside(rigid[1])
-            difference = warp(frames[j], flow) - frames[i]
-            exposure = np.float32(np.median(difference))
-            flowing += inside * _blurred(difference - exposure)
-            residuals = [_blurred(warp(frames[j], way) - frames[i] - exposure) for way in rigid]
-            static += inside * np.minimum(*residuals)
-            seen += inside
-        return np.stack([static, flowing, seen])
+    def of_frame(i: int) -> tuple[np.ndarray, np.ndarray]:
+        edges = np.flatnonzero(pairs["source"] == i)
+        confidence = pairs["confidence"][edges].astype(np.float32)
+        reliability = confidence.sum(axis=0) / (RELIABLE * max(len(edges), 1))
+        depths = _static_depths(inverse_depth[i].astype(np.float32), evidence.misfit[i])
+        near = edges[np.abs(i - pairs["target"][edges]) <= REACH]
+        cameras = projections[0][near], projections[1][near]
+        contradicted = _contradicted(frames, i, pairs["target"][near], pairs["flow"][near], cameras, depths)
+        misfit = evidence.misfit[i] * np.maximum(np.minimum(reliability, 1), contradicted)
+        return misfit, np.maximum(evidence.weight[i], (confidence > 0.5).mean() if len(edges) else 0)
 
-    static, flowing, seen = np.stack(threaded(of_frame, range(len(frames))), axis=1)
-    scale = np.maximum(seen, 1)
-    noise = max(float(np.median(flowing / scale)), LEAST_NOISE)
-    squared = (np.maximum(static - flowing, 0) / (scale * EXCESS * noise)) ** 2
-    return np.where(seen > 0, squared / (1 + squared), 1)
+    misfit, weight = zip(*threaded(of_frame, range(len(frames))), strict=True)
+    return Evidence(np.stack(misfit), np.stack(weight))
 
 
-def _blurred(difference: np.ndarray) -> np.ndarray:
-    """Mean absolute difference in a small window."""
-    return np.asarray(cv2.blur(np.abs(difference), (WINDOW_PX, WINDOW_PX)))
+def _static_depths(inverse_depth: np.ndarray, misfit: np.ndarray) -> list[np.ndarray]:
+    """Inverse depths [h, w] that a static pixel may have: the one found, and the farthest and nearest around it.
+
+    The flow of a thin or moving thing spills over the static pixels beside it, and so does the depth found from it.
+    """
+    smooth = cv2.medianBlur(inverse_depth, WINDOW_PX)
+    sure = cv2.blur(misfit, (WINDOW_PX, WINDOW_PX)) < EXPLAINED
+    kernel = np.ones((NEIGHBOURS_PX, NEIGHBOURS_PX), np.uint8)
+    farthest = cv2.erode(np.where(sure, smooth, NEVER), kernel)
+    nearest = cv2.dilate(np.where(sure, smooth, -NEVER), kernel)
+    around = [np.where(np.abs(depth) < NEVER, depth, smooth) for depth in (farthest, nearest)]
+    return [inverse_depth, smooth, *around]
+
+
+def _contradicted(
+    frames: np.ndarray,
+    i: int,
+    targets: np.ndarray,
+    flows: np.ndarray,
+    projections: tuple[np.ndarray, np.ndarray],
+    depths: list[np.ndarray],
+) -> np.ndarray:
+    """How clearly [h, w], 0..1, the flow matches the pictures better than any static depth; 0 where nothing is in view.
+
+    Frames before and after are averaged apart and the better side counts: what is hidden on one is seen on the other.
+    """
+    here = frames[i]
+    total, seen = np.zeros((2, 2, 1 + len(depths), *here.shape), np.float32)
+    for j, flow, A, b in zip(targets, flows, *projections, strict=True):
+        ways = [flow.astype(np.float32, copy=False), *(rigid_flow(A, b, depth) for depth in depths)]
+        exposure = np.float32(np.median(warp(frames[j], ways[0]) - here))
+        for k, way in enumerate(ways):
+            inside = is_inside(way)
+            residual = np.abs(warp(frames[j], way) - here - exposure)
+            total[int(j > i), k] += inside * cv2.blur(residual, (WINDOW_PX, WINDOW_PX))
+            seen[int(j > i), k] += inside
+    mean = np.where(seen > 0, total / np.maximum(seen, 1), np.inf).min(axis=0)
+    in_view = np.isfinite(mean[0]) & np.isfinite(mean[1:]).any(axis=0)
+    excess = np.where(in_view, mean[1:].min(axis=0), 0) - FLOW_SHARE * np.where(in_view, mean[0], 0)
+    squared = (np.maximum(excess, 0) / (EXCESS * _tolerance(here))) ** 2
+    return np.asarray(squared / (1 + squared))
+
+
+def _tolerance(frame: np.ndarray) -> np.ndarray:
+    """Residual [h, w] in grey levels that the best static match of a static pixel may have."""
+    slope = np.hypot(cv2.Sobel(frame, cv2.CV_32F, 1, 0, scale=1 / 8), cv2.Sobel(frame, cv2.CV_32F, 0, 1, scale=1 / 8))
+    grey_levels, pixels = TOLERANCE
+    return np.asarray(grey_levels + pixels * cv2.blur(slope, (WINDOW_PX, WINDOW_PX)))

@@ -94,6 +94,24 @@ def test_failed_flow_is_no_motion_unless_the_pictures_say_so() -> None:
     assert (cut[1][:, 40:50] == 1).all()
 
 
+def test_a_wrong_depth_beside_a_thin_thing_is_no_motion() -> None:
+    """Distant frames gave a static strip the depth of what stands beside it; the depth around it fits the pictures."""
+    texture = np.random.default_rng(1).integers(0, 255, (64, 200), dtype=np.uint8)
+    grey = np.stack([texture[:, 40 + 2 * k : 136 + 2 * k] for k in range(3)])
+    edges = [(i, j) for i in range(3) for j in range(3) if i != j]
+    source, target = np.array(edges).T
+    flow = np.stack([np.full((64, 96, 2), (-2 * (j - i), 0), np.float32) for i, j in edges])
+    confidence, strip = np.ones(flow.shape[:3], np.float32), np.s_[:, 40:48]
+    inverse_depth, misfit = np.ones(grey.shape, np.float32), np.zeros(grey.shape, np.float32)
+    confidence[:, :, 40:48], inverse_depth[:, :, 40:48], misfit[:, :, 40:48] = 0, 2.5, 1
+    pairs = {"source": source, "target": target, "flow": flow, "confidence": confidence}
+    projections = np.tile(np.eye(3), (len(edges), 1, 1)), (target - source)[:, None] * [-2.0, 0, 0]
+    evidence = Evidence(misfit, np.zeros(grey.shape, np.float32))
+    cut = photometric.corroborate(evidence, grey, pairs, projections, inverse_depth)
+    assert cut.misfit[1][strip].mean() < 0.05
+    assert (cut.weight[1] > 0.5).all(), "what the pictures say counts without confident flow"
+
+
 def test_pure_rotation_keeps_the_depth_it_starts_from() -> None:
     """Triangulating with no baseline divides nothing by nothing."""
     scene = make_scene(T=5, motion="rotate")
