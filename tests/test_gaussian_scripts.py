@@ -202,6 +202,25 @@ def write_status(poses: Path, status: np.ndarray, cam_from_world: np.ndarray) ->
     write_cameras(poses, make_cameras(cam_from_world, truth.K, np.arange(1, truth.T + 1), status=status))
 
 
+def test_frames_with_a_bridged_pose_are_not_trained_on(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    inputs = write_inputs(tmp_path)
+    paths = {name: inputs[name] for name in ("sequence", "masks", "poses", "depth")}
+    everything = read_observations(**paths, split=SplitOptions())
+    status = np.full(truth.T, "estimated", object)
+    status[[2, 4]] = "unobserved"  # frame 3, and frame 5, which is held out anyway
+    write_status(inputs["poses"], status, truth.cameras())
+    with caplog.at_level("WARNING", logger="motionsplat"):
+        seen = read_observations(**paths, split=SplitOptions())
+    assert "frames [3] have no matches of their own and are left out" in caplog.text
+    assert all(
+        np.array_equal(np.delete(a, 2, axis=0), b)
+        for a, b in zip(vars(everything).values(), vars(seen).values(), strict=True)
+    )
+    status[1:] = "unobserved"
+    write_status(inputs["poses"], status, truth.cameras())
+    assert len(read_observations(**paths, split=SplitOptions()).images) == truth.T - 1
+
+
 def test_held_out_frames_are_never_opened(tmp_path: Path) -> None:
     inputs = write_inputs(tmp_path)
     paths = {name: inputs[name] for name in ("sequence", "masks", "poses", "depth")}

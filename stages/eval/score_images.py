@@ -15,7 +15,7 @@ from stages.shared.sequences import Sequence
 
 REGIONS = ("whole", "static", "dynamic")
 SPLITS = {
-    "train": "frames that were trained on",
+    "train": "frames that are not held out; trained on, but for those without matches of their own",
     "test": "held-out frames, never trained on",
     "right": "right-eye views against the clean pass, the only one with right-eye truth",
 }

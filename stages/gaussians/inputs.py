@@ -6,21 +6,25 @@ import numpy as np
 
 from stages.gaussians.observations import Observations, dense_depth, nearest_on_frame
 from stages.shared.artifacts import read_dense, read_metadata
-from stages.shared.cameras import read_cameras
+from stages.shared.cameras import Cameras, read_cameras
 from stages.shared.errors import InputError
 from stages.shared.images import read_mask, read_rgb
+from stages.shared.log import logger
 from stages.shared.sequences import Sequence, read_sequence
 from stages.shared.split import SplitOptions, held_out
 
+MIN_OBSERVED = 2
+"""What changes over time is interpolated between at least so many training frames."""
+
 
 def read_observations(sequence: Path, masks: Path, poses: Path, depth: Path, split: SplitOptions) -> Observations:
-    """The training frames; no file of a held-out frame is opened.
+    """The frames of `training_frames`; no file of any other is opened.
 
     Raises:
         InputError: if a mask has another size than the frames.
     """
     content, cameras = read_sequence(sequence), read_cameras(poses)
-    frames = np.flatnonzero(~held_out(len(content.frames), split)).tolist()
+    frames = training_frames(cameras, split).tolist()
     images = np.stack([read_rgb(content.frames[k]) for k in frames]).astype(np.float32) / 255
     grid, stride_px = read_dense(depth), float(read_metadata(depth)["stride_px"])
     dense = [dense_depth(grid["inverse_depth"][k], image, stride_px) for k, image in zip(frames, images, strict=True)]
@@ -34,6 +38,25 @@ def read_observations(sequence: Path, masks: Path, poses: Path, depth: Path, spl
         cameras.Ks[frames],
         frame_times(len(content.frames))[frames],
     )
+
+
+def training_frames(cameras: Cameras, split: SplitOptions) -> np.ndarray:
+    """Indices of the frames to train on: those neither held out nor without matches of their own, and the log says so.
+
+    The pose of a frame without matches is bridged from its neighbours': a wrong view would blur what the others show.
+    """
+    training = ~held_out(len(cameras.numbers), split)
+    unobserved = training & (cameras.status == "unobserved")
+    if not unobserved.any():
+        return np.flatnonzero(training)
+    numbers = cameras.numbers[unobserved].tolist()
+    if (training & ~unobserved).sum() < MIN_OBSERVED:
+        logger.warning(
+            "gaussians: trained on frames %s without matches of their own: hardly any other is left", numbers
+        )
+        return np.flatnonzero(training)
+    logger.warning("gaussians: frames %s have no matches of their own and are left out of the training", numbers)
+    return np.flatnonzero(training & ~unobserved)
 
 
 def frame_times(T: int) -> np.ndarray:
