@@ -22,8 +22,8 @@ from stages.gaussians.rasterize import rasterize
 from stages.gaussians.video import MAX_BYTES, write_gif
 from stages.gaussians.views import novel_path, right_eye
 from stages.shared import lie
-from stages.shared.artifacts import read_json, read_metadata, read_model, read_table, write_table
-from stages.shared.cameras import make_cameras, write_cameras
+from stages.shared.artifacts import read_json, read_metadata, read_model, read_table, write_model, write_table
+from stages.shared.cameras import make_cameras, read_cameras, write_cameras
 from stages.shared.errors import InputError
 from stages.shared.images import read_rgb
 from stages.shared.split import SplitOptions
@@ -230,6 +230,25 @@ def test_held_out_frames_are_never_opened(tmp_path: Path) -> None:
     after = read_observations(**paths, split=SplitOptions())
     assert len(after.images) == truth.T - 1
     assert all(np.array_equal(a, b) for a, b in zip(vars(before).values(), vars(after).values(), strict=True))
+
+
+@pytest.mark.parametrize("column", ["qw", "tz", "fx", "frame", "covariance", "status"])
+def test_cameras_that_lack_a_column_are_refused(tmp_path: Path, column: str) -> None:
+    write_status(tmp_path / "poses.parquet", np.full(truth.T, "estimated", object), truth.cameras())
+    table = read_table(tmp_path / "poses.parquet")
+    del table[column]
+    write_table(tmp_path / "foreign.parquet", table)
+    with pytest.raises(InputError, match=rf"foreign.parquet: expected cameras .* found no '{column}'"):
+        read_cameras(tmp_path / "foreign.parquet")
+
+
+@pytest.mark.parametrize("settings", [{}, {"width": 96, "height": 64}])
+def test_a_model_of_something_else_is_no_scene(tmp_path: Path, settings: dict[str, int]) -> None:
+    write_status(tmp_path / "poses.parquet", np.full(truth.T, "estimated", object), truth.cameras())
+    write_model(tmp_path / "other.safetensors", {"means": np.zeros((3, 3), np.float32)}, settings)
+    with pytest.raises(InputError, match=r"other.safetensors: expected a model of the Gaussians, found no '"):
+        view.main(tmp_path / "other.safetensors", tmp_path / "poses.parquet", tmp_path / "views", ViewOptions())
+    assert not (tmp_path / "views").exists()
 
 
 def test_masks_of_another_size_are_refused(tmp_path: Path) -> None:

@@ -17,6 +17,7 @@ from stages.shared import lie, sintel
 from stages.shared.alignment import DegenerateError
 from stages.shared.artifacts import read_metadata, read_model
 from stages.shared.cameras import Cameras
+from stages.shared.errors import complete
 from stages.shared.log import logger
 from stages.shared.sequences import Sequence
 from stages.shared.split import held_out
@@ -70,10 +71,15 @@ def right_cameras(content: Sequence, cam_from_world: np.ndarray) -> tuple[np.nda
 
 
 def load_scene(model: Path, device: str) -> GaussianScene:
-    """The trained scene of a model file, whole or halved, on an option's device "auto", "cpu" or "cuda"."""
+    """The trained scene of a model file, whole or halved, on an option's device "auto", "cpu" or "cuda".
+
+    Raises:
+        InputError: if the file is no model of a scene.
+    """
     chosen = choose_device(device)
     logger.info("rendering by %s", backend_name(chosen))
-    return scene_from_tensors(read_model(model), read_metadata(model)).to(chosen)
+    with complete(model, "a model of the Gaussians", "give gaussians/model.safetensors"):
+        return scene_from_tensors(read_model(model), read_metadata(model)).to(chosen)
 
 
 @torch.no_grad()

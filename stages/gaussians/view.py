@@ -9,6 +9,7 @@ from stages.gaussians.options import ViewOptions
 from stages.shared import cli
 from stages.shared.artifacts import read_metadata, read_table
 from stages.shared.cli import In, Out
+from stages.shared.errors import complete
 
 
 def main(
@@ -29,7 +30,9 @@ def main(
     from stages.shared.cameras import read_cameras
     from stages.shared.images import write_image
 
-    eyes, size = read_cameras(cameras), read_metadata(model)
+    eyes, settings = read_cameras(cameras), read_metadata(model)
+    with complete(model, "a model of the Gaussians", "give gaussians/model.safetensors"):
+        width, height = options.width_px or settings["width"], options.height_px or settings["height"]
     T = len(eyes.numbers)
     times = read_table(cameras).get("time", frame_times(T) if T > 1 else np.zeros(T))
     if options.at_time is not None:
@@ -38,7 +41,7 @@ def main(
     with atomic_folder(output, ("frame_*.png", "frame_*.ply")) as folder:
         for number, time, pose, K in zip(eyes.numbers, times, eyes.cam_from_world, eyes.Ks, strict=True):
             shot = Shot("", int(number), float(time), pose, K)
-            image = take(scene, shot, options.width_px or size["width"], options.height_px or size["height"])
+            image = take(scene, shot, width, height)
             write_image(folder / f"frame_{number:04d}.png", image)
             if options.splats:
                 write_splats(folder / f"frame_{number:04d}.ply", scene, float(time))

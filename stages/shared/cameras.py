@@ -8,6 +8,7 @@ import numpy as np
 
 from stages.shared import lie
 from stages.shared.artifacts import atomic, read_table, write_table
+from stages.shared.errors import complete
 
 
 @dataclass(frozen=True)
@@ -66,13 +67,18 @@ def write_cameras(path: Path, cameras: Cameras, metadata: dict[str, Any] | None 
 
 
 def read_cameras(path: Path) -> Cameras:
-    """Read what `write_cameras` wrote."""
+    """Read what `write_cameras` wrote.
+
+    Raises:
+        InputError: if a column is missing.
+    """
     table = read_table(path)
-    R = lie.matrix_from_quat(np.stack([table[name] for name in ("qw", "qx", "qy", "qz")], axis=-1))
-    t = np.stack([table[name] for name in ("tx", "ty", "tz")], axis=-1)
-    Ks = intrinsics(table["fx"], table["fy"], table["cx"], table["cy"])
-    covariance = table["covariance"].reshape(-1, 6, 6)
-    return Cameras(lie.from_parts(R, t), Ks, table["frame"], covariance, table["status"])
+    with complete(path, "cameras laid out as ba/poses.parquet", "add the column"):
+        R = lie.matrix_from_quat(np.stack([table[name] for name in ("qw", "qx", "qy", "qz")], axis=-1))
+        t = np.stack([table[name] for name in ("tx", "ty", "tz")], axis=-1)
+        Ks = intrinsics(table["fx"], table["fy"], table["cx"], table["cy"])
+        covariance = table["covariance"].reshape(-1, 6, 6)
+        return Cameras(lie.from_parts(R, t), Ks, table["frame"], covariance, table["status"])
 
 
 def write_tum(path: Path, cameras: Cameras) -> None:

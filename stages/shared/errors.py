@@ -1,5 +1,7 @@
 """The one exception that means: the input is wrong, not the program."""
 
+import contextlib
+from collections.abc import Iterator
 from pathlib import Path
 
 
@@ -16,3 +18,12 @@ class InputError(Exception):
     def __init__(self, subject: Path | str, expected: str, found: str, advice: str) -> None:
         self.subject = str(subject)
         super().__init__(f"{subject}: expected {expected}, found {found}; {advice}")
+
+
+@contextlib.contextmanager
+def complete(path: Path, expected: str, advice: str) -> Iterator[None]:
+    """While columns or keys of `path` are looked up: one that a file of foreign origin lacks is bad input, no bug."""
+    try:
+        yield
+    except KeyError as missing:
+        raise InputError(path, expected, f"no {missing}", advice) from missing
