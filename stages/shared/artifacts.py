@@ -68,7 +68,7 @@ def _refuse_foreign(path: Path, writes: Iterable[str]) -> None:
 @contextlib.contextmanager
 def _replacing(path: Path) -> Iterator[Path]:
     path.parent.mkdir(parents=True, exist_ok=True)
-    partial, old = (path.with_name(f".{path.name}.{kind}") for kind in ("partial", "old"))
+    partial, old = (path.with_name(f".{path.name}.{kind}") for kind in ("partial", "replaced"))
     _remove(partial)
     try:
         yield partial
@@ -76,7 +76,8 @@ def _replacing(path: Path) -> Iterator[Path]:
             _remove(old)
             path.replace(old)
         partial.replace(path)
-        _remove(old)
+        if old.is_dir():
+            _remove(old)
     finally:
         _remove(partial)
 
