@@ -42,16 +42,15 @@ def random_splats(N: int, width: int, height: int) -> dict[str, Tensor]:
     return {name: torch.tensor(value, dtype=torch.float32) for name, value in values.items()}
 
 
-def kernels(splats: dict[str, Tensor], g_image: np.ndarray, g_alpha: np.ndarray) -> np.ndarray:
-    """Gradients [N, 10] by the numba kernels, everything included."""
-    height, width = g_alpha.shape
+def kernels(splats: dict[str, Tensor], gradients: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
+    """Gradients of the splats by the numba kernels, everything included, from those of colour, depth and alpha."""
+    height, width = gradients[1].shape
     arrays = [splats[name].numpy() for name in ("centres", "factors", "opacities", "colours", "depths")]
     order = drawing_order(arrays[-1])
     rows = raster_bins.gather(order, *arrays, height)
     starts, entries, slots = raster_bins.bin_tiles(rows, width, height)
-    image, transmittance = np.empty((height, width, 4), np.float32), np.empty((height, width), np.float32)
-    raster_kernels.composite(rows, starts, entries, np.zeros(3, np.float32), image, transmittance)
-    sums = raster_adjoint.composite_adjoint(rows, starts, entries, image, transmittance, g_image, g_alpha)
+    images = raster_kernels.composite(rows, starts, entries, np.zeros(3, np.float32), height, width)
+    sums = raster_adjoint.composite_adjoint(rows, starts, entries, *images, *gradients)
     return raster_adjoint.splat_gradients(order, rows, slots, sums, len(arrays[-1]))
 
 
@@ -106,7 +105,8 @@ def bench_rasterizer(N: int, width: int, height: int, rounds: int, flops: float)
     """One size: seconds, ratio to torch and to the limit."""
     splats = random_splats(N, width, height)
     random = np.random.default_rng(1)
-    g_image, g_alpha = random.normal(size=(height, width, 4)).astype(np.float32), np.zeros((height, width), np.float32)
+    shapes = (height, width, 3), (height, width), (height, width)
+    gradients = tuple(random.normal(size=shape).astype(np.float32) for shape in shapes)
     tiles = -(-width // 16) * -(-height // 16)
     weights = torch.tensor(random.normal(size=(tiles, 256, 5)), dtype=torch.float32)
     arrays = [splats[name].numpy() for name in ("centres", "factors", "opacities", "colours", "depths")]
@@ -114,7 +114,7 @@ def bench_rasterizer(N: int, width: int, height: int, rounds: int, flops: float)
     bins = raster_bins.bin_tiles(rows, width, height)
     pairs = contributing_pairs(rows, bins.starts, bins.entries[:, raster_bins.RANK].copy(), width, height)
     works = {
-        "numba": lambda: kernels(splats, g_image, g_alpha),
+        "numba": lambda: kernels(splats, gradients),
         "torch": lambda: torch_rasterizer.forward_and_backward(splats, weights, width, height),
     }
     seconds = alternated(works, rounds)

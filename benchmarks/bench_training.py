@@ -34,7 +34,11 @@ PARTS = {
     "rasterise, backward": [(raster_adjoint, "composite_adjoint"), (raster_adjoint, "splat_gradients")],
     "project": [(projection_kernels, "project")],
     "project, backward": [(projection_kernels, "project_adjoint")],
-    "skin": [(lbs_kernels, name) for name in ("softmax_weights", "softmax_weights_adjoint", "blend", "blend_adjoint")],
+    "skin": [
+        (lbs_kernels, name + suffix)
+        for name in ("softmax_weights", "blend", "blend_values")
+        for suffix in ("", "_adjoint")
+    ],
     "SSIM with gradient": [(ssim_kernels, name) for name in ("products", "blur", "similarity", "assemble")],
     "ARAP, forward": [(arap, "arap_energy"), (arap, "arap_graph")],
     "Adam": [(torch.optim.Adam, "step")],

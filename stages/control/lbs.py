@@ -81,6 +81,18 @@ def blend(
     return moved
 
 
+def blend_values(values: Tensor, weights: Tensor, index: Tensor) -> Tensor:
+    """Weighted sums [N, C] of the values [P, C] of control points; differentiable in the values alone.
+
+    Args:
+        weights: [N, K]. index: [N, K].
+    """
+    if values.device.type != "cpu":
+        return torch.einsum("nk,nkc->nc", weights.detach(), values[index])
+    blended: Tensor = _BlendValues.apply(values, weights, index)  # type: ignore[no-untyped-call]
+    return blended
+
+
 def inverse_blend(
     moved: Tensor, points: Tensor, point_quats: Tensor, point_translations: Tensor, log_radii: Tensor, K: int
 ) -> tuple[Tensor, Tensor]:
@@ -166,3 +178,18 @@ class _Blend(torch.autograd.Function):
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
         g_means, g_quats = (gradient.contiguous().numpy() for gradient in gradients)
         return (*map(torch.from_numpy, lbs_kernels.blend_adjoint(*ctx.arrays, g_means, g_quats)), None)
+
+
+class _BlendValues(torch.autograd.Function):
+    """The sums and their scatter back in a fixed order."""
+
+    @staticmethod
+    def forward(ctx: Any, *tensors: Tensor) -> Tensor:
+        values, *ctx.arrays = (tensor.detach().contiguous().numpy() for tensor in tensors)
+        ctx.P = len(values)
+        return torch.from_numpy(lbs_kernels.blend_values(values, *ctx.arrays))
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
+        g_values = lbs_kernels.blend_values_adjoint(gradients[0].contiguous().numpy(), *ctx.arrays, ctx.P)
+        return torch.from_numpy(g_values), None, None

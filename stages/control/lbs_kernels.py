@@ -98,13 +98,9 @@ def softmax_weights(sq_dist: np.ndarray, inverse_sq_radii: np.ndarray, index: np
 
 @njit(parallel=True, **FAST)
 def softmax_weights_adjoint(
-    sq_dist: np.ndarray,
-    inverse_sq_radii: np.ndarray,
-    index: np.ndarray,
-    weights: np.ndarray,
-    g_weights: np.ndarray,
+    sq_dist: np.ndarray, inverse_sq_radii: np.ndarray, index: np.ndarray, weights: np.ndarray, g_weights: np.ndarray,
     moving: bool,
-) -> tuple[np.ndarray, np.ndarray]:
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """Gradients of sq_dist [N, K] and inverse_sq_radii [P], given that of the weights [N, K].
 
     The first is left out, with no row, unless `moving`: Gaussians at rest keep their distances.
@@ -227,3 +223,28 @@ def _neighbours_adjoint(
         for c in range(4):
             scattered[p, 12 + c] += sign * w * g_blended[c]
     g_means[n, 0], g_means[n, 1], g_means[n, 2] = m0, m1, m2
+
+
+@njit(parallel=True, **FAST)
+def blend_values(values: np.ndarray, weights: np.ndarray, index: np.ndarray) -> np.ndarray:
+    """Weighted sums [N, C] of values [P, C] over weights and index [N, K]."""
+    (N, K), C = index.shape, values.shape[1]
+    blended = np.zeros((N, C), values.dtype)
+    for n in prange(N):
+        for k in range(K):
+            for c in range(C):
+                blended[n, c] += weights[n, k] * values[index[n, k], c]
+    return blended
+
+
+@njit(parallel=True, **FAST)
+def blend_values_adjoint(g: np.ndarray, weights: np.ndarray, index: np.ndarray, P: int) -> np.ndarray:
+    """Gradient [P, C] of the values, given that of the sums [N, C]."""
+    (N, K), C = index.shape, g.shape[1]
+    scattered = np.zeros((CHUNKS, P, C), g.dtype)
+    for chunk in prange(CHUNKS):
+        for n in range(chunk * N // CHUNKS, (chunk + 1) * N // CHUNKS):
+            for k in range(K):
+                for c in range(C):
+                    scattered[chunk, index[n, k], c] += weights[n, k] * g[n, c]
+    return scattered.sum(axis=0)

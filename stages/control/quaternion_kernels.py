@@ -1,10 +1,13 @@
 """Quaternions wxyz as tuples in numba: arrays made inside the loops would cost more than the arithmetic."""
 
+from typing import Any
+
 import numpy as np
 from numba import njit
 
 FAST = {"cache": True, "fastmath": {"contract", "nsz", "arcp"}, "error_model": "numpy"}
 """Fused multiply-add and reciprocals; not the flags that assume away infinities and NaN."""
+ONE: Any = np.float32(1)  # an integer would turn what it is added to into float64
 Quaternion = tuple[float, float, float, float]
 
 
@@ -42,7 +45,7 @@ def unit(q: Quaternion) -> tuple[Quaternion, float]:
     """q / |q| and |q|, through the largest entry, whose square cannot underflow. Zero stays zero, of length one."""
     largest = max(abs(q[0]), abs(q[1]), abs(q[2]), abs(q[3]))
     if largest == 0:
-        return q, largest + 1
+        return q, largest + ONE
     scaled = (q[0] / largest, q[1] / largest, q[2] / largest, q[3] / largest)
     length = np.sqrt(dot(scaled, scaled))
     return (scaled[0] / length, scaled[1] / length, scaled[2] / length, scaled[3] / length), largest * length

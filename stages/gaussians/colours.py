@@ -5,6 +5,7 @@ import torch
 from torch import Tensor
 
 from stages.control.deformation import spline_basis
+from stages.control.lbs import blend_values
 
 
 class ColourTable(torch.nn.Module):
@@ -29,4 +30,4 @@ class ColourTable(torch.nn.Module):
             index: [N, K] control points.
         """
         of_points = torch.einsum("f,fpc->pc", spline_basis(self.knots, np.array([time]))[0].to(self.table), self.table)
-        return torch.nn.functional.embedding_bag(index, of_points, mode="sum", per_sample_weights=weights.detach())
+        return blend_values(of_points, weights, index)

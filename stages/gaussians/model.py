@@ -120,11 +120,13 @@ class GaussianScene(torch.nn.Module):
             point_quats, translations = self.deformation(means.new_tensor([time]))
             weights = self._weights(means[n:])
         motion = (self.deformation.points, point_quats[0], translations[0], weights, self.index)
-        moved, turned = blend(means[n:], quats[n:], *motion)
+        parts = [n, len(means) - n]  # the gradient of a split is one copy, that of two slices five
+        (still, means), (unturned, quats) = means.split_with_sizes(parts), quats.split_with_sizes(parts)
+        moved, turned = blend(means, quats, *motion)
         if self.colours is not None:
-            lit = sh_dc[n:] + self.colours(time, weights, self.index)[:, None]
-            sh_dc = torch.cat([sh_dc[:n], lit])
-        return torch.cat([means[:n], moved]), torch.cat([quats[:n], turned]), sh_dc
+            constant, lit = sh_dc.split_with_sizes(parts)
+            sh_dc = torch.cat([constant, lit + self.colours(time, weights, self.index)[:, None]])
+        return torch.cat([still, moved]), torch.cat([unturned, turned]), sh_dc
 
     def render(
         self, time: float, viewmat: Tensor, K: Tensor, width: int, height: int, detach: bool = False

@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit, prange
 
 from stages.gaussians.lanes import LANES, load, prefetch, store, totals, trailing_zeros, where
-from stages.gaussians.raster_bins import CHUNKS, FAST, LIMIT, MASK, ONE, RANK, SLOT, SPLAT, TILE, WIDTH, ZERO
+from stages.gaussians.raster_bins import CHUNKS, FAST, LIMIT, MASK, ONE, RANK, SLOT, TILE, WIDTH, ZERO
 from stages.gaussians.raster_kernels import (
     AHEAD,
     CHECK,
@@ -76,32 +76,37 @@ def _adjoint_tile(entries: np.ndarray, splats: np.ndarray, x0: int, y0: int, sta
 
 
 @njit(parallel=True, **FAST)
-def composite_adjoint(splats: np.ndarray, starts: np.ndarray, entries: np.ndarray, image: np.ndarray,
-                      transmittance: np.ndarray, g_image: np.ndarray, g_alpha: np.ndarray) -> np.ndarray:  # fmt: skip
-    """Sums [entries, LANES] over the pixels of each tile, from the gradients of image [H, W, 4] and alpha [H, W]."""
+def composite_adjoint(splats: np.ndarray, starts: np.ndarray, entries: np.ndarray, colour: np.ndarray,
+                      depth: np.ndarray, transmittance: np.ndarray, g_colour: np.ndarray, g_depth: np.ndarray,
+                      g_alpha: np.ndarray) -> np.ndarray:  # fmt: skip
+    """Sums [entries, LANES] over the pixels of each tile, from what `composite` gave and its gradients."""
     height, width = transmittance.shape
     columns = (width + TILE - 1) // TILE
     sums = np.empty((len(entries), LANES), np.float32)
     for tile in prange(len(starts) - 1):
         y0, x0 = tile // columns * TILE, tile % columns * TILE
         state = np.zeros((6, TILE * TILE), np.float32)
-        for y in range(min(TILE, height - y0)):
-            for x in range(min(TILE, width - x0)):
-                at = place(y, x)
+        for y in range(y0, min(y0 + TILE, height)):
+            for x in range(x0, min(x0 + TILE, width)):
+                at = place(y - y0, x - x0)
                 state[0, at] = ONE
-                remainder = -g_alpha[y0 + y, x0 + x] * transmittance[y0 + y, x0 + x]
-                for c in range(4):
-                    state[2 + c, at] = g_image[y0 + y, x0 + x, c]
-                    remainder += g_image[y0 + y, x0 + x, c] * image[y0 + y, x0 + x, c]
-                state[1, at] = remainder
+                remainder = g_depth[y, x] * depth[y, x] - g_alpha[y, x] * transmittance[y, x]
+                for c in range(3):
+                    state[2 + c, at] = g_colour[y, x, c]
+                    remainder += g_colour[y, x, c] * colour[y, x, c]
+                state[1, at], state[5, at] = remainder, g_depth[y, x]
         _adjoint_tile(entries[starts[tile] : starts[tile + 1]], splats, x0, y0, state, sums)
     return sums
 
 
+Gradients = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+
+
 @njit(parallel=True, **FAST)
-def splat_gradients(order: np.ndarray, splats: np.ndarray, slots: np.ndarray, sums: np.ndarray, N: int) -> np.ndarray:
-    """Gradients [N, SPLAT] of the Gaussians from the sums of their tiles; zero for Gaussians that were not drawn."""
-    gradients = np.zeros((N, SPLAT), np.float32)
+def splat_gradients(order: np.ndarray, splats: np.ndarray, slots: np.ndarray, sums: np.ndarray, N: int) -> Gradients:
+    """Gradients of centres [N, 2], factors [N, 3], opacities [N], colours [N, 3] and depths [N]; zero if not drawn."""
+    centres, factors, opacities = np.zeros((N, 2), np.float32), np.zeros((N, 3), np.float32), np.zeros(N, np.float32)
+    colours, depths = np.zeros((N, 3), np.float32), np.zeros(N, np.float32)
     for chunk in prange(CHUNKS):
         m = np.empty(LANES, np.float32)
         for rank in range(chunk * len(order) // CHUNKS, (chunk + 1) * len(order) // CHUNKS):
@@ -111,9 +116,10 @@ def splat_gradients(order: np.ndarray, splats: np.ndarray, slots: np.ndarray, su
             for slot in range(slots[rank], slots[rank + 1]):
                 summed = summed + load(sums, LANES * slot)
             store(m, 0, summed)
-            row, f0, f1, f2 = gradients[order[rank]], splats[rank, 2], splats[rank, 3], splats[rank, 4]
-            row[0], row[1] = TWO * f0 * m[1], TWO * (f1 * m[1] + f2 * m[2])
-            row[2], row[3], row[4] = TWO * (m[3] - f1 / f2 * m[4]) / f0, TWO * m[4] / f2, TWO * m[5] / f2
-            row[5] = -m[0] / splats[rank, 5]
-            row[6], row[7], row[8], row[9] = m[6], m[7], m[8], m[9]
-    return gradients
+            i, f0, f1, f2 = order[rank], splats[rank, 2], splats[rank, 3], splats[rank, 4]
+            centres[i, 0], centres[i, 1] = TWO * f0 * m[1], TWO * (f1 * m[1] + f2 * m[2])
+            factors[i, 0] = TWO * (m[3] - f1 / f2 * m[4]) / f0
+            factors[i, 1], factors[i, 2] = TWO * m[4] / f2, TWO * m[5] / f2
+            opacities[i], depths[i] = -m[0] / splats[rank, 5], m[9]
+            colours[i, 0], colours[i, 1], colours[i, 2] = m[6], m[7], m[8]
+    return centres, factors, opacities, colours, depths

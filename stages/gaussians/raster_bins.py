@@ -1,8 +1,8 @@
 """Numba kernels that list for every tile which splats reach which of its blocks, front to back.
 
-A splat is a row of floats: centre (px), factor, opacity, colour, depth. The factor (f0, f1, f2) is the Cholesky
-factor of half the inverse 2-D covariance, so that the exponent is a sum of squares: with (dx, dy) = centre - pixel,
-s = (f0 dx + f1 dy)^2 + (f2 dy)^2 and alpha = opacity exp(-s). The usual A dx^2 + 2 B dx dy + C dy^2 cancels for
+A splat is a row of WIDTH floats: centre (px), factor, opacity, colour, depth and more. The factor (f0, f1, f2) is the
+Cholesky factor of half the inverse 2-D covariance, so that the exponent is a sum of squares: with (dx, dy) = centre -
+pixel, s = (f0 dx + f1 dy)^2 + (f2 dy)^2 and alpha = opacity exp(-s). The usual A dx^2 + 2 B dx dy + C dy^2 cancels for
 needle-shaped splats; this form cannot, at the same cost.
 
 Blocks are the unit of work: 4 x 4 pixels fill one vector, and small splats leave a third of the lanes idle, where rows
@@ -22,10 +22,9 @@ BLOCKS = 4
 TILE = BLOCK * BLOCKS
 CHUNKS = 8
 """Splats are binned in this many parts: fixed, so the lists do not depend on the thread count."""
-SPLAT = 10
-"""Columns of a splat that carry gradients: x, y, f0, f1, f2, opacity, red, green, blue, depth."""
 LIMIT, TOP, BOTTOM, WIDTH = 10, 11, 12, 16
-"""Further columns: the exponent at which alpha is MIN_ALPHA, first and last pixel row within reach; then padding."""
+"""Columns of a splat after x, y, f0, f1, f2, opacity, red, green, blue, depth: the exponent at which alpha is
+MIN_ALPHA, first and last pixel row within reach; then padding up to WIDTH."""
 MIN_ALPHA = 1 / 255
 """Smaller contributions are dropped, as in 3DGS and gsplat."""
 MARGIN = np.float32(1e-3)

@@ -103,10 +103,11 @@ def _composite_tile(entries: np.ndarray, splats: np.ndarray, x0: int, y0: int, s
 
 
 @njit(parallel=True, **FAST)
-def composite(splats: np.ndarray, starts: np.ndarray, entries: np.ndarray, background: np.ndarray, image: np.ndarray,
-              transmittance: np.ndarray) -> None:  # fmt: skip
-    """Fill image [H, W, 4] (red, green, blue over `background` [3], accumulated depth) and transmittance [H, W]."""
-    height, width = transmittance.shape
+def composite(splats: np.ndarray, starts: np.ndarray, entries: np.ndarray, background: np.ndarray, height: int,
+              width: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
+    """Colour [H, W, 3] over `background` [3], accumulated depth [H, W] and transmittance [H, W]."""
+    colour, depth = np.empty((height, width, 3), np.float32), np.empty((height, width), np.float32)
+    transmittance = np.empty((height, width), np.float32)
     columns = (width + TILE - 1) // TILE
     for tile in prange(len(starts) - 1):
         y0, x0 = tile // columns * TILE, tile % columns * TILE
@@ -122,5 +123,6 @@ def composite(splats: np.ndarray, starts: np.ndarray, entries: np.ndarray, backg
                 T = state[0, at]
                 transmittance[y0 + y, x0 + x] = T
                 for c in range(3):
-                    image[y0 + y, x0 + x, c] = state[1 + c, at] + T * background[c]
-                image[y0 + y, x0 + x, 3] = state[4, at]
+                    colour[y0 + y, x0 + x, c] = state[1 + c, at] + T * background[c]
+                depth[y0 + y, x0 + x] = state[4, at]
+    return colour, depth, transmittance

@@ -104,8 +104,8 @@ def _render_cpu(
     background: Tensor,
 ) -> tuple[Tensor, ...]:
     centres, factors, depths = _Project.apply(means, quats, scales, viewmat, K, width, height, near_plane)  # type: ignore[no-untyped-call]
-    image, alpha = _Composite.apply(centres, factors, opacities, colours, depths, background, width, height)  # type: ignore[no-untyped-call]
-    return image[..., :3], image[..., 3], alpha, centres
+    images = _Composite.apply(centres, factors, opacities, colours, depths, background, width, height)  # type: ignore[no-untyped-call]
+    return *images, centres
 
 
 def _render_cuda(
@@ -162,32 +162,35 @@ class _Project(torch.autograd.Function):
 
 
 class _Composite(torch.autograd.Function):
-    """Splats to image [H, W, 4] (colour over the background, accumulated depth) and alpha [H, W]."""
+    """Splats to colour [H, W, 3] over the background, accumulated depth [H, W] and alpha [H, W]."""
 
     @staticmethod
     def forward(ctx: Any, centres: Tensor, factors: Tensor, opacities: Tensor, colours: Tensor, depths: Tensor,
-                background: Tensor, width: int, height: int) -> tuple[Tensor, Tensor]:  # fmt: skip
+                background: Tensor, width: int, height: int) -> tuple[Tensor, Tensor, Tensor]:  # fmt: skip
+        ctx.set_materialize_grads(False)
         order = drawing_order(_float32(depths))
         arrays = [_float32(tensor) for tensor in (centres[0], factors, opacities, colours, depths)]
         splats = raster_bins.gather(order, *arrays, height)
         bins = raster_bins.bin_tiles(splats, width, height)
-        image, transmittance = np.empty((height, width, 4), np.float32), np.empty((height, width), np.float32)
-        raster_kernels.composite(splats, bins.starts, bins.entries, _float32(background), image, transmittance)
-        ctx.saved = (order, splats, bins, image, transmittance)
-        ctx.N = len(depths)
-        return torch.from_numpy(image), torch.from_numpy(1 - transmittance)
+        images = raster_kernels.composite(splats, bins.starts, bins.entries, _float32(background), height, width)
+        ctx.saved = (order, splats, bins, images, len(depths))
+        colour, depth, transmittance = map(torch.from_numpy, images)
+        return colour, depth, 1 - transmittance
 
     @staticmethod
-    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
-        order, splats, bins, image, transmittance = ctx.saved
-        g_image, g_alpha = map(_float32, gradients)
-        images = (image, transmittance, g_image, g_alpha)
-        sums = raster_adjoint.composite_adjoint(splats, bins.starts, bins.entries, *images)
-        g = torch.from_numpy(raster_adjoint.splat_gradients(order, splats, bins.slots, sums, ctx.N))
+    def backward(ctx: Any, *gradients: Tensor | None) -> tuple[Tensor | None, ...]:
+        order, splats, bins, images, N = ctx.saved
+        g_images = [
+            np.zeros_like(image) if gradient is None else _float32(gradient)
+            for image, gradient in zip(images, gradients, strict=True)
+        ]
+        sums = raster_adjoint.composite_adjoint(splats, bins.starts, bins.entries, *images, *g_images)
+        arrays = raster_adjoint.splat_gradients(order, splats, bins.slots, sums, N)
+        g_centres, *g = map(torch.from_numpy, arrays)
         g_background = None
         if ctx.needs_input_grad[5]:
-            g_background = torch.from_numpy(np.einsum("hwc,hw->c", g_image[..., :3], transmittance))
-        return g[None, :, :2], g[:, 2:5], g[:, 5], g[:, 6:9], g[:, 9], g_background, None, None
+            g_background = torch.from_numpy(np.einsum("hwc,hw->c", g_images[0], images[2]))
+        return g_centres[None], *g, g_background, None, None
 
 
 def drawing_order(depths: np.ndarray) -> np.ndarray:

@@ -53,7 +53,7 @@ def sh_to_colour(sh: Tensor, views: Tensor, degree: int) -> Tensor:
         views: [N, 3] from the camera to each Gaussian, any length but zero.
     """
     if degree == 0:
-        return (0.5 + C0 * sh[:, 0]).clamp_min(0)
+        return (0.5 + C0 * sh.unbind(1)[0]).relu()
     values = basis(torch.nn.functional.normalize(views, dim=-1), degree)
     return (0.5 + torch.einsum("nk,nkc->nc", values, sh[:, : coefficients(degree)])).clamp_min(0)
 

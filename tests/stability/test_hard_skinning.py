@@ -58,6 +58,18 @@ def test_kernel_gradients_are_finite_differences() -> None:
     assert torch.autograd.gradcheck(lambda *tensors: lbs.blend(*tensors, arguments[6]), leaves, atol=1e-6)
 
 
+def test_blended_values_agree_with_gather() -> None:
+    arguments = skinning(50, 9, 4)
+    weights, index = arguments[5], arguments[6]
+    values, probe = torch.randn(9, 3, dtype=DOUBLE, requires_grad=True), torch.randn(50, 3, dtype=DOUBLE)
+    plain = (weights[..., None] * values[index]).sum(1)
+    (expected,) = torch.autograd.grad((probe * plain).sum(), values)
+    blended = lbs.blend_values(values, weights, index)
+    (found,) = torch.autograd.grad((probe * blended).sum(), values)
+    torch.testing.assert_close(blended, plain)
+    torch.testing.assert_close(found, expected)
+
+
 def test_weight_gradients_are_finite_differences() -> None:
     index = torch.tensor([[0, 1, 2], [2, 1, 0]])
     sq_dist = torch.tensor([[0.1, 0.5, 2.0], [0.0, 0.3, 0.4]], dtype=DOUBLE, requires_grad=True)
