@@ -1,4 +1,4 @@
-"""What code a stage runs: a digest of the syntax trees of every module it imports from this repository.
+"""What code a stage runs: a digest of the compiled form of every module it imports from this repository.
 
 Snakemake sees a stage only as a shell command; this digest is among the rule's params, so that a changed
 function reruns its users, while a comment, a docstring or the layout reruns nothing.
@@ -7,9 +7,12 @@ function reruns its users, while a comment, a docstring or the layout reruns not
 import ast
 import functools
 import hashlib
+import re
 from pathlib import Path
+from types import CodeType
 
 ROOT = Path(__file__).resolve().parents[2]
+IMPORT = re.compile(r"^[ \t]*((?:from|import) stages\b[^\n(]*(?:\([^)]*\))?)", re.MULTILINE)
 
 
 @functools.cache
@@ -17,7 +20,7 @@ def code_digest(module: str) -> str:
     """12 hex digits over `module` (e.g. "stages.flow.estimate") and all `stages.*` modules it imports, at any depth."""
     digest = hashlib.sha256()
     for name in sorted(imported_modules(module)):
-        digest.update(name.encode() + _tree(_path(name)).encode())
+        digest.update(name.encode() + _instructions(_path(name)).encode())
     return digest.hexdigest()[:12]
 
 
@@ -41,22 +44,35 @@ def _path(module: str) -> Path:
 
 
 @functools.cache
+def _source(path: Path) -> str:
+    return path.read_text(encoding="utf-8")
+
+
+@functools.cache
 def _imports(path: Path) -> list[str]:
     names: list[str] = []
-    for node in ast.walk(ast.parse(path.read_bytes())):
+    for node in ast.parse("\n".join(IMPORT.findall(_source(path)))).body:
         if isinstance(node, ast.Import):
             names += [alias.name for alias in node.names if alias.name.startswith("stages")]
-        elif isinstance(node, ast.ImportFrom) and (node.module or "").startswith("stages"):
+        elif isinstance(node, ast.ImportFrom):
             names += [str(node.module)] + [f"{node.module}.{alias.name}" for alias in node.names]
     return names
 
 
 @functools.cache
-def _tree(path: Path) -> str:
-    tree = ast.parse(path.read_bytes())
-    for node in ast.walk(tree):
-        body = getattr(node, "body", None)
-        documented = isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef)
-        if documented and body and isinstance(body[0], ast.Expr) and isinstance(body[0].value, ast.Constant):
-            node.body = body[1:]  # type: ignore[attr-defined]
-    return ast.dump(tree)
+def _instructions(path: Path) -> str:
+    """What the file compiles to, line numbers aside. Docstrings and assertions do not change results: left out."""
+    return repr(_content(compile(_source(path), "", "exec", optimize=2)))
+
+
+def _content(code: CodeType) -> tuple[object, ...]:
+    inner = [_constant(constant) for constant in code.co_consts]
+    names = code.co_name, code.co_names, code.co_varnames, code.co_freevars, code.co_cellvars
+    arguments = code.co_argcount, code.co_posonlyargcount, code.co_kwonlyargcount, code.co_flags
+    return code.co_code, code.co_exceptiontable, inner, names, arguments
+
+
+def _constant(constant: object) -> object:
+    if isinstance(constant, frozenset):  # its order changes from run to run
+        return sorted(map(repr, constant))
+    return _content(constant) if isinstance(constant, CodeType) else constant
