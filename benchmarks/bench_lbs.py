@@ -16,7 +16,7 @@ from stages.control import lbs, quaternions
 CASES = ((20_000, 512, 4), (100_000, 512, 4), (20_000, 512, 8))
 KERNEL, PLAIN = (lbs.lbs_weights, lbs.blend), (lbs.lbs_weights_torch, lbs.blend_torch)
 ROUNDS = 15
-GATE = 5.0
+GATE = 8.0
 BYTES_PER_GAUSSIAN = 4 * (3 + 4) * 2 + 4 * (3 + 4)
 """Results and gradients of positions and quaternions, and the saved inputs; the index and weights come on top."""
 
