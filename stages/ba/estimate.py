@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from stages.ba import classify, dba, initialise, reduced, rotation
+from stages.ba import classify, dba, initialise, reduced, rotation, trim
 from stages.ba.classify import Statistics
 from stages.ba.dba import FocalPrior, Level, State, Step, Unknowns
 from stages.ba.graph import MIN_MATCHES, MIN_WEIGHT, FlowGraph, favour_distance
@@ -173,15 +173,15 @@ def _refine(problem: Problem, statistics: Statistics, start: Candidate, prior: F
     graph = problem.graph
     reason = _reason_to_hold(problem, statistics, start.state)
     if not reason:
-        refined = _adjust_twice(graph, start.state, Unknowns(focal=True), prior)
+        refined = _adjust(problem, start.state, Unknowns(focal=True), prior)
         sigma = focal_sigma(graph, refined.state)
         reason = _reason_to_drop(problem, refined.state.focal_px / prior.focal_px, sigma)
         if not reason:
             return refined, Focal("weakly observed" if sigma > WEAK_FOCAL else "estimated", sigma)
     if problem.known_focal_px:
-        return _adjust_twice(graph, start.state, Unknowns(), prior), Focal("known", 0.0)
+        return _adjust(problem, start.state, Unknowns(), prior), Focal("known", 0.0)
     held = replace(start.state, focal_px=prior.focal_px)
-    refined = _adjust_twice(graph, held, Unknowns(), prior)
+    refined = _adjust(problem, held, Unknowns(), prior)
     return refined, Focal("held at prior", focal_sigma(graph, refined.state), reason)
 
 
@@ -206,6 +206,15 @@ def _reason_to_drop(problem: Problem, ratio: float, sigma: float) -> str:
         # What flow alone leaves of a large mover along the epipolar lines bends the focal length, at no cost.
         return f"it came out {ratio:.1f} times the usual one, with masks from flow alone"
     return ""
+
+
+def _adjust(problem: Problem, state: State, unknowns: Unknowns, prior: FocalPrior) -> Candidate:
+    """Adjusted, and freed from large movers that the masks miss in part."""
+    adjusted = _adjust_twice(problem.graph, state, unknowns, prior)
+    unmasked = problem.unmasked or problem.graph
+    masked_share = float(1 - problem.graph.weights.sum() / unmasked.weights.sum())
+    sigma_px = float(np.clip(SHARP * median_residual(problem.graph, adjusted.state), *SHARP_PX))
+    return trim.concentrate(problem.graph, masked_share, adjusted, sigma_px, unknowns, prior)
 
 
 def _adjust_twice(graph: FlowGraph, state: State, unknowns: Unknowns, prior: FocalPrior) -> Candidate:

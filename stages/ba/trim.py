@@ -1,0 +1,81 @@
+"""Adjustment to the pixels that fit at the noise, where large movers are only partly masked.
+
+A rigid mover that fills much of the frame bends cameras and focal length until it fits roughly, and the static world
+fits roughly too, at a lower cost than the truth at any scale wider than the noise. At the scale of the noise the truth
+costs less, but no adjustment gets there from the bent solution: its kernel sees both. Leaving out all that does not fit
+at the noise breaks the balance (least trimmed squares: Rousseeuw and Van Driessen, 2006, "concentration steps").
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from stages.ba import dba, initialise
+from stages.ba.dba import FocalPrior, Level, State, Step, Unknowns
+from stages.ba.graph import FlowGraph, favour_distance
+from stages.ba.initialise import Candidate
+
+LARGE = 0.2
+"""Share of the matches, by weight, that masks must take before movers are large enough to bend the cameras."""
+STEPS = 6
+SETTLED = 1e-3
+"""Relative change of the cost from which on a step changes nothing."""
+SCALES, ITERATIONS = (4.0, 1.5), 10
+"""Robust scales of a step, in units of the noise, and the iterations at each."""
+AGREEING = 0.6
+"""Share of its matches, by weight, that must fit for a pixel to stay."""
+GAIN = 0.02
+"""Relative fall of the cost of all pixels from which on a trimmed solution is better: less is chance."""
+
+
+def concentrate(
+    graph: FlowGraph, masked_share: float, start: Candidate, sigma_px: float, unknowns: Unknowns, prior: FocalPrior
+) -> Candidate:
+    """The start, or the best of a few steps that leave out what does not fit at `sigma_px`, the scale of the noise.
+
+    The best is that of least robust cost over all observations of `graph`: trimming cannot win by what it leaves out.
+    Where masks take little there is nothing to gain, and the start is returned as it is.
+    """
+    if masked_share < LARGE:
+        return start
+    cost = _cost(graph, start.state, sigma_px)
+    lowest, best, state, steps = (1 - GAIN) * cost, start, start.state, list(start.steps)
+    for _ in range(STEPS):
+        trimmed = _step(graph, state, sigma_px, unknowns, prior)
+        state, before = trimmed.state, cost
+        steps += trimmed.steps
+        cost = _cost(graph, state, sigma_px)
+        if cost < lowest:
+            best, lowest = replace(trimmed, state=initialise.search_depth(graph, state, sigma_px)), cost
+        if abs(cost - before) < SETTLED * before:
+            break
+    return replace(best, steps=steps)
+
+
+def _step(graph: FlowGraph, state: State, sigma_px: float, unknowns: Unknowns, prior: FocalPrior) -> Candidate:
+    """Adjusted to the observations of the pixels that fit."""
+    kept = _fitting(graph, state, sigma_px)
+    part = replace(graph, weights=graph.weights * kept[graph.source])
+    steps: list[Step] = []
+    for scale in SCALES:
+        state = initialise.search_depth(part, state, scale * sigma_px)
+        levels = (Level(scale * sigma_px, ITERATIONS),)
+        adjusted = initialise.adjust(favour_distance(part), state, levels, unknowns, prior, "refinement, trimmed")
+        state, steps = adjusted.state, steps + adjusted.steps
+    return replace(adjusted, steps=steps)
+
+
+def _cost(graph: FlowGraph, state: State, sigma_px: float) -> float:
+    """Robust cost of all observations, each pixel at its best depth."""
+    searched = initialise.search_depth(graph, state, sigma_px)
+    return dba.robust_cost(graph, dba.errors_px(graph, searched), sigma_px)
+
+
+def _fitting(graph: FlowGraph, state: State, sigma_px: float) -> np.ndarray:
+    """Which pixels [T, P] fit the state at some depth, by the vote of their matches."""
+    errors = dba.errors_px(graph, initialise.search_depth(graph, state, sigma_px))
+    fits = graph.weights / (1 + (errors / sigma_px) ** 2) ** 2
+    fitting, total = np.zeros((2, *state.inverse_depth.shape))
+    np.add.at(fitting, graph.source, fits)
+    np.add.at(total, graph.source, graph.weights)
+    return np.asarray(fitting >= AGREEING * total)
