@@ -5,21 +5,19 @@ from typing import Any
 
 import numpy as np
 
-from stages.ba import classify, dba, initialise, reduced, rotation, trim
+from stages.ba import classify, dba, initialise, rotation, trim
 from stages.ba.classify import Statistics
 from stages.ba.dba import FocalPrior, Level, State, Step, Unknowns
 from stages.ba.graph import MIN_MATCHES, MIN_WEIGHT, FlowGraph, favour_distance
 from stages.ba.initialise import Candidate
 from stages.ba.options import BAOptions
 from stages.ba.start import Observed, Start, find_start
+from stages.ba.uncertainty import focal_sigma, median_residual, solution_covariance
 
 PRIOR_FOCAL = 1.1
 """Centre of the prior of the focal length, in image widths (a horizontal view of 49 degrees)."""
-CORRELATION = 20.0
-"""Measured error over that predicted from independent residuals: flow errors are alike over many pixels and edges."""
 UNUSUAL_FOCAL = 1.5
 """Factor on the prior's centre beyond which a focal length needs masks that were made with cameras."""
-MIN_NOISE_PX = 0.01
 WEAK_FOCAL, BLIND_FOCAL = 0.05, 0.15
 """Predicted relative error of the focal length above which it is called weak, and not estimated at all."""
 CONSISTENT_SHARE = 0.85
@@ -148,12 +146,6 @@ def _estimate_rotations(problem: Problem, statistics: Statistics, prior: FocalPr
     return _finish(problem, statistics, state, focal, [], steps)
 
 
-def median_residual(graph: FlowGraph, state: State) -> float:
-    """Median reprojection error in px of the confident matches (infinite without any)."""
-    errors = dba.errors_px(graph, state)[graph.weights > MIN_WEIGHT]
-    return float(np.median(errors)) if errors.size else float("inf")
-
-
 def _observed(graph: FlowGraph) -> bool:
     """Whether most neighbouring frames share enough confident matches to be related at all."""
     near = np.abs(graph.target - graph.source) == 1
@@ -231,24 +223,12 @@ def _adjust_twice(graph: FlowGraph, state: State, unknowns: Unknowns, prior: Foc
     return replace(again, steps=first.steps + again.steps)
 
 
-def focal_sigma(graph: FlowGraph, state: State, translation: bool = True) -> float:
-    """Predicted relative standard deviation of the focal length with poses and depths marginalised."""
-    return float(np.sqrt(_covariance(graph, state, Unknowns(focal=True, translation=translation))[-1, -1]))
-
-
-def _covariance(graph: FlowGraph, state: State, unknowns: Unknowns) -> np.ndarray:
-    """Covariance [6T + 1, 6T + 1] of a solution for the noise of its residuals, made honest by `CORRELATION`."""
-    S, _ = dba.linear_system(graph, state, FINE[-1].sigma_px, eliminate=unknowns.translation)
-    full = reduced.covariance(S, state.cam_from_world, unknowns.indices(graph.T))
-    return full * (CORRELATION * max(median_residual(graph, state), MIN_NOISE_PX)) ** 2
-
-
 def _finish(
     problem: Problem, statistics: Statistics, state: State, focal: Focal, doubts: list[str], steps: list[Step]
 ) -> Estimate:
     graph = problem.graph
     unknowns = Unknowns(focal.decision in ("estimated", "weakly observed"), statistics.camera != "rotating")
-    blocks = _covariance(graph, state, unknowns)[:-1, :-1].reshape(graph.T, 6, graph.T, 6)
+    blocks = solution_covariance(graph, state, unknowns)[:-1, :-1].reshape(graph.T, 6, graph.T, 6)
     covariance = np.einsum("iaib->iab", blocks)
     flags = list(doubts)
     if statistics.planar:

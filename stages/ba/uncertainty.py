@@ -1,0 +1,31 @@
+"""How sure a solution is: its residuals, and the covariance that they and the curvature of the cost predict."""
+
+import numpy as np
+
+from stages.ba import dba, reduced
+from stages.ba.dba import State, Unknowns
+from stages.ba.graph import MIN_WEIGHT, FlowGraph
+
+CORRELATION = 20.0
+"""Measured error over that predicted from independent residuals: flow errors are alike over many pixels and edges."""
+MIN_NOISE_PX = 0.01
+SIGMA_PX = 0.5
+"""Robust scale at which the curvature is taken."""
+
+
+def median_residual(graph: FlowGraph, state: State) -> float:
+    """Median reprojection error in px of the confident matches (infinite without any)."""
+    errors = dba.errors_px(graph, state)[graph.weights > MIN_WEIGHT]
+    return float(np.median(errors)) if errors.size else float("inf")
+
+
+def focal_sigma(graph: FlowGraph, state: State, translation: bool = True) -> float:
+    """Predicted relative standard deviation of the focal length with poses and depths marginalised."""
+    return float(np.sqrt(solution_covariance(graph, state, Unknowns(focal=True, translation=translation))[-1, -1]))
+
+
+def solution_covariance(graph: FlowGraph, state: State, unknowns: Unknowns) -> np.ndarray:
+    """Covariance [6T + 1, 6T + 1] of a solution for the noise of its residuals, made honest by `CORRELATION`."""
+    S, _ = dba.linear_system(graph, state, SIGMA_PX, eliminate=unknowns.translation)
+    full = reduced.covariance(S, state.cam_from_world, unknowns.indices(graph.T))
+    return full * (CORRELATION * max(median_residual(graph, state), MIN_NOISE_PX)) ** 2
