@@ -16,9 +16,9 @@ from torch import Tensor
 from benchmarks import torch_rasterizer
 from benchmarks.timing import alternated
 from stages.gaussians import raster_adjoint, raster_bins, raster_kernels
-from stages.gaussians.lanes import LANES, load, store
 from stages.gaussians.rasterize import drawing_order
 from stages.gaussians.ssim import Target, ssim, ssim_torch
+from stages.shared.lanes import LANES, load, store
 
 FLOP_PER_PAIR = 93
 """Forward 31 and backward 62 per (pixel, Gaussian) pair that contributes, counted by hand over the inner loops."""

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numba import njit
 
-from stages.gaussians.lanes import LANES, largest, load, store, totals, trailing_zeros, where
+from stages.shared.lanes import LANES, largest, load, store, totals, trailing_zeros, where
 
 ZERO, ONE = np.float32(0), np.float32(1)
 
@@ -18,7 +18,7 @@ def arithmetic(a: np.ndarray, b: np.ndarray, out: np.ndarray) -> None:
     store(out, LANES, ONE - x * y)
     store(out, 2 * LANES, x / (y + ONE))
     store(out, 3 * LANES, where((x > y) & (x <= np.float32(0.8)), x, ZERO))
-    store(out, 4 * LANES, where((x >= y) & (y < np.float32(0.3)), ONE, ZERO))
+    store(out, 4 * LANES, where((x >= y) & (y < np.float32(0.3)), ZERO, y))
 
 
 def test_lanes_act_like_rows_of_sixteen() -> None:
@@ -28,10 +28,10 @@ def test_lanes_act_like_rows_of_sixteen() -> None:
     arithmetic(a, b, out)
     x, y = a[:LANES], b[LANES:]
     masked = np.where((x > y) & (x <= np.float32(0.8)), x, 0)
-    flags = ((x >= y) & (y < np.float32(0.3))).astype(np.float32)
+    flags = (x >= y) & (y < np.float32(0.3))
     assert 0 < flags.sum() < LANES
     assert 0 < (masked > 0).sum() < LANES
-    np.testing.assert_allclose(out, [x + y, 1 - x * y, x / (y + 1), masked, flags], rtol=1e-6)
+    np.testing.assert_allclose(out, [x + y, 1 - x * y, x / (y + 1), masked, np.where(flags, 0, y)], rtol=1e-6)
 
 
 @njit

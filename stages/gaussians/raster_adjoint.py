@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 from numba import njit, prange
 
-from stages.gaussians.lanes import LANES, load, prefetch, store, totals, trailing_zeros, where
 from stages.gaussians.raster_bins import CHUNKS, FAST, LIMIT, MASK, ONE, RANK, SLOT, TILE, WIDTH, ZERO
 from stages.gaussians.raster_kernels import (
     AHEAD,
@@ -26,6 +25,7 @@ from stages.gaussians.raster_kernels import (
     exp_minus,
     place,
 )
+from stages.shared.lanes import LANES, load, prefetch, store, totals, trailing_zeros, where
 
 NOTHING = np.zeros(LANES, np.float32)
 TWO = np.float32(2)

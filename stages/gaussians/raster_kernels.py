@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numba import njit, prange
 
-from stages.gaussians.lanes import LANES, largest, load, prefetch, store, trailing_zeros, where
 from stages.gaussians.raster_bins import BLOCK, BLOCKS, FAST, LIMIT, MASK, ONE, RANK, TILE, WIDTH, ZERO
+from stages.shared.lanes import LANES, largest, load, prefetch, store, trailing_zeros, where
 
 MAX_ALPHA = np.float32(0.999)
 MIN_TRANSMITTANCE = np.float32(1e-4)

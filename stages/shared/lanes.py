@@ -1,4 +1,4 @@
-"""Sixteen float32 lanes as one value inside numba kernels, like the vector types of C compilers.
+"""Sixteen float32 or float64 lanes as one value inside numba kernels, like the vector types of C compilers.
 
 LLVM's own vectoriser works on one short loop at a time: it adds up the lanes of every accumulator at the end of each
 row of pixels. Values of these types stay in vector registers for as long as the kernel wants; where registers are
@@ -14,14 +14,17 @@ from numba.core import cgutils, types
 from numba.extending import intrinsic, lower_builtin, models, register_model, type_callable
 
 LANES = 16
-FLOAT = ir.FloatType()
-FLOATS, BOOLS = ir.VectorType(FLOAT, LANES), ir.VectorType(ir.IntType(1), LANES)
+BOOLS = ir.VectorType(ir.IntType(1), LANES)
 ARITHMETIC = {operator.add: "fadd", operator.sub: "fsub", operator.mul: "fmul", operator.truediv: "fdiv"}
 COMPARISONS = {operator.lt: "<", operator.le: "<=", operator.gt: ">", operator.ge: ">="}
 
 
 class Floats(types.Type):
-    """LANES float32."""
+    """LANES float32 or float64."""
+
+    def __init__(self, dtype: types.Float) -> None:
+        super().__init__(f"Floats({dtype})")
+        self.dtype = dtype
 
 
 class Bools(types.Type):
@@ -30,8 +33,8 @@ class Bools(types.Type):
 
 @register_model(Floats)
 class _FloatsModel(models.PrimitiveModel):  # type: ignore[misc]
-    def __init__(self, manager: Any, kind: types.Type) -> None:
-        super().__init__(manager, kind, FLOATS)
+    def __init__(self, manager: Any, kind: Any) -> None:
+        super().__init__(manager, kind, ir.VectorType(manager[kind.dtype].get_value_type(), LANES))
 
 
 @register_model(Bools)
@@ -40,7 +43,7 @@ class _BoolsModel(models.PrimitiveModel):  # type: ignore[misc]
         super().__init__(manager, kind, BOOLS)
 
 
-floats, bools = Floats("floats"), Bools("bools")
+bools = Bools("bools")
 
 
 def _shuffle(builder: Any, a: Any, b: Any, lanes: list[int]) -> Any:
@@ -48,49 +51,57 @@ def _shuffle(builder: Any, a: Any, b: Any, lanes: list[int]) -> Any:
     return builder.shuffle_vector(a, b, ir.Constant(ir.VectorType(ir.IntType(32), LANES), lanes))
 
 
-def _spread(builder: Any, value: Any) -> Any:
-    """A scalar in every lane; lanes as they are."""
+def _spread(builder: Any, value: Any, vector: Any) -> Any:
+    """A scalar in every lane of a vector type; lanes as they are."""
     if isinstance(value.type, ir.VectorType):
         return value
-    single = value if value.type == FLOAT else builder.fptrunc(value, FLOAT)
-    first = builder.insert_element(ir.Constant(FLOATS, ir.Undefined), single, ir.Constant(ir.IntType(32), 0))
+    if value.type != vector.element:
+        value = (builder.fpext if value.type == ir.FloatType() else builder.fptrunc)(value, vector.element)
+    first = builder.insert_element(ir.Constant(vector, ir.Undefined), value, ir.Constant(ir.IntType(32), 0))
     return _shuffle(builder, first, first, [0] * LANES)
 
 
-def _define(function: Callable[..., Any], result: types.Type, emit: Callable[..., Any]) -> None:
+def _define(function: Callable[..., Any], compares: bool, emit: Callable[..., Any]) -> None:
     """Let a binary operator act on lanes, and on lanes and a scalar."""
 
     @type_callable(function)
     def typing(_context: Any) -> Callable[..., Any]:
-        return lambda a, b: result if isinstance(a, (Floats, Bools)) or isinstance(b, (Floats, Bools)) else None
+        def result(a: Any, b: Any) -> Any:
+            lanes = next((kind for kind in (a, b) if isinstance(kind, (Floats, Bools))), None)
+            return bools if lanes is not None and compares else lanes
+
+        return result
 
     def lower(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
-        return emit(builder, *(_spread(builder, value) for value in arguments))
+        vector = next(value.type for value in arguments if isinstance(value.type, ir.VectorType))
+        return emit(builder, *(_spread(builder, value, vector) for value in arguments))
 
     for pair in ((Floats, Floats), (Floats, types.Float), (types.Float, Floats), (Bools, Bools)):
         lower_builtin(function, *pair)(lower)
 
 
 for _function, _name in ARITHMETIC.items():
-    _define(_function, floats, lambda builder, a, b, name=_name: getattr(builder, name)(a, b, flags=("fast",)))
+    _define(_function, False, lambda builder, a, b, name=_name: getattr(builder, name)(a, b, flags=("fast",)))
 for _function, _name in COMPARISONS.items():
-    _define(_function, bools, lambda builder, a, b, name=_name: builder.fcmp_ordered(name, a, b))
-_define(operator.and_, bools, lambda builder, a, b: builder.and_(a, b))
+    _define(_function, True, lambda builder, a, b, name=_name: builder.fcmp_ordered(name, a, b))
+_define(operator.and_, True, lambda builder, a, b: builder.and_(a, b))
 
 
 @intrinsic
 def where(_context: Any, mask: Any, a: Any, b: Any) -> Any:
-    """Lanes of a where the mask holds, else of b; both may be scalars."""
+    """Lanes of a where the mask holds, else of b; one of them may be a scalar."""
+    lanes = a if isinstance(a, Floats) else b
 
-    def emit(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
-        return builder.select(arguments[0], _spread(builder, arguments[1]), _spread(builder, arguments[2]))
+    def emit(context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
+        vector = context.get_value_type(lanes)
+        return builder.select(arguments[0], *(_spread(builder, value, vector) for value in arguments[1:]))
 
-    return floats(mask, a, b), emit
+    return lanes(mask, a, b), emit
 
 
 @intrinsic
 def load(_context: Any, array: Any, start: Any) -> Any:
-    """LANES consecutive entries of a contiguous float32 array, from `start` on in memory.
+    """LANES consecutive entries of a contiguous array, from `start` on in memory.
 
     Rather than of a row of it: every view of an array made in a loop may cost two locked counts of its references.
     """
@@ -98,12 +109,12 @@ def load(_context: Any, array: Any, start: Any) -> Any:
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return builder.load(_address(context, builder, signature, arguments), align=4)
 
-    return floats(array, start), emit
+    return Floats(array.dtype)(array, start), emit
 
 
 @intrinsic
 def store(_context: Any, array: Any, start: Any, value: Any) -> Any:
-    """Set LANES consecutive entries of a contiguous float32 array, from `start` on in memory."""
+    """Set LANES consecutive entries of a contiguous array, from `start` on in memory."""
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         builder.store(arguments[2], _address(context, builder, signature, arguments), align=4)
@@ -114,19 +125,32 @@ def store(_context: Any, array: Any, start: Any, value: Any) -> Any:
 
 def _address(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
     data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
-    return builder.bitcast(builder.gep(data, [arguments[1]]), FLOATS.as_pointer())
+    vector = context.get_value_type(Floats(signature.args[0].dtype))
+    return builder.bitcast(builder.gep(data, [arguments[1]]), vector.as_pointer())
 
 
-@intrinsic
-def largest(_context: Any, value: Any) -> Any:
-    """The largest of all lanes, a float32."""
+def _reduction(name: str, *start: float) -> Any:
+    """An intrinsic that makes one scalar of all lanes."""
 
-    def emit(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
-        name = f"llvm.vector.reduce.fmax.v{LANES}f32"
-        reduce = cgutils.get_or_insert_function(builder.module, ir.FunctionType(FLOAT, [FLOATS]), name)
-        return builder.call(reduce, arguments, fastmath=("fast",))
+    @intrinsic
+    def reduce(_context: Any, value: Any) -> Any:
+        def emit(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
+            vector = arguments[0].type
+            values = [*(ir.Constant(vector.element, number) for number in start), *arguments]
+            kind = ir.FunctionType(vector.element, [given.type for given in values])
+            full_name = f"llvm.vector.reduce.{name}.v{LANES}f{value.dtype.bitwidth}"
+            function = cgutils.get_or_insert_function(builder.module, kind, full_name)
+            return builder.call(function, values, fastmath=("fast",))
 
-    return types.float32(value), emit
+        return value.dtype(value), emit
+
+    return reduce
+
+
+largest = _reduction("fmax")
+"""The largest of all lanes."""
+total = _reduction("fadd", 0.0)
+"""The sum of all lanes."""
 
 
 @intrinsic
@@ -141,7 +165,7 @@ def totals(_context: Any, values: Any) -> Any:
         while group > 1:
             low = [s + k + side * LANES for s in range(0, LANES, group) for side in (0, 1) for k in range(group // 2)]
             high = [lane + group // 2 for lane in low]
-            level += [ir.Constant(FLOATS, None)] * (len(level) % 2)
+            level += [ir.Constant(level[0].type, None)] * (len(level) % 2)
             pairs = zip(level[::2], level[1::2], strict=True)
             halves = ((_shuffle(builder, a, b, low), _shuffle(builder, a, b, high)) for a, b in pairs)
             level, group = [builder.fadd(a, b, flags=("fast",)) for a, b in halves], group // 2
@@ -149,7 +173,7 @@ def totals(_context: Any, values: Any) -> Any:
         order = [int(f"{lane:0{bits}b}"[::-1], 2) for lane in range(LANES)]
         return _shuffle(builder, level[0], level[0], order)
 
-    return floats(values), emit
+    return values.dtype(values), emit
 
 
 @intrinsic
