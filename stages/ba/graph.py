@@ -25,6 +25,7 @@ class FlowGraph:
         weights: [E, P] float32 in 0..1.
         centre: principal point [2].
         width, height: of the flow grid.
+        texture: [T, P] in 0..1, see `stages.ba.texture`; None: of every pixel alike.
     """
 
     source: np.ndarray
@@ -37,6 +38,7 @@ class FlowGraph:
     width: int
     height: int
     stride: int
+    texture: np.ndarray | None = None
 
     @property
     def T(self) -> int:
@@ -106,13 +108,22 @@ def thin_graph(graph: FlowGraph, factor: int) -> FlowGraph:
     first = factor // 2
     chosen = index[first::factor, first::factor][:rows, :columns].ravel()
     pixels, matches, weights = graph.pixels[chosen], graph.matches[:, chosen], graph.weights[:, chosen]
-    return replace(graph, pixels=pixels, matches=matches, weights=weights, stride=graph.stride * factor)
+    texture = None if graph.texture is None else graph.texture[:, chosen]
+    stride = graph.stride * factor
+    return replace(graph, pixels=pixels, matches=matches, weights=weights, stride=stride, texture=texture)
+
+
+def with_texture(graph: FlowGraph, texture: np.ndarray) -> FlowGraph:
+    """The graph with texture weights [T, height, width] in 0..1 of the frames, sampled at its pixels."""
+    covered = texture[:, : graph.rows * graph.stride, : graph.columns * graph.stride]
+    return replace(graph, texture=graph.resample(covered).astype(np.float32))
 
 
 def favour_distance(graph: FlowGraph) -> FlowGraph:
-    """Weights in proportion to the distance of the frames, the same on average over the edges."""
+    """Weights in proportion to the distance of the frames, the same on average over the edges, and to texture."""
     distance = np.abs(graph.target - graph.source).astype(np.float32)
-    return replace(graph, weights=graph.weights * (distance / distance.mean())[:, None])
+    weights = graph.weights * (distance / distance.mean())[:, None]
+    return replace(graph, weights=weights if graph.texture is None else weights * graph.texture[graph.source])
 
 
 def mask_graph(graph: FlowGraph, static: np.ndarray) -> FlowGraph:

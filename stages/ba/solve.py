@@ -4,13 +4,23 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
+import cv2
 import numpy as np
 
 from stages.ba import dba, figures, given
 from stages.ba.depth import DepthMaps, depth_maps
 from stages.ba.estimate import Estimate, Problem, estimate
-from stages.ba.graph import MIN_WEIGHT, FlowGraph, build_graph, mask_graph, static_areas, trusted_static_areas
+from stages.ba.graph import (
+    MIN_WEIGHT,
+    FlowGraph,
+    build_graph,
+    mask_graph,
+    static_areas,
+    trusted_static_areas,
+    with_texture,
+)
 from stages.ba.options import BAOptions
+from stages.ba.texture import texture_weights
 from stages.shared import cli, sintel
 from stages.shared.artifacts import read_dense, read_metadata, write_dense, write_table
 from stages.shared.cameras import (
@@ -24,7 +34,7 @@ from stages.shared.cameras import (
 )
 from stages.shared.cli import In, Out
 from stages.shared.errors import InputError
-from stages.shared.images import read_mask
+from stages.shared.images import read_mask, read_rgb
 from stages.shared.log import logger
 from stages.shared.sequences import Sequence, read_sequence
 
@@ -59,7 +69,8 @@ def main(
     centre, known_focal_px = _known_intrinsics(frames, float(metadata["scale"]), grid, options)
     columns = (pairs["source"], pairs["target"], pairs["flow"], pairs["confidence"], len(frames.numbers))
     static, unmasked = trusted_static_areas(static_areas(_read_masks(masks, frames), *grid))
-    everything = build_graph(*columns, options.stride_px, centre)
+    texture = np.stack([texture_weights(_reduced_grey(path, grid)) for path in frames.frames])
+    everything = with_texture(build_graph(*columns, options.stride_px, centre), texture)
     graph = mask_graph(everything, static)
     previous = _previous(previous_poses, previous_depth, float(metadata["scale"]), graph)
     has_movers = bool((static < 1).any())
@@ -103,6 +114,11 @@ def _log(name: str, solution: Estimate, flags: list[str]) -> None:
     logger.info("camera %s; focal length %s; residual %.3f px", solution.camera, solution.focal, solution.residual_px)
     for flag in flags:
         logger.warning("ba: %s: doubtful: %s", name, flag)
+
+
+def _reduced_grey(path: Path, size: tuple[int, int]) -> np.ndarray:
+    """A grey frame [height, width] uint8 on the flow grid."""
+    return cv2.cvtColor(cv2.resize(read_rgb(path), size, interpolation=cv2.INTER_AREA), cv2.COLOR_RGB2GRAY)
 
 
 def _read_masks(folder: Path, frames: Sequence) -> np.ndarray:
