@@ -63,6 +63,19 @@ def test_a_mover_stands_out_without_cameras() -> None:
     assert overlap(probability > 0.5, moving) > 0.6
 
 
+def test_threads_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Edges and frames are worked on side by side: their sums must not depend on how many at once."""
+    scene = make_scene(T=5, size=(64, 96), disc_radius=0.5)
+    pairs, edges = observed(scene)
+    found = []
+    for threads in ("1", "4"):
+        monkeypatch.setenv("OMP_NUM_THREADS", threads)
+        evidence = epipolar.two_view_evidence(edges, matches(pairs), scene.T, parallax=True, seed=0)
+        found.append([*evidence, pooling.pool(evidence, edges, pairs["flow"], pairs["weights"])])
+    for alone, together in zip(*found, strict=True):
+        np.testing.assert_array_equal(alone, together)
+
+
 def test_a_mover_stands_out_sharply_with_cameras() -> None:
     scene = make_scene(disc_radius=0.5)
     pairs, edges = observed(scene)
