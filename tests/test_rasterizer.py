@@ -1,5 +1,6 @@
 """The rasteriser and SSIM against a float64 reference, finite differences and torch convolutions."""
 
+import numba
 import numpy as np
 import pytest
 import torch
@@ -83,6 +84,15 @@ def test_several_cameras_are_rendered_one_by_one() -> None:
 def test_renders_are_equal_bit_for_bit() -> None:
     first, second = gradients(scene(), kernels=True), gradients(scene(), kernels=True)
     assert all(torch.equal(first[name], second[name]) for name in NAMES)
+
+
+def test_gradients_do_not_depend_on_the_thread_count() -> None:
+    before = numba.get_num_threads()
+    numba.set_num_threads(1)
+    single = gradients(scene(N=300), kernels=True)
+    numba.set_num_threads(before)
+    many = gradients(scene(N=300), kernels=True)
+    assert all(torch.equal(single[name], many[name]) for name in NAMES)
 
 
 def test_equal_depths_are_drawn_by_index() -> None:
