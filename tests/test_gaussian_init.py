@@ -42,6 +42,18 @@ def test_one_false_mask_is_outvoted() -> None:
     assert (np.abs(dynamic[:, 2] - truth.SQUARE_Z) < 0.05).all()
 
 
+def test_a_mover_whose_motion_is_off_leaves_nothing_hanging_in_the_air() -> None:
+    """Control points that stand still carry the square out of most masks: its pixels must not stay behind as static."""
+    seen = truth.observations(TRAIN)
+    motion = truth.true_motion()
+    with torch.no_grad():
+        motion.table.zero_()
+    cloud = initial_cloud(seen, motion, CANONICAL, stride_px=2, K=4, sh_degree=0)
+    on_square = (cloud.means[:, 2] - truth.SQUARE_Z).abs() < 0.05
+    assert on_square.sum() > 100
+    assert cloud.dynamic[on_square].all()
+
+
 def test_the_wall_behind_the_mover_is_not_claimed_by_it() -> None:
     seen = truth.observations(TRAIN)
     behind = truth.square_centre(0.5) * (truth.WALL_Z / truth.SQUARE_Z)

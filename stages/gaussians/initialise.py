@@ -21,6 +21,9 @@ DEPTH_TOLERANCE = 0.06
 SCALE_SHARE = 0.5
 """Initial standard deviation as a share of the distance between neighbouring Gaussians."""
 OPACITY = 0.8
+OUTLINE = 0.006
+"""Width of a mask's uncertain outline as a share of the frame's: 3 of 512 px. With 1 px a rim of movers is burnt into
+the static scene: 0.3 dB less of held-out frames on two sequences."""
 
 
 @dataclass(frozen=True)
@@ -97,13 +100,27 @@ def dynamic_share(seen: Observations, tracks: np.ndarray, masks: np.ndarray) -> 
         tracks: [F, n, 3] positions over time; [1, n, 3] for points at rest. Never seen: share 0.
         masks: [F, H, W].
     """
-    votes, views = np.zeros(tracks.shape[1]), np.zeros(tracks.shape[1])
+    return _share(seen, tracks, masks, at_surface=False)
+
+
+def static_share(seen: Observations, positions: np.ndarray, masks: np.ndarray) -> np.ndarray:
+    """Share [n] of the frames in which a point at rest [n, 3] is seen that leave it unmasked, on the surface there.
+
+    A point of a mover that stood still would hang in the air before what other frames show.
+    """
+    return _share(seen, positions[None], ~masks, at_surface=True)
+
+
+def _share(seen: Observations, tracks: np.ndarray, votes: np.ndarray, at_surface: bool) -> np.ndarray:
+    """Share [n] of the frames that see a point on its track [F or 1, n, 3] that vote [F, H, W] for it where it is."""
+    count, views = np.zeros(tracks.shape[1]), np.zeros(tracks.shape[1])
     for f in range(len(seen.depths)):
         u, v, z, inside = _pixels(seen, f, tracks[f % len(tracks)])
-        visible = inside & (z < seen.depths[f, v, u] * (1 + DEPTH_TOLERANCE))
+        depth = seen.depths[f, v, u]
+        visible = inside & (z < depth * (1 + DEPTH_TOLERANCE))
         views += visible
-        votes += visible & masks[f, v, u]
-    return votes / np.maximum(views, 1)
+        count += visible & votes[f, v, u] & ((depth < z * (1 + DEPTH_TOLERANCE)) | (not at_surface))
+    return count / np.maximum(views, 1)
 
 
 def lift_dynamic(
@@ -183,7 +200,8 @@ def initial_cloud(seen: Observations, deformation: Deformation | None, canonical
     """Gaussians of the whole scene; without a deformation every pixel is static.
 
     Each candidate is voted static or dynamic over all frames in which it is seen: a static pixel that the masks of
-    other frames claim joins the dynamic ones, a masked pixel that others leave unmasked stays where it was lifted.
+    other frames claim joins the dynamic ones; a masked pixel stays where it was lifted if more frames show it there,
+    unmasked, than mask it on its way. Where motion is off, masks miss it on its way too, but no frame shows it at rest.
 
     Args:
         canonical: index (into the F training frames) of the canonical frame.
@@ -192,8 +210,9 @@ def initial_cloud(seen: Observations, deformation: Deformation | None, canonical
     if deformation is None:
         points = lift_static(seen, order, stride_px, np.ones(seen.masks.shape, bool))
         return make_cloud(points, points.positions, np.zeros(len(points.frames), bool), sh_degree)
-    # Pixels on the outline mix both colours: neither side starts from them.
-    kernel = np.ones((3, 3), np.uint8)
+    # Pixels on the outline mix both colours, and masks and depth are off by some more: no static point starts there.
+    size = 2 * max(1, round(OUTLINE * seen.masks.shape[2])) + 1
+    kernel = np.ones((size, size), np.uint8)
     widened = np.stack([cv2.dilate(mask.astype(np.uint8), kernel) > 0 for mask in seen.masks])
     static = lift_static(seen, order, stride_px, ~widened)
     claimed = dynamic_share(seen, static.positions[None], seen.masks) > 0.5
@@ -203,7 +222,7 @@ def initial_cloud(seen: Observations, deformation: Deformation | None, canonical
     with torch.no_grad():
         rest = torch.as_tensor(means, dtype=torch.float32)
         tracks = np.stack([skin(rest, float(time), deformation, K).double().numpy() for time in seen.times])
-    moves = dynamic_share(seen, tracks, widened) > 0.5
+    moves = dynamic_share(seen, tracks, widened) >= static_share(seen, dynamic.positions, widened)
     points = join([static[~claimed], static[claimed][found], dynamic])
     positions = np.concatenate([
         static.positions[~claimed], recovered[found], np.where(moves[:, None], means, dynamic.positions)
