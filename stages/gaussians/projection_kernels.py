@@ -3,7 +3,7 @@
 With W = J R (J the Jacobian of the pinhole projection at the mean, R the rotation of cam_from_world) and
 u, v = the rows of W R_q diag(scales), the 2-D covariance is [[u.u + e, u.v], [u.v, v.v + e]], e = BLUR. Its
 determinant is |u x v|^2 + e (u.u + v.v) + e^2 (Lagrange's identity): a sum of positive terms, where a d - b^2 would
-cancel for needles. The splat's factor (see raster_kernels) follows in closed form. What concerns one Gaussian is
+cancel for needles. The splat's factor (see raster_bins) follows in closed form. What concerns one Gaussian is
 computed in float64; memory is float32.
 """
 
