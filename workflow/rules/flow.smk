@@ -35,7 +35,7 @@ rule motion:
         "../envs/motionsplat.yaml"
     threads: 4
     resources:
-        mem_mb=megabytes(600, 60),
+        mem_mb=megabytes(600, 160),
     params:
         code=code_digest("stages.flow.motion"),
         flags=flags("motion"),
