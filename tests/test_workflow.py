@@ -129,9 +129,10 @@ def test_another_working_directory(repo_copy: Path, tmp_path: Path) -> None:
 
 
 def test_sequences_of_a_folder_with_memory_by_pixels(repo_copy: Path) -> None:
-    write_frames(repo_copy / "data" / "small", 4, (48, 64))
-    write_frames(repo_copy / "data" / "large", 8, (480, 640))
-    result = run_snakemake(repo_copy, "poses", *with_options(repo_copy, "dataset: data"))
+    folder = repo_copy / "simulated"  # a folder's name says nothing: these frames are there already
+    write_frames(folder / "small", 4, (48, 64))
+    write_frames(folder / "large", 8, (480, 640))
+    result = run_snakemake(repo_copy, "poses", *with_options(repo_copy, f"dataset: {folder}"))
     jobs = re.split(r"^(?=rule \w+:)", result.stdout + result.stderr, flags=re.MULTILINE)
     flow = {name: job for job in jobs for name in ("small", "large") if job.startswith("rule flow") and name in job}
     memory = {name: int(re.search(r"mem_mb=(\d+)", job).group(1)) for name, job in flow.items()}  # type: ignore[union-attr]

@@ -12,9 +12,8 @@ from scipy.linalg import solveh_banded
 from stages.shared.cameras import Cameras, unproject
 
 DISAGREEMENT_PX, DISAGREEMENT_PER_PX = 1.0, 0.05
-"""A track ends where flow and the flow back disagree by more than this: a floor and a share of the motion. The flow's
-confidence is made for poses, which need few pixels, all of them right: above 0.3 are one dynamic pixel in three to two,
-and what carries no track moves as its neighbours do. With this test held-out pixels land twice as near."""
+"""A track ends where flow and the flow back disagree by more than this: a floor and a share of the motion. Confidence
+is too strict here: it picks the few pixels that poses need, and half to a sixth of a mover's."""
 MIN_DEPTH_STD = 0.01
 MIN_FRAMES = 3
 """A track seen in fewer training frames hardly tells motion from noise: used where there is no other."""

@@ -154,7 +154,7 @@ def frame_folder(wildcards):
 
 def frame_source(wildcards):
     """What `inspect` depends on: the frames, or the manifest that the simulator writes last."""
-    if DATASET == configuration.SIMULATED:
+    if CONFIG.dataset == configuration.SIMULATED:
         return {"manifest": f"simulated/{wildcards.seq}.json"}
     return {"frames": [str(path) for path in SEQUENCES[wildcards.seq].frames]}
 

@@ -8,7 +8,7 @@ EVERY_SETTING = list(SETTINGS.values())
 
 def can_run(sequence, setting):
     """Whether the sequence has the truth that the setting takes as input; simulated ones have all."""
-    if DATASET == configuration.SIMULATED:
+    if CONFIG.dataset == configuration.SIMULATED:
         return True
     return not settings.lacks_truth(setting, SEQUENCES[sequence])
 

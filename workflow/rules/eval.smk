@@ -115,7 +115,11 @@ rule report:
         flags=flags("report"),
         sequences=evaluated_folders,
         comparisons=comparison_flags,
-        manifests="--manifests simulated" if DATASET == configuration.SIMULATED else "",
+        manifests=(
+            "--manifests simulated"
+            if CONFIG.dataset == configuration.SIMULATED
+            else ""
+        ),
     shell:
         "python -m stages.eval.report --sequences {params.sequences:q} --published-numbers {input.published:q}"
         " {params.manifests} {params.comparisons} --output {output.html:q} --tables {output.tables:q} {params.flags}"
