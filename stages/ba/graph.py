@@ -157,4 +157,5 @@ def _sample_cells(image: np.ndarray, stride: int) -> np.ndarray:
     rows, columns = h // stride, w // stride
     cells = image[: rows * stride, : columns * stride].reshape(rows, stride, columns, stride, c)
     low, high = (stride - 1) // 2, stride // 2 + 1
-    return np.asarray(cells[:, low:high, :, low:high].astype(np.float32).mean(axis=(1, 3)))
+    middle = [cells[:, y, :, x] for y in range(low, high) for x in range(low, high)]
+    return np.asarray(np.sum(middle, axis=0, dtype=np.float32) / len(middle))
