@@ -167,7 +167,8 @@ def _mask_doubts(static: np.ndarray, unmasked: np.ndarray, previous_poses: Path 
         doubts.append(f"masks of {unmasked.sum()} of {len(unmasked)} frames ignored: they leave too little static area")
     before = read_metadata(previous_poses).get("static_share") if previous_poses else None
     if before and static.mean() < SHRINKING * before:
-        doubts.append(f"static area shrank from {before:.2f} to {static.mean():.2f} since the round before")
+        shares = f"from {before:.2f} to {static.mean():.2f}"
+        doubts.append(f"static area shrank {shares} since the round before: masks may gain from one more of `rounds`")
     return doubts
 
 
