@@ -27,7 +27,7 @@ PRESETS: dict[Preset, Overrides] = {
 }
 """Balanced is the defaults themselves.
 
-Fast takes 21 CPU s from flow to poses where balanced takes 40 (30 frames, 512 x 218 px; flow alone 7 against 18), and
+Fast takes 20 CPU s from flow to poses where balanced takes 37 (30 frames, 512 x 218 px; flow alone 7 against 18), and
 its path error is 0.04 against 0.02 % there, 0.03 to 0.09 against 0.03 to 0.06 % on four other sequences. Smaller frames
 cost less accuracy than stopping at a coarser scale: half-size flow of full frames takes 27 CPU s, at 0.11 %. It keeps
 two rounds: one leaves masks of a large mover at an IoU of 0.11 instead of 0.98.

@@ -1,4 +1,4 @@
-"""Linear blend skinning: Gaussians follow the K nearest control points (paper, eq. of MA-GS; DESIGN section 5).
+"""Linear blend skinning: Gaussians follow the K nearest control points (4D3R's MA-GS).
 
 w~_jk = exp(-|mu_j - p_k|^2 / (2 sigma_k^2)), w_jk = w~_jk / sum_k w~_jk,
 mu'_j = sum_k w_jk (R_k (mu_j - p_k) + p_k + T_k), q'_j = normalise((sum_k w_jk r_k) x q_j).

@@ -27,7 +27,7 @@ class ControlOptions(SplitOptions):
         "auto", description="weight of rigidity in both stages; auto: small, larger where the tracks are noisy; 0: off"
     )
     steps: int = Field(400, ge=0, le=20000, description="optimisation steps of stage 1")
-    learning_rate: float = Field(0.002, gt=0, le=1, description="Adam's step for the motion, 1/extent of the points")
+    learning_rate: float = Field(0.002, gt=0, le=1, description="Adam's step for the motion, in extents of the points")
     track_stride_px: int = Field(2, ge=1, le=16, description="pixels of the flow grid between neighbouring tracks")
     time_frequencies: int = Field(2, ge=0, le=4, description="frequencies of the network's time encoding; more overfit")
     width: int = Field(128, ge=8, le=1024, description="neurons per layer of the network")

@@ -28,8 +28,8 @@ class FlowOptions(Options):
         0,
         ge=0,
         le=3,
-        description="finest pyramid level that is searched: 0 is full size; 1 takes a third of the time"
-        " and doubles the error of long edges",
+        description="finest pyramid level that is searched: 0 is full size; 1 takes less than half the"
+        " time and has a third more error",
     )
 
     @field_validator("offsets")

@@ -44,7 +44,8 @@ def halved(
     """The same model with HALVED as float16.
 
     Means are in units of their median distance from the origin, since float16 ends at 65504, and off by at most 1/2048
-    of themselves: a tenth of a pixel. Quaternions, which may have any length, are scaled to a largest entry of 1.
+    of themselves: up to a quarter of a pixel at the border of frames 512 wide. Quaternions, which may have any length,
+    are scaled to a largest entry of 1.
     """
     distances = np.linalg.norm(tensors["means"], axis=-1)
     unit = float(np.median(distances)) if distances.any() else 1.0
