@@ -20,7 +20,7 @@ OPTIONS = BAOptions()
 
 def true_state(scene: Scene, graph: FlowGraph) -> State:
     """The exact solution on a graph."""
-    return State(scene.cam_from_world, graph.resample(1 / scene.depth), scene.focal_px)
+    return State(scene.cam_from_world, graph.resample(1 / scene.depth, 1), scene.focal_px)
 
 
 def disturbed(state: State, size: float = 0.01, seed: int = 0) -> State:

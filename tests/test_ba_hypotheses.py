@@ -89,7 +89,7 @@ def test_a_kernel_as_narrow_as_the_noise_cuts_off_biased_flow() -> None:
     graph = observe(scene, noise_px=0.02)
     biased = graph.pixels[:, 0] < 40
     graph.matches[:, biased, 1] += 0.3
-    start = State(scene.cam_from_world, graph.resample(1 / scene.depth), scene.focal_px)
+    start = State(scene.cam_from_world, graph.resample(1 / scene.depth, 1), scene.focal_px)
     prior, unknowns = FocalPrior(1.1 * graph.width), Unknowns(focal=True)
     wide = adjust(graph, start, FINE, unknowns, prior, "wide").state
     sharp = _adjust_twice(graph, start, unknowns, prior).state

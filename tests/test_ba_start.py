@@ -20,7 +20,7 @@ OPTIONS = BAOptions()
 
 def true_state(scene: Scene, graph: FlowGraph) -> State:
     """The exact solution on a graph."""
-    return State(scene.cam_from_world, graph.resample(1 / scene.depth), scene.focal_px)
+    return State(scene.cam_from_world, graph.resample(1 / scene.depth, 1), scene.focal_px)
 
 
 def test_sampson_normal_equations_equal_those_of_finite_differences() -> None:
@@ -72,7 +72,7 @@ def test_a_chain_of_exact_pairs_is_the_trajectory_up_to_scale() -> None:
     assert lost == 0
     assert trajectory_error(poses, scene.cam_from_world) < 0.02
     state = initial_state(graph, poses, scene.focal_px)
-    truth = graph.resample(1 / scene.depth)
+    truth = graph.resample(1 / scene.depth, 1)
     ratio = state.inverse_depth / truth
     seen = np.array([graph.weights[graph.source == i].sum(axis=0) for i in range(graph.T)]) > 1
     assert np.percentile(np.abs(ratio[seen] / np.median(ratio[seen]) - 1), 80) < 0.1
@@ -102,7 +102,7 @@ def test_measured_depth_is_true_and_its_variance_covers_the_error() -> None:
     state = true_state(scene, graph)
     static = static_areas(scene.dynamic, fine.width, fine.height)
     maps = depth_maps(fine, graph, dba.normalise(state), static, observable=True)
-    truth = fine.resample(1 / scene.depth).reshape(maps.inverse_depth.shape) / np.median(state.inverse_depth)
+    truth = fine.resample(1 / scene.depth, 1).reshape(maps.inverse_depth.shape) / np.median(state.inverse_depth)
     known = ~maps.filled
     error = np.abs(maps.inverse_depth - truth)[known]
     assert np.median(error / truth[known]) < 0.05

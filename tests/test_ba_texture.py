@@ -28,7 +28,7 @@ def test_flow_smoothed_where_texture_is_missing_spares_the_focal_length() -> Non
     graph.matches[:, flat] -= 0.1 * (flow - flow.mean(axis=1, keepdims=True))
     texture = np.ones((scene.T, 96, 160), np.float32)
     texture[:, :, 105:] = FLOOR
-    start = State(scene.cam_from_world, graph.resample(1 / scene.depth), scene.focal_px)
+    start = State(scene.cam_from_world, graph.resample(1 / scene.depth, 1), scene.focal_px)
     errors = []
     for observed in (graph, with_texture(graph, texture)):
         observed = favour_distance(observed)

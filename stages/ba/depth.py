@@ -37,7 +37,8 @@ def depth_maps(graph: FlowGraph, coarse: FlowGraph, state: State, static: np.nda
         observable: false for a camera that does not translate: every depth is then filled with 1.
     """
     shape = (graph.T, graph.rows, graph.columns)
-    dynamic = np.stack([cv2.resize(frame, shape[:0:-1], interpolation=cv2.INTER_AREA) < 0.5 for frame in static])
+    covered = static[:, : graph.rows * graph.stride, : graph.columns * graph.stride]
+    dynamic = np.stack([cv2.resize(frame, shape[:0:-1], interpolation=cv2.INTER_AREA) < 0.5 for frame in covered])
     if not observable:
         return DepthMaps(np.ones(shape), np.full(shape, MAX_VARIANCE), np.ones(shape, bool))
     inverse_depth, curvature = _search(graph, coarse, state)
@@ -89,7 +90,7 @@ def contact_inverse_depth(region: np.ndarray, inverse_depth: np.ndarray, measure
 
 def _search(graph: FlowGraph, coarse: FlowGraph, state: State) -> tuple[np.ndarray, np.ndarray]:
     """Inverse depth and curvature [T, P] of the fine pixels, searched near the coarse ones and over all depths."""
-    start = graph.resample(state.inverse_depth.reshape(graph.T, coarse.rows, coarse.columns))
+    start = graph.resample(state.inverse_depth.reshape(graph.T, coarse.rows, coarse.columns), coarse.stride)
     around = start * SPAN[:, None, None]
     everywhere = np.broadcast_to(SWEEP[:, None, None], (len(SWEEP), *start.shape))
     fine = State(state.cam_from_world, start, state.focal_px)

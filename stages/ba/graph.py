@@ -65,12 +65,21 @@ class FlowGraph:
         confident = (self.weights > MIN_WEIGHT).sum(axis=1)
         return np.bincount(self.source, confident, self.T) + np.bincount(self.target, confident, self.T) >= MIN_MATCHES
 
-    def resample(self, maps: np.ndarray) -> np.ndarray:
-        """Maps [T, h, w] of another stride at the pixels of this graph, [T, P] float64."""
-        size = (self.columns, self.rows)
-        return np.stack([cv2.resize(frame, size, interpolation=cv2.INTER_LINEAR).ravel() for frame in maps]).astype(
-            float
-        )
+    def resample(self, maps: np.ndarray, stride: int) -> np.ndarray:
+        """Maps [T, h, w] with a value per cell of `stride` px of the flow grid, at the pixels of this graph, [T, P].
+
+        Linear between the centres of the cells, constant beyond the outermost ones.
+        """
+        cells = ((self.pixels - (stride - 1) / 2) / stride).astype(np.float32).reshape(self.rows, self.columns, 2)
+        u, v = np.ascontiguousarray(cells[..., 0]), np.ascontiguousarray(cells[..., 1])
+        sampled = [cv2.remap(frame, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE) for frame in maps]
+        return np.stack(sampled).reshape(len(maps), -1).astype(float)
+
+    def spread(self, values: np.ndarray) -> np.ndarray:
+        """Values [T, rows, columns] of the cells on the flow grid, [T, height, width]; its rest takes the nearest."""
+        v = np.minimum(np.arange(self.height) // self.stride, self.rows - 1)
+        u = np.minimum(np.arange(self.width) // self.stride, self.columns - 1)
+        return np.asarray(values[:, v[:, None], u])
 
 
 def build_graph(
@@ -116,8 +125,7 @@ def thin_graph(graph: FlowGraph, factor: int) -> FlowGraph:
 
 def with_texture(graph: FlowGraph, texture: np.ndarray) -> FlowGraph:
     """The graph with texture weights [T, height, width] in 0..1 of the frames, sampled at its pixels."""
-    covered = texture[:, : graph.rows * graph.stride, : graph.columns * graph.stride]
-    return replace(graph, texture=graph.resample(covered).astype(np.float32))
+    return replace(graph, texture=graph.resample(texture, 1).astype(np.float32))
 
 
 def favour_distance(graph: FlowGraph) -> FlowGraph:

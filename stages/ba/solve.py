@@ -156,7 +156,8 @@ def _previous(poses: Path | None, depth: Path | None, scale: float, graph: FlowG
     cameras = read_cameras(poses)
     if set(cameras.status) & {STATUS["failed"], STATUS["rotating"]}:
         return None
-    inverse_depth = graph.resample(read_dense(depth)["inverse_depth"])
+    stride_px = round(float(read_metadata(depth)["stride_px"]) * scale)
+    inverse_depth = graph.resample(read_dense(depth)["inverse_depth"], stride_px)
     return dba.State(cameras.cam_from_world, inverse_depth, float(cameras.Ks[0, 0, 0] * scale))
 
 

@@ -205,6 +205,4 @@ def _start_on(observed: Observed, best: Candidate, others: list[Candidate], stat
 def _areas(graph: FlowGraph, chosen: np.ndarray) -> np.ndarray:
     """The pixels `chosen` [T, P] as areas [T, height, width] of the flow grid, without single ones."""
     maps = chosen.reshape(graph.T, graph.rows, graph.columns).astype(np.uint8)
-    size = graph.width, graph.height
-    grown = [cv2.resize(cv2.medianBlur(frame, 3), size, interpolation=cv2.INTER_NEAREST) for frame in maps]
-    return np.stack(grown).astype(np.float32)
+    return graph.spread(np.stack([cv2.medianBlur(frame, 3) for frame in maps])).astype(np.float32)

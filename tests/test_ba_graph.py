@@ -1,0 +1,54 @@
+"""Grids of bundle adjustment: which pixels of the flow a cell stands for where the stride does not divide the size."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from synthetic import make_scene, observe
+
+from stages.ba.dba import State, normalise
+from stages.ba.depth import depth_maps
+from stages.ba.graph import FlowGraph, build_graph
+
+SIZE = 220, 100
+"""4 divides this height, 8 does not: two grids of cells that cover different areas."""
+
+
+def empty_graph(stride: int) -> FlowGraph:
+    """Two frames of SIZE without motion."""
+    flow, confidence = np.zeros((2, *SIZE, 2), np.float32), np.ones((2, *SIZE), np.float32)
+    return build_graph(np.array([0, 1]), np.array([1, 0]), flow, confidence, 2, stride)
+
+
+@pytest.mark.parametrize(("source", "target"), [(4, 8), (8, 4), (1, 8), (3, 8)])
+def test_maps_are_resampled_where_their_cells_lie(source: int, target: int) -> None:
+    coarse, graph = empty_graph(source), empty_graph(target)
+    ramp = (3 * coarse.pixels[:, 1] - coarse.pixels[:, 0]).reshape(1, coarse.rows, coarse.columns)
+    low, high = coarse.pixels.min(axis=0), coarse.pixels.max(axis=0)
+    inside = ((graph.pixels >= low) & (graph.pixels <= high)).all(axis=1)
+    assert inside.mean() > 0.8
+    expected = 3 * graph.pixels[:, 1] - graph.pixels[:, 0]
+    # OpenCV looks up to 1/32 of a cell beside the place.
+    assert_allclose(graph.resample(ramp, source)[0, inside], expected[inside], atol=4 / 32 * source)
+
+
+def test_areas_of_cells_are_those_that_they_were_sampled_from() -> None:
+    graph = empty_graph(8)
+    values = np.arange(len(graph.pixels)).reshape(1, graph.rows, graph.columns)
+    spread = graph.spread(values)
+    assert spread.shape == (1, *SIZE)
+    u, v = np.rint(graph.pixels).astype(int).T
+    assert_array_equal(spread[0, v, u], values.ravel())
+    assert_array_equal(spread[0, 216:], spread[0, 212:216])
+
+
+def test_depth_is_filled_in_the_masked_cells_alone() -> None:
+    scene = make_scene(T=4, size=(62, 96))
+    graph = observe(scene, stride=8)
+    state = normalise(State(scene.cam_from_world, graph.resample(1 / scene.depth, 1), scene.focal_px))
+    static = np.ones((4, 62, 96), np.float32)
+    static[:, 48:] = 0
+    filled = depth_maps(replace(graph, weights=np.ones_like(graph.weights)), graph, state, static, True).filled
+    assert filled[:, 6].all()
+    assert not filled[:, :6].any()
