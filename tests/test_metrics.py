@@ -118,7 +118,16 @@ def test_psnr_and_ssim_equal_kornia() -> None:
 
 def test_psnr_by_hand() -> None:
     assert image_metrics.psnr(np.full((4, 4, 3), 0.1), np.zeros((4, 4, 3))) == pytest.approx(20)
-    assert image_metrics.psnr(np.ones((4, 4, 3)), np.ones((4, 4, 3))) == float("inf")
+
+
+def test_equal_images_leave_a_mean_over_frames_finite() -> None:
+    """The error of rounding to 8 bits, measured, is the least that counts: equal frames are that near and no nearer."""
+    grey = np.full((8, 8, 3), 0.5)
+    equal = image_metrics.psnr(grey, grey)
+    exact = np.random.default_rng(0).random((64, 64, 3))
+    rounded = np.round(exact * 255) / 255
+    assert equal == pytest.approx(image_metrics.psnr(rounded, exact), abs=0.1)
+    assert np.mean([equal, image_metrics.psnr(grey, grey + 0.1)]) == pytest.approx((58.92 + 20) / 2, abs=0.01)
 
 
 def test_region_scores_see_only_their_region() -> None:
@@ -127,7 +136,7 @@ def test_region_scores_see_only_their_region() -> None:
     mask[:, 30:] = True
     image = np.where(mask[..., None], 255 - truth, truth)
     scores = score_frame(image, truth, mask)
-    assert scores["static"][0] == float("inf")
+    assert scores["static"][0] == pytest.approx(58.92, abs=0.01)
     assert scores["dynamic"][0] < scores["whole"][0]
     assert set(score_frame(image, truth, np.zeros_like(mask))) == {"whole", "static"}
 

@@ -3,24 +3,26 @@
 import cv2
 import numpy as np
 
+from stages.shared.psnr import psnr_db
+
 WINDOW_PX, SIGMA_PX = 11, 1.5
 K1, K2 = 0.01, 0.03
 PROTOCOL = (
-    "8-bit RGB in 0..1; PSNR per frame over all pixels and channels of the region, then the mean over frames; "
+    "8-bit RGB in 0..1; PSNR per frame over all pixels and channels of the region, at most 58.9 dB "
+    "(the rounding to 8 bits), then the mean over frames; "
     "SSIM (Wang et al. 2004) with an 11-pixel Gaussian window of sigma 1.5 per channel, K1 0.01, K2 0.03, "
     "population covariance, mean over channels and over the pixels whose window lies inside the image"
 )
 
 
 def psnr(image: np.ndarray, truth: np.ndarray, region: np.ndarray | None = None) -> float:
-    """Peak signal-to-noise ratio in dB of images [H, W, 3] in 0..1; infinite where they are equal.
+    """Peak signal-to-noise ratio in dB of images [H, W, 3] in 0..1, at most that of `stages.shared.psnr`.
 
     Args:
         region: [H, W] bool, the pixels that count (at least one); all if None.
     """
     squared = (np.asarray(image, float) - np.asarray(truth, float)) ** 2
-    mse = float(np.mean(squared if region is None else squared[region]))
-    return float("inf") if mse == 0 else -10 * float(np.log10(mse))
+    return psnr_db(float(np.mean(squared if region is None else squared[region])))
 
 
 def ssim_map(image: np.ndarray, truth: np.ndarray) -> np.ndarray:

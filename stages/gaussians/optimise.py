@@ -1,6 +1,5 @@
 """Stage 2: fit the scene to the training frames by L1 + D-SSIM + ARAP, one frame per step."""
 
-import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -15,6 +14,7 @@ from stages.gaussians.model import GaussianScene
 from stages.gaussians.observations import Observations
 from stages.gaussians.options import GaussiansOptions
 from stages.gaussians.ssim import Target, ssim
+from stages.shared.psnr import psnr_db
 
 LEARNING_RATES = {
     "offsets": 0.18,
@@ -102,8 +102,7 @@ class Trainer:
         self.optimiser.zero_grad()
         if view.centres[0].grad is not None:
             self.record.add(view.centres[0].grad)
-        mse = float(difference.detach().square().mean())
-        return float(loss.detach()), -10 * math.log10(mse) if mse > 0 else math.inf
+        return float(loss.detach()), psnr_db(float(difference.detach().square().mean()))
 
     def _frame_of_step(self) -> int:
         """Frames in random order, each once per round; a function of seed and step alone, so that runs can resume."""

@@ -15,6 +15,7 @@ from stages.gaussians.observations import Observations
 from stages.gaussians.ply import write_ply
 from stages.gaussians.poses import PoseTable
 from stages.shared.figures import spread
+from stages.shared.psnr import psnr_db
 
 DEFORMATION, COLOURS, EXPOSURE, POSES = "deformation.", "colours.", "exposure.", "poses."
 """Prefixes of the tensors of the motion, of its colours, of the gains and of the corrections of poses."""
@@ -89,7 +90,7 @@ def training_psnr(scene: GaussianScene, seen: Observations) -> float:
         viewmat, K = (torch.as_tensor(matrix, device=device) for matrix in (seen.cam_from_world[f], seen.Ks[f]))
         height, width = seen.images.shape[1:3]
         image = scene.render(float(seen.times[f]), viewmat, K, width, height).colour[0].cpu().numpy()
-        values.append(-10 * np.log10(np.square(image.clip(0, 1) - seen.images[f]).mean()))
+        values.append(psnr_db(float(np.square(image.clip(0, 1) - seen.images[f]).mean())))
     return float(np.mean(values))
 
 
