@@ -172,6 +172,11 @@ def test_cam_is_172_bytes_and_bit_exact(tmp_path: Path) -> None:
     back = sintel.read_cam(tmp_path / "a.cam")
     assert np.array_equal(back[0], K)
     assert np.array_equal(back[1], cam_from_world)
+    sintel.write_cam(tmp_path / "b.cam", 2 * K, -cam_from_world)
+    Ks, poses = sintel.read_cams([tmp_path / "b.cam", tmp_path / "a.cam"])
+    assert np.array_equal(Ks, [2 * K, K])
+    assert np.array_equal(poses[:, :3], [-cam_from_world, cam_from_world])
+    assert np.array_equal(poses[:, 3], [[0, 0, 0, 1]] * 2)
 
 
 def random_cameras() -> object:

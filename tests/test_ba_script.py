@@ -20,7 +20,7 @@ from stages.shared.cameras import read_cameras
 from stages.shared.errors import InputError
 from stages.shared.images import write_image
 from stages.shared.sequences import check_sequence, sequence_to_json
-from stages.shared.sintel import read_cam
+from stages.shared.sintel import read_cams
 
 
 @pytest.fixture
@@ -93,11 +93,11 @@ def test_true_intrinsics_are_those_of_the_camera_files(rendered: Path, tmp_path:
         write_image(tmp_path / "masks" / f"frame_{number:04d}.png", np.zeros((frames.height, frames.width), bool))
     paths = outputs(tmp_path / "out")
     main(sequence, flow, tmp_path / "masks", **paths, options=BAOptions(intrinsics="truth"))
-    true_Ks, true_poses = zip(*(read_cam(path) for path in frames.truth["camdata_left"].values()), strict=True)
+    true_Ks, true_poses = read_cams(frames.truth_files("camdata_left"))
     cameras = read_cameras(paths["poses"])
     assert read_metadata(paths["poses"])["focal"]["decision"] == "known"
     assert_allclose(cameras.Ks, true_Ks, rtol=1e-6)
-    assert trajectory_error(cameras.cam_from_world, np.stack(true_poses)) < 5e-3
+    assert trajectory_error(cameras.cam_from_world, true_poses) < 5e-3
 
 
 def test_options_stay_light() -> None:

@@ -67,8 +67,7 @@ def true_poses(frames: Sequence) -> np.ndarray:
         InputError: if a camera is missing.
     """
     _require(frames, "camdata_left", "poses")
-    extrinsics = np.stack([sintel.read_cam(frames.truth["camdata_left"][number])[1] for number in frames.numbers])
-    return lie.from_parts(extrinsics[:, :, :3], extrinsics[:, :, 3])
+    return sintel.read_cams(frames.truth_files("camdata_left"))[1]
 
 
 def true_depths(frames: Sequence) -> list[np.ndarray]:
@@ -78,7 +77,7 @@ def true_depths(frames: Sequence) -> list[np.ndarray]:
         InputError: if a frame's is missing.
     """
     _require(frames, "depth", "depth")
-    depths = [sintel.read_dpt(frames.truth["depth"][number]).astype(float) for number in frames.numbers]
+    depths = [sintel.read_dpt(path).astype(float) for path in frames.truth_files("depth")]
     return [np.where(depth > 0, depth, np.inf) for depth in depths]
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from stages.shared import lie, sintel
+from stages.shared import sintel
 from stages.shared.cameras import Cameras, make_cameras, pixel_grid, project, unproject
 from stages.shared.images import read_mask
 from stages.shared.sequences import Sequence
@@ -10,15 +10,12 @@ from stages.shared.sequences import Sequence
 MOVING_PX = 0.1  # Sintel's own flow and cameras agree to better than this on still pixels
 
 
-def true_cameras(sequence: Sequence, kind: str = "camdata_left") -> Cameras | None:
+def true_cameras(sequence: Sequence) -> Cameras | None:
     """Cameras of all T frames, scene units and pixels, or None if any is missing."""
-    if not sequence.has_truth(kind):
+    if not sequence.has_truth("camdata_left"):
         return None
-    Ks, extrinsics = zip(*(sintel.read_cam(sequence.truth[kind][n]) for n in sequence.numbers), strict=True)
-    cam_from_world = np.stack(extrinsics)
-    return make_cameras(
-        lie.from_parts(cam_from_world[:, :, :3], cam_from_world[:, :, 3]), np.stack(Ks), np.array(sequence.numbers)
-    )
+    Ks, cam_from_world = sintel.read_cams(sequence.truth_files("camdata_left"))
+    return make_cameras(cam_from_world, Ks, np.array(sequence.numbers))
 
 
 def has_derived_masks(sequence: Sequence) -> bool:

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 
 from stages.flow.edges import Edge
-from stages.shared import lie, sequences, sintel
+from stages.shared import sequences, sintel
 from stages.shared.cameras import pixel_grid, project, scale_intrinsics, unproject
 from stages.shared.errors import InputError
 from stages.shared.images import read_mask
@@ -53,12 +53,10 @@ def read_truth(frames: sequences.Sequence, width: int, height: int) -> Truth:
     if missing:
         expected = f"{', '.join(NEEDED)} beside them, for every frame, for `source: truth`"
         raise InputError(frames.frames[0].parent, expected, f"no {', '.join(missing)}", "set `source: dis`")
-    cameras = [sintel.read_cam(frames.truth["camdata_left"][n]) for n in frames.numbers]
-    extrinsics = np.stack([cam_from_world for _, cam_from_world in cameras])
-    Ks = scale_intrinsics(np.stack([K for K, _ in cameras]), width / frames.width)
-    poses = lie.from_parts(extrinsics[:, :, :3], extrinsics[:, :, 3])
+    full_Ks, poses = sintel.read_cams(frames.truth_files("camdata_left"))
+    Ks = scale_intrinsics(full_Ks, width / frames.width)
     size = (width, height)
-    depth = np.stack([_reduce(1 / sintel.read_dpt(frames.truth["depth"][n]), size) for n in frames.numbers])
+    depth = np.stack([_reduce(1 / sintel.read_dpt(path), size) for path in frames.truth_files("depth")])
     forward = np.stack([_read_forward(frames, n, size) for n in frames.numbers[:-1]])
     known = np.stack([_is_unoccluded(frames, n, size) for n in frames.numbers[:-1]])
     still = Truth(poses, Ks, depth, np.zeros(depth.shape, bool), {})
@@ -168,7 +166,7 @@ def _is_unoccluded(frames: sequences.Sequence, number: int, size: tuple[int, int
 
 
 def _read_moving(frames: sequences.Sequence, size: tuple[int, int]) -> np.ndarray:
-    masks = [read_mask(frames.truth["motion_mask"][n]).astype(np.uint8) for n in frames.numbers]
+    masks = [read_mask(path).astype(np.uint8) for path in frames.truth_files("motion_mask")]
     return np.stack([cv2.resize(mask, size, interpolation=cv2.INTER_NEAREST_EXACT) > 0 for mask in masks])
 
 

@@ -13,7 +13,7 @@ from stages.gaussians.options import RenderOptions
 from stages.gaussians.rasterize import backend_name, choose_device
 from stages.gaussians.storage import scene_from_tensors
 from stages.gaussians.views import novel_path, right_eye
-from stages.shared import lie, sintel
+from stages.shared import sintel
 from stages.shared.alignment import DegenerateError
 from stages.shared.artifacts import read_metadata, read_model
 from stages.shared.cameras import Cameras
@@ -57,14 +57,10 @@ def right_cameras(content: Sequence, cam_from_world: np.ndarray) -> tuple[np.nda
     rows = np.array([k for k, number in enumerate(content.numbers) if number in both], int)
     if len(rows) == 0 or not content.has_truth("camdata_left"):
         return rows[:0], np.zeros((0, 4, 4))
-
-    def true_cameras(kind: str, frames: np.ndarray) -> np.ndarray:
-        poses = [sintel.read_cam(content.truth[kind][content.numbers[k]])[1] for k in frames]
-        return lie.from_parts(np.stack(poses)[:, :, :3], np.stack(poses)[:, :, 3])
-
+    _, left = sintel.read_cams(content.truth_files("camdata_left"))
+    _, right = sintel.read_cams(content.truth["camdata_right"][content.numbers[k]] for k in rows)
     try:
-        left = true_cameras("camdata_left", np.arange(len(content.numbers)))
-        return rows, right_eye(cam_from_world, left, true_cameras("camdata_right", rows), rows)
+        return rows, right_eye(cam_from_world, left, right, rows)
     except DegenerateError as error:
         logger.warning("no right-eye views: the baseline has no scale in our world (%s)", error)
         return rows[:0], np.zeros((0, 4, 4))

@@ -49,6 +49,10 @@ class Sequence:
         needed = self.numbers[:-1] if kind == "flow" else self.numbers
         return all(number in self.truth.get(kind, {}) for number in needed)
 
+    def truth_files(self, kind: str) -> list[Path]:
+        """The files of a kind of truth that every frame has, in order."""
+        return [self.truth[kind][number] for number in self.numbers]
+
 
 def sequence_folders(dataset: Path, pass_name: str) -> dict[str, Path]:
     """Every sequence of `dataset` with its folder of frames, by name.

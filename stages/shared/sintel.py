@@ -1,9 +1,11 @@
 """MPI-Sintel files: .flo, .dpt and .cam, little-endian, each led by the float32 tag 202021.25."""
 
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
 
+from stages.shared import lie
 from stages.shared.artifacts import atomic
 from stages.shared.errors import InputError
 
@@ -39,6 +41,12 @@ def read_cam(path: Path) -> tuple[np.ndarray, np.ndarray]:
         raise InputError(path, f"{CAM_BYTES} bytes", f"{len(content)}", ADVICE)
     values = np.frombuffer(content, "<f8", offset=4)
     return values[:9].reshape(3, 3).copy(), values[9:].reshape(3, 4).copy()
+
+
+def read_cams(paths: Iterable[Path]) -> tuple[np.ndarray, np.ndarray]:
+    """Intrinsics [n, 3, 3] and cam_from_world [n, 4, 4] of n files, both float64."""
+    Ks, extrinsics = (np.stack(parts) for parts in zip(*map(read_cam, paths), strict=True))
+    return Ks, lie.from_parts(extrinsics[..., :3], extrinsics[..., 3])
 
 
 def write_cam(path: Path, K: np.ndarray, cam_from_world: np.ndarray) -> None:
