@@ -20,40 +20,11 @@ from stages.gaussians.options import GaussiansOptions, RenderOptions, ViewOption
 from stages.gaussians.ply import read_ply
 from stages.gaussians.rasterize import rasterize
 from stages.gaussians.video import MAX_BYTES, write_gif
-from stages.gaussians.views import novel_path, right_eye
-from stages.shared import lie
 from stages.shared.artifacts import read_json, read_metadata, read_model, read_table, write_model, write_table
 from stages.shared.cameras import make_cameras, read_cameras, write_cameras
 from stages.shared.errors import InputError
 from stages.shared.images import read_rgb
 from stages.shared.split import SplitOptions
-
-
-def test_the_novel_path_circles_and_keeps_its_point() -> None:
-    poses = truth.cameras()
-    times = np.linspace(0, 1, 9)
-    path = novel_path(poses, times, radius=0.1, distance=3.0)
-    assert np.allclose(path[0], poses[0])
-    assert np.allclose(path[-1], poses[-1])
-    on_path = novel_path(poses, times, radius=0.0, distance=3.0)
-    target = lie.inverse(on_path)[:, :3, :3] @ [0, 0, 3.0] + lie.inverse(on_path)[:, :3, 3]
-    seen_at = np.einsum("nij,nj->ni", path[:, :3, :3], target) + path[:, :3, 3]
-    assert np.abs(seen_at[:, :2] / seen_at[:, 2:]).max() < 1e-3
-    moved = np.linalg.norm((lie.inverse(path) - lie.inverse(on_path))[:, :3, 3], axis=-1)
-    assert moved.max() == pytest.approx(0.1, abs=0.02)
-
-
-def test_the_right_eye_is_the_same_under_any_similarity() -> None:
-    random = np.random.default_rng(0)
-    left = lie.exp_se3(random.normal(scale=0.3, size=(6, 6)))
-    baseline = lie.from_parts(np.eye(3), np.array([-0.1, 0, 0]))
-    rows = np.array([1, 4])
-    world = lie.exp_se3(random.normal(size=6))  # our world: turned, shifted and 2.5 times as large
-    ours = left @ lie.inverse(world)
-    ours[:, :3, 3] = 2.5 * ours[:, :3, 3]
-    expected = (baseline @ left @ lie.inverse(world))[rows]
-    expected[:, :3, 3] *= 2.5
-    assert np.allclose(right_eye(ours, left, (baseline @ left)[rows], rows), expected, atol=1e-12)
 
 
 def test_the_video_fits_and_has_every_frame(tmp_path: Path) -> None:

@@ -55,7 +55,8 @@ def main(
     if failed:
         logger.warning("gaussians: the poses failed: a static scene is trained before a camera at rest")
     seen = read_observations(sequence, masks, poses, depth, options)
-    gaussians, seen = _new_scene(seen, needs, sequence, points, deformation, options)
+    seen, motion, canonical = _with_motion(seen, needs, sequence, points, deformation)
+    gaussians = _new_scene(seen, motion, canonical, needs, options)
     trainer = Trainer(gaussians, seen, options, read_metadata(deformation)["arap_weight"])
     checkpoint = Checkpoint(model, [sequence, masks, poses, depth, scene, points, deformation], options)
     checkpoint.resume(trainer)
@@ -85,56 +86,48 @@ def _write_half(path: Path, scene: "GaussianScene", seen: "Observations", settin
     logger.info("half precision: %.2f MB, %.2f dB on training frames, %.3f dB lost", megabytes, psnr_db, loss_db)
 
 
-def _new_scene(
-    seen: "Observations",
-    needs: dict[str, Any],
-    sequence: Path,
-    points: Path,
-    deformation: Path,
-    options: GaussiansOptions,
-) -> tuple["GaussianScene", "Observations"]:
-    """The untrained scene with what scene.json calls for, and the observations with the movers' depth."""
-    import torch
-
+def _with_motion(
+    seen: "Observations", needs: dict[str, Any], sequence: Path, points: Path, deformation: Path
+) -> tuple["Observations", "Deformation | None", int]:
+    """The observations with the movers' depth, the motion (None: nothing moves), and the row of the canonical frame."""
     from stages.control.deformation import load_deformation
-    from stages.gaussians.initialise import cloud_within, near_plane_of
     from stages.gaussians.inputs import canonical_row
-    from stages.gaussians.model import GaussianScene
     from stages.gaussians.observations import with_movers
-    from stages.gaussians.rasterize import backend_name, choose_device
 
-    device = choose_device(options.device)
     motion = load_deformation(deformation, points) if needs["dynamic"]["needed"] else None
-    canonical = len(seen.images) // 2
     if motion is None:
         logger.info("no control points: every Gaussian is static, the masks are not used")
-    else:
-        if read_metadata(deformation)["region"] == "whole":
-            seen = replace(seen, masks=np.ones_like(seen.masks))
-        masked = seen.masks.sum()
-        seen = with_movers(seen, motion)
-        logger.info(
-            "%d of %d masked pixels are out of reach of the control points: static", masked - seen.masks.sum(), masked
-        )
-        canonical = canonical_row(seen, sequence, deformation)
-    cloud, stride_px = cloud_within(
-        seen,
-        motion,
-        canonical,
-        options.stride_px,
-        options.neighbours,
-        needs["view_dependent"]["sh_degree"],
-        options.max_gaussians,
-    )
+        return seen, None, len(seen.images) // 2
+    if read_metadata(deformation)["region"] == "whole":
+        seen = replace(seen, masks=np.ones_like(seen.masks))
+    masked = seen.masks.sum()
+    seen = with_movers(seen, motion)
+    lost = masked - seen.masks.sum()
+    logger.info("%d of %d masked pixels are out of reach of the control points: static", lost, masked)
+    return seen, motion, canonical_row(seen, sequence, deformation)
+
+
+def _new_scene(
+    seen: "Observations", motion: "Deformation | None", canonical: int, needs: dict[str, Any], options: GaussiansOptions
+) -> "GaussianScene":
+    """The untrained scene with what scene.json calls for."""
+    import torch
+
+    from stages.gaussians.initialise import cloud_within, near_plane_of
+    from stages.gaussians.model import GaussianScene
+    from stages.gaussians.rasterize import backend_name, choose_device
+
+    device, neighbours = choose_device(options.device), options.neighbours
+    degree, most = needs["view_dependent"]["sh_degree"], options.max_gaussians
+    cloud, stride_px = cloud_within(seen, motion, canonical, options.stride_px, neighbours, degree, most)
     if stride_px > options.stride_px:
         logger.warning("one Gaussian per %d px, not %d, to stay within max_gaussians", stride_px, options.stride_px)
     background = torch.as_tensor(seen.images.mean(axis=(0, 1, 2)))
-    settings = (near_plane_of(seen), options.neighbours)
-    colours, exposure, corrections = _tables_over_time(seen, motion, needs, options)
-    scene = GaussianScene(cloud, motion, background, *settings, colours, exposure, corrections).to(device)
+    tables = _tables_over_time(seen, motion, needs, options)
+    scene = GaussianScene(cloud, motion, background, near_plane_of(seen), neighbours, *tables).to(device)
     counts = (len(cloud.means), scene.n_static, len(cloud.means) - scene.n_static)
     logger.info("%s; %d Gaussians to start with: %d static, %d dynamic", backend_name(device), *counts)
-    return scene, seen
+    return scene
 
 
 def _tables_over_time(
