@@ -21,8 +21,11 @@ from stages.control.deformation import (
     save_deformation,
     save_points,
 )
-from stages.shared.artifacts import read_metadata, read_model, read_table
+from stages.control.options import ControlOptions
+from stages.shared.artifacts import read_metadata, read_model, read_table, write_dense
+from stages.shared.cameras import read_cameras
 from stages.shared.cli import run
+from stages.shared.sequences import read_sequence
 
 
 def models() -> list[Deformation]:
@@ -115,6 +118,18 @@ def test_the_script_finds_the_sliding_square(tmp_path: Path) -> None:
         _, translations = model(torch.tensor([0.0, 1.0]))
     travelled = (translations[1] - translations[0]).median(dim=0).values
     assert float(travelled[0]) == pytest.approx(clip.SHIFT * (clip.T - 1), rel=0.2)
+
+
+def test_depth_is_looked_up_where_a_grid_of_broken_pixels_has_it(tmp_path: Path) -> None:
+    """Frames 854 pixels wide, matched at 512, have a depth every 6.67 pixels: 6 would shift the far edge by 85."""
+    paths = write_inputs(tmp_path)
+    ramp = np.tile(-0.02 * (4.5 * np.arange(clip.W // 4) + 1.75), (clip.T, clip.H // 4, 1)).astype(np.float32)
+    columns = {"inverse_depth": np.exp(ramp), "variance": (0.01 * np.exp(ramp)) ** 2}
+    write_dense(paths["depth"], columns, {"stride_px": 4.5})
+    sequence, cameras = read_sequence(paths["sequence"]), read_cameras(paths["poses"])
+    seen = fit._sightings(sequence, paths["flow"], paths["masks"], cameras, paths["depth"], ControlOptions())
+    assert seen.uv[seen.visible][:, 0].max() > 20
+    np.testing.assert_allclose(np.log(seen.depth[seen.visible]), 0.02 * seen.uv[seen.visible][:, 0], atol=0.01)
 
 
 def test_the_whole_scene_can_carry_control_points(tmp_path: Path) -> None:

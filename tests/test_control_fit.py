@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from stages.control import adapt, fitting, lbs, stage1
 from stages.control.deformation import Deformation, TableDeformation
 from stages.control.options import ControlOptions
-from stages.control.tracks import Sightings
+from stages.control.sightings import Sightings
 from stages.shared.cameras import centred_intrinsics, make_cameras, project, unproject
 from stages.shared.split import SplitOptions, held_out
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from square_inputs import HELD_OUT
 
-from stages.control import canonical, tracks
+from stages.control import canonical, sightings, tracks
 from stages.shared.split import SplitOptions, held_out
 
 F, H, W = 9, 48, 64
@@ -107,7 +107,7 @@ def test_depth_is_smoothed_as_far_as_it_is_uncertain() -> None:
     visible = np.ones((2, 12), bool)
     visible[:, 5] = False
     measured[:, 5] = 99.0
-    smoothed = tracks.smooth_log_depth(measured, std, visible)
+    smoothed = sightings.smooth_log_depth(measured, std, visible)
     assert np.abs(np.diff(smoothed[0], n=2)).max() < 0.02 < np.abs(np.diff(measured[0], n=2)).max()
     np.testing.assert_allclose(smoothed[1], truth, atol=0.03)
 
@@ -116,7 +116,7 @@ def test_depth_is_smoothed_as_far_as_it_is_uncertain() -> None:
 def test_depth_of_short_clips_is_smoothed_too(frames: int) -> None:
     visible = np.zeros((2, frames), bool)
     visible[:, 0] = True
-    smoothed = tracks.smooth_log_depth(np.full((2, frames), 0.7), np.full((2, frames), 0.1), visible)
+    smoothed = sightings.smooth_log_depth(np.full((2, frames), 0.7), np.full((2, frames), 0.1), visible)
     np.testing.assert_allclose(smoothed, 0.7, atol=1e-9)
 
 

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import numpy as np
 
-from stages.control import tracks
+from stages.control import sightings, tracks
 from stages.control.options import ControlOptions
 from stages.shared import cli, images
 from stages.shared.artifacts import read_dense, read_json, read_metadata
@@ -43,8 +43,8 @@ def main(
     status = "the poses failed" if failed else "the scene has no moving parts"
     model, metadata = None, {"status": status, "arap_weight": 0.0, "region": options.region}
     if decision["dynamic"]["needed"] and not failed:
-        sightings = _sightings(content, flow, masks, cameras, depth, options)
-        model, metadata = stage1.fit_sightings(sightings, cameras, decision["non_rigid"], options)
+        seen = _sightings(content, flow, masks, cameras, depth, options)
+        model, metadata = stage1.fit_sightings(seen, cameras, decision["non_rigid"], options)
         if metadata["status"] != "fitted":
             logger.warning(
                 "control points: %s; look at the figure and the residual in the metadata", metadata["status"]
@@ -57,7 +57,7 @@ def main(
 
 def _sightings(
     sequence: Sequence, flow: Path, masks: Path, cameras: Cameras, depth: Path, options: ControlOptions
-) -> tracks.Sightings:
+) -> sightings.Sightings:
     """Follow dynamic pixels through the training frames and lift them."""
     T = len(sequence.frames)
     is_training = ~held_out(T, options)
@@ -70,9 +70,9 @@ def _sightings(
     if options.region == "dynamic":
         training_masks = np.stack([_mask(masks, sequence.numbers[k], w, h) for k in links.frames])
     followed = tracks.track_dynamic_pixels(links, training_masks, options.track_stride_px)
-    dense, stride = read_dense(depth), int(read_metadata(depth)["stride_px"])
+    dense, stride_px = read_dense(depth), float(read_metadata(depth)["stride_px"])
     inverse_depth, variance = dense["inverse_depth"][links.frames], dense["variance"][links.frames]
-    return tracks.lift(followed, links.frames, T, scale, inverse_depth, variance, stride, cameras)
+    return sightings.lift(followed, links.frames, T, scale, inverse_depth, variance, stride_px, cameras)
 
 
 def _mask(folder: Path, number: int, width: int, height: int) -> np.ndarray:

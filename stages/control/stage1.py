@@ -10,7 +10,7 @@ from stages.control import adapt, canonical, distil, fitting, lbs
 from stages.control.deformation import Deformation, MLPDeformation, TableDeformation
 from stages.control.fitting import NEIGHBOURS, Observations
 from stages.control.options import ControlOptions
-from stages.control.tracks import Sightings
+from stages.control.sightings import Sightings
 from stages.shared.cameras import Cameras
 from stages.shared.log import logger
 

@@ -9,7 +9,7 @@ from stages.control import arap, fitting, lbs, stage1
 from stages.control.arap_kernels import best_rotations
 from stages.control.deformation import MLPDeformation, TableDeformation
 from stages.control.options import ControlOptions
-from stages.control.tracks import Sightings
+from stages.control.sightings import Sightings
 from stages.shared.cameras import centred_intrinsics, make_cameras, project
 
 DOUBLE = torch.float64
