@@ -49,8 +49,7 @@ def test_the_script_writes_every_artifact_and_continues_a_round(artifacts: dict[
     options = BAOptions(stride_px=4, depth_stride_px=2)
     first, second = outputs(tmp_path / "one"), outputs(tmp_path / "two")
     main(**artifacts, **first, options=options)
-    previous = {"previous_poses": first["poses"], "previous_depth": first["depth"]}
-    main(**artifacts, **second, options=options, **previous)
+    main(**artifacts, **second, options=options, previous_poses=first["poses"])
     scene = make_scene(T=6, size=(64, 96), disc_radius=0.6)
     for paths in (first, second):
         cameras = read_cameras(paths["poses"])

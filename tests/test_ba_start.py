@@ -13,6 +13,7 @@ from stages.ba.estimate import Problem, estimate
 from stages.ba.graph import FlowGraph, static_areas
 from stages.ba.initialise import Hypothesis, chain, initial_state
 from stages.ba.options import BAOptions
+from stages.ba.start import PoseGuess
 from stages.shared import lie
 
 OPTIONS = BAOptions()
@@ -130,5 +131,6 @@ def test_masks_from_flow_alone_do_not_free_an_unusual_focal_length() -> None:
     graph = observe(scene)
     first = estimate(Problem(graph, masked=True), OPTIONS)
     assert first.focal["decision"] == "held at prior"
-    later = estimate(Problem(graph, masked=True, previous=true_state(scene, graph)), OPTIONS)
+    previous = PoseGuess(scene.cam_from_world, scene.focal_px)
+    later = estimate(Problem(graph, masked=True, previous=previous), OPTIONS)
     assert later.state.focal_px == pytest.approx(scene.focal_px, rel=0.05)

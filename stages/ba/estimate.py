@@ -11,7 +11,7 @@ from stages.ba.dba import FocalPrior, Level, State, Step, Unknowns
 from stages.ba.graph import MIN_MATCHES, MIN_WEIGHT, FlowGraph, favour_distance
 from stages.ba.initialise import Candidate
 from stages.ba.options import BAOptions
-from stages.ba.start import Observed, Start, find_start
+from stages.ba.start import Observed, PoseGuess, Start, find_start
 from stages.ba.uncertainty import focal_sigma, median_residual, solution_covariance
 
 PRIOR_FOCAL = 1.1
@@ -42,7 +42,7 @@ class Problem:
     graph: FlowGraph
     masked: bool
     known_focal_px: float | None = None
-    previous: State | None = None
+    previous: PoseGuess | None = None
     unmasked: FlowGraph | None = None
 
 
@@ -129,7 +129,7 @@ def _start(
     """The best guess at the camera's path; a camera that hardly moves shows no focal length to guess."""
     previous = problem.previous
     if previous:
-        previous = dba.normalise(replace(previous, focal_px=problem.known_focal_px or previous.focal_px))
+        previous = replace(previous, focal_px=problem.known_focal_px or previous.focal_px)
         focals = [previous.focal_px]
     elif statistics.camera == "near-still" and not problem.known_focal_px:
         focals = [prior.focal_px]

@@ -1,6 +1,6 @@
 """Estimate camera poses, one shared focal length and depth from flow and masks by dense bundle adjustment."""
 
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -20,6 +20,7 @@ from stages.ba.graph import (
     with_texture,
 )
 from stages.ba.options import BAOptions
+from stages.ba.start import PoseGuess
 from stages.ba.texture import texture_weights
 from stages.shared import cli, sintel
 from stages.shared.artifacts import read_dense, read_metadata, write_dense, write_table
@@ -55,7 +56,6 @@ def main(
     figure: Annotated[Path, Out("picture for the report")],
     options: BAOptions,
     previous_poses: Annotated[Path | None, In("poses.parquet of the round before")] = None,
-    previous_depth: Annotated[Path | None, In("depth.arrow of the round before")] = None,
 ) -> None:
     """Estimate camera poses, one shared focal length and depth from flow and masks.
 
@@ -64,36 +64,55 @@ def main(
     "failed" and identity poses.
     """
     frames = read_sequence(sequence)
-    metadata, pairs = read_metadata(flow), read_dense(flow)
-    grid = (int(metadata["width"]), int(metadata["height"]))
-    centre, known_focal_px = _known_intrinsics(frames, float(metadata["scale"]), grid, options)
-    columns = (pairs["source"], pairs["target"], pairs["flow"], pairs["confidence"], len(frames.numbers))
-    static, unmasked = trusted_static_areas(static_areas(_read_masks(masks, frames), *grid))
-    texture = np.stack([texture_weights(_reduced_grey(path, grid)) for path in frames.frames])
-    everything = with_texture(build_graph(*columns, options.stride_px, centre), texture)
+    matches = _read_matches(flow, len(frames.numbers))
+    centre, known_focal_px = _known_intrinsics(frames, matches, options)
+    static, ignored = trusted_static_areas(static_areas(_read_masks(masks, frames), *matches.size))
+    everything = with_texture(matches.graph(options.stride_px, centre), _read_texture(frames, matches.size))
     graph = mask_graph(everything, static)
-    previous = _previous(previous_poses, previous_depth, float(metadata["scale"]), graph)
-    has_movers = bool((static < 1).any())
-    fallback = everything if has_movers else None
-    problem = Problem(graph, has_movers or previous is not None, known_focal_px, previous, fallback)
-    solution = _solve(problem, frames, options)
-    flags = solution.flags + _mask_doubts(static, unmasked, previous_poses)
+    previous = _previous(previous_poses, matches.scale)
+    unmasked = everything if (static < 1).any() else None
+    masked = unmasked is not None or previous is not None
+    solution = _solve(Problem(graph, masked, known_focal_px, previous, unmasked), frames, options)
+    flags = solution.flags + _mask_doubts(static, ignored, previous_poses)
+    _log(frames.name, solution, flags)
     if solution.static is not None:
         static, graph = solution.static, mask_graph(everything, solution.static)
-    _log(frames.name, solution, flags)
-    fine = mask_graph(build_graph(*columns, options.depth_stride_px, centre), static)
+    fine = mask_graph(matches.graph(options.depth_stride_px, centre), static)
     maps = depth_maps(fine, graph, solution.state, static, solution.camera in ("moving", "near-still"))
-    stride_px = options.depth_stride_px / float(metadata["scale"])
+    stride_px = options.depth_stride_px / matches.scale
     if options.depth_from == "truth":
         maps = _true_depth(maps, solution.state, frames, stride_px, options)
-    cameras = _cameras(solution, graph, frames, float(metadata["scale"]))
+    cameras = _cameras(solution, graph, frames, matches.scale)
     write_cameras(poses, cameras, _pose_metadata(solution, flags, static, options))
     write_tum(trajectory, cameras)
     _write_depth(depth, maps, frames, stride_px)
     _write_convergence(convergence, solution)
-    errors = dba.errors_px(graph, solution.state)[graph.weights > MIN_WEIGHT]
-    title = f"{frames.name}: camera {solution.camera}, focal length {solution.focal['decision']}"
-    figures.draw(figure, cameras.centres, solution.steps, maps.inverse_depth, errors, title)
+    _draw(figure, frames.name, solution, graph, cameras, maps)
+
+
+@dataclass(frozen=True)
+class _Matches:
+    """What flow/pairs.arrow holds of T frames.
+
+    Attributes:
+        columns: of the table, a row per edge.
+        size: (width, height) of the flow grid; scale: its width over that of the frames.
+    """
+
+    columns: dict[str, np.ndarray]
+    T: int
+    size: tuple[int, int]
+    scale: float
+
+    def graph(self, stride: int, centre: np.ndarray) -> FlowGraph:
+        """All matches, unmasked, of one pixel per `stride` px."""
+        source, target, flow, confidence = (self.columns[name] for name in ("source", "target", "flow", "confidence"))
+        return build_graph(source, target, flow, confidence, self.T, stride, centre)
+
+
+def _read_matches(flow: Path, T: int) -> _Matches:
+    about = read_metadata(flow)
+    return _Matches(read_dense(flow), T, (int(about["width"]), int(about["height"])), float(about["scale"]))
 
 
 def _solve(problem: Problem, frames: Sequence, options: BAOptions) -> Estimate:
@@ -116,9 +135,10 @@ def _log(name: str, solution: Estimate, flags: list[str]) -> None:
         logger.warning("ba: %s: doubtful: %s", name, flag)
 
 
-def _reduced_grey(path: Path, size: tuple[int, int]) -> np.ndarray:
-    """A grey frame [height, width] uint8 on the flow grid."""
-    return cv2.cvtColor(cv2.resize(read_rgb(path), size, interpolation=cv2.INTER_AREA), cv2.COLOR_RGB2GRAY)
+def _read_texture(frames: Sequence, size: tuple[int, int]) -> np.ndarray:
+    """Texture weights [T, height, width] of the frames on the flow grid."""
+    small = (cv2.resize(read_rgb(path), size, interpolation=cv2.INTER_AREA) for path in frames.frames)
+    return np.stack([texture_weights(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)) for rgb in small])
 
 
 def _read_masks(folder: Path, frames: Sequence) -> np.ndarray:
@@ -135,37 +155,31 @@ def _read_masks(folder: Path, frames: Sequence) -> np.ndarray:
     return np.stack(masks)
 
 
-def _known_intrinsics(
-    frames: Sequence, scale: float, grid: tuple[int, int], options: BAOptions
-) -> tuple[np.ndarray, float | None]:
+def _known_intrinsics(frames: Sequence, matches: _Matches, options: BAOptions) -> tuple[np.ndarray, float | None]:
     """Principal point [2] on the flow grid, and the focal length there if the truth is asked for."""
     if options.intrinsics == options.poses_from == "estimate":
-        return (np.array(grid) - 1) / 2, None
+        return (np.array(matches.size) - 1) / 2, None
     if not frames.has_truth("camdata_left"):
         advice = "set `intrinsics: estimate` and `ba: {poses_from: estimate}`"
         raise InputError(frames.frames[0].parent, "camdata_left beside the frames for true cameras", "none", advice)
     K, _ = sintel.read_cam(frames.truth["camdata_left"][frames.numbers[0]])
-    scaled = scale_intrinsics(K, scale)
+    scaled = scale_intrinsics(K, matches.scale)
     return scaled[:2, 2], float(scaled[0, 0])
 
 
-def _previous(poses: Path | None, depth: Path | None, scale: float, graph: FlowGraph) -> dba.State | None:
-    """The solution of the round before on this graph; none if it failed or saw no translation."""
-    if poses is None or depth is None:
+def _previous(poses: Path | None, scale: float) -> PoseGuess | None:
+    """The poses of the round before; none if it failed or saw no translation."""
+    cameras = read_cameras(poses) if poses else None
+    if cameras is None or set(cameras.status) & {STATUS["failed"], STATUS["rotating"]}:
         return None
-    cameras = read_cameras(poses)
-    if set(cameras.status) & {STATUS["failed"], STATUS["rotating"]}:
-        return None
-    stride_px = round(float(read_metadata(depth)["stride_px"]) * scale)
-    inverse_depth = graph.resample(read_dense(depth)["inverse_depth"], stride_px)
-    return dba.State(cameras.cam_from_world, inverse_depth, float(cameras.Ks[0, 0, 0] * scale))
+    return PoseGuess(cameras.cam_from_world, float(cameras.Ks[0, 0, 0] * scale))
 
 
-def _mask_doubts(static: np.ndarray, unmasked: np.ndarray, previous_poses: Path | None) -> list[str]:
-    """What speaks against the masks."""
+def _mask_doubts(static: np.ndarray, ignored: np.ndarray, previous_poses: Path | None) -> list[str]:
+    """What speaks against the masks, of which those of some frames [T] were ignored."""
     doubts = []
-    if unmasked.any():
-        doubts.append(f"masks of {unmasked.sum()} of {len(unmasked)} frames ignored: they leave too little static area")
+    if ignored.any():
+        doubts.append(f"masks of {ignored.sum()} of {len(ignored)} frames ignored: they leave too little static area")
     before = read_metadata(previous_poses).get("static_share") if previous_poses else None
     if before and static.mean() < SHRINKING * before:
         shares = f"from {before:.2f} to {static.mean():.2f}"
@@ -214,6 +228,12 @@ def _write_convergence(path: Path, solution: Estimate) -> None:
     columns: dict[str, Any] = {"iteration": np.arange(len(rows)), "phase": [row["phase"] for row in rows]}
     columns |= {name: np.array([row[name] for row in rows]) for name in names}
     write_table(path, columns, {"units": "px, px^2, s"})
+
+
+def _draw(path: Path, name: str, solution: Estimate, graph: FlowGraph, cameras: Cameras, maps: DepthMaps) -> None:
+    errors = dba.errors_px(graph, solution.state)[graph.weights > MIN_WEIGHT]
+    title = f"{name}: camera {solution.camera}, focal length {solution.focal['decision']}"
+    figures.draw(path, cameras.centres, solution.steps, maps.inverse_depth, errors, title)
 
 
 if __name__ == "__main__":

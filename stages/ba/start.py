@@ -36,18 +36,26 @@ SAME_PIXELS = 0.5
 
 
 @dataclass(frozen=True)
+class PoseGuess:
+    """Where another guess may start: poses [T, 4, 4] of any scale, and the focal length in px of the flow grid."""
+
+    cam_from_world: np.ndarray
+    focal_px: float
+
+
+@dataclass(frozen=True)
 class Observed:
     """What the guesses are made from.
 
     Attributes:
         graph: observations, masked; unmasked: the same without masks (the same object if there are none).
-        previous: the solution of the round before, on the pixels of `graph`.
+        previous: the solution of the round before.
         focals_px: focal lengths to try.
     """
 
     graph: FlowGraph
     unmasked: FlowGraph
-    previous: State | None
+    previous: PoseGuess | None
     focals_px: Sequence[float]
     statistics: Statistics
     prior: FocalPrior

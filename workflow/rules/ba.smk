@@ -1,9 +1,9 @@
 rule ba:
     input:
-        unpack(previous_cameras),
         sequence=artifact("inspect", "sequence.json"),
         flow=artifact("flow", "flow/pairs.arrow"),
         masks=artifact("segment", "masks"),
+        previous_poses=previous("ba/poses.parquet"),
     output:
         poses="<results>/{dataset}/{seq}/{setting}{round}ba/poses.parquet",
         trajectory="<results>/{dataset}/{seq}/{setting}{round}ba/trajectory.tum",

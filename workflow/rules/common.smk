@@ -117,29 +117,25 @@ def megabytes(base, bytes_per_pixel):
     return of_job
 
 
-def previous_cameras(wildcards):
-    """Poses and depth of the round before, for the next one; nothing in the first."""
-    number = round_number(wildcards)
-    if number == 1:
-        return {}
-    names = {"previous_poses": "ba/poses.parquet", "previous_depth": "ba/depth.arrow"}
-    return {
-        key: artifact_path(wildcards, "ba", name, number - 1)
-        for key, name in names.items()
-    }
+def previous(name):
+    """The input function of what `ba` made in the round before; nothing in the first."""
+
+    def of_job(wildcards):
+        number = round_number(wildcards) - 1
+        return artifact_path(wildcards, "ba", name, number) if number else []
+
+    return of_job
 
 
 def previous_flags(wildcards, input):
     """The flags that hand over the round before."""
-    if not hasattr(input, "previous_poses"):
-        return ""
-    flags = (
-        "--previous-poses",
-        input.previous_poses,
-        "--previous-depth",
-        input.previous_depth,
+    given = {
+        f"--{name.replace('_', '-')}": input.get(name)
+        for name in ("previous_poses", "previous_depth")
+    }
+    return " ".join(
+        f"{flag} {shlex.quote(path)}" for flag, path in given.items() if path
     )
-    return shlex.join(flags)
 
 
 def scene_file(wildcards):

@@ -22,9 +22,10 @@ rule flow:
 
 rule motion:
     input:
-        unpack(previous_cameras),
         sequence=artifact("inspect", "sequence.json"),
         flow=artifact("flow", "flow/pairs.arrow"),
+        previous_poses=previous("ba/poses.parquet"),
+        previous_depth=previous("ba/depth.arrow"),
     output:
         prior="<results>/{dataset}/{seq}/{setting}{round}motion/prior.arrow",
         figure="<results>/{dataset}/{seq}/{setting}{round}figures/motion.png",
