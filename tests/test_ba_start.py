@@ -35,7 +35,7 @@ def test_sampson_normal_equations_equal_those_of_finite_differences() -> None:
         J[:, k] = (ends[0] - ends[1]) / (2 * h)
     residual = twoview.sampson_errors(R, t, x, y)
     robust = w / (1 + (residual / sigma) ** 2) ** 2
-    normal, gradient = twoview._sampson_system(R, t, x, y, w, sigma)
+    normal, gradient = twoview._sampson_system(R, t, basis, x, y, w, sigma)
     assert_allclose(normal, J.T @ (J * robust[:, None]), atol=1e-7)
     assert_allclose(gradient, J.T @ (robust * residual), atol=1e-7)
 

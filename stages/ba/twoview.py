@@ -16,9 +16,6 @@ from stages.shared import lie
 RANSAC_MATCHES = 1500
 """RANSAC gains nothing from more; all matches take part in the refinement."""
 
-GENERATORS = np.stack([lie.skew(axis) for axis in np.eye(3)])
-"""Skew matrices [3, 3, 3] of the three axes."""
-
 
 @dataclass(frozen=True)
 class TwoView:
@@ -81,11 +78,7 @@ def refine_motion(
     iterations: int = 12,
 ) -> TwoView:
     """Minimise the weighted Sampson error over (R, direction of t), the robust scale falling from first to last."""
-    for sigma_px in np.geomspace(*sigmas_px, iterations):
-        normal, gradient = _sampson_system(R, t, x, y, w, sigma_px / focal_px)
-        step = np.linalg.solve(normal + 1e-9 * np.trace(normal) * np.eye(5), -gradient)
-        R, t = lie.exp_so3(step[:3]) @ R, t + step[3:] @ _tangent_basis(t)
-        t = t / np.linalg.norm(t)
+    R, t = _minimise(np.ascontiguousarray(R), t, x, y, w, np.geomspace(*sigmas_px, iterations) / focal_px)
     residual = np.abs(sampson_errors(R, t, x, y)) * focal_px
     d, parallax = triangulate(R, t, x, y)
     fits = residual < 2 * sigmas_px[1]
@@ -156,14 +149,56 @@ def _epipolar(R: np.ndarray, t: np.ndarray, x: np.ndarray, y: np.ndarray) -> tup
     return numerator, np.sqrt(np.maximum(squared, 1e-24)), line_y, line_x
 
 
+@njit(cache=True, error_model="numpy")
+def _minimise(
+    R: np.ndarray, t: np.ndarray, x: np.ndarray, y: np.ndarray, w: np.ndarray, sigmas: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """(R, t) after one Gauss-Newton step per robust scale: one kernel, since calls of numpy would cost most of it."""
+    for sigma in sigmas:
+        across = _tangent_basis(t)
+        normal, gradient = _sampson_system(R, t, across, x, y, w, sigma)
+        step = np.linalg.solve(normal + 1e-9 * np.trace(normal) * np.eye(5), -gradient)
+        R = _rotation(step[:3]) @ R
+        t = t + step[3] * across[0] + step[4] * across[1]
+        t = t / np.linalg.norm(t)
+    return R, t
+
+
+@njit(cache=True, error_model="numpy")
 def _sampson_system(
-    R: np.ndarray, t: np.ndarray, x: np.ndarray, y: np.ndarray, w: np.ndarray, sigma: float
+    R: np.ndarray, t: np.ndarray, across: np.ndarray, x: np.ndarray, y: np.ndarray, w: np.ndarray, sigma: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Normal matrix [5, 5] and gradient [5] of the Sampson errors by the left rotation vector and two tangents of t."""
-    E = lie.skew(t) @ R
-    by_rotation = lie.skew(t) @ GENERATORS @ R
-    by_translation = np.tensordot(_tangent_basis(t), GENERATORS, 1) @ R
-    return _sum_normal(E, np.concatenate([by_rotation, by_translation]).reshape(5, 9), x, y, w, sigma)
+    directions = np.empty((5, 3, 3))
+    for k in range(3):
+        directions[k] = _skew(t) @ _skew(np.eye(3)[k]) @ R
+    for k in range(2):
+        directions[3 + k] = _skew(across[k]) @ R
+    return _sum_normal(_skew(t) @ R, directions.reshape(5, 9), x, y, w, sigma)
+
+
+@njit(cache=True)
+def _skew(v: np.ndarray) -> np.ndarray:
+    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
+
+
+@njit(cache=True)
+def _rotation(omega: np.ndarray) -> np.ndarray:
+    """exp([omega]x) as I + 2 s c [a]x + 2 s^2 [a]x^2 of the half angle, which is stable at zero."""
+    angle = np.linalg.norm(omega)
+    A = _skew(omega / max(angle, 1e-300))
+    s, c = np.sin(angle / 2), np.cos(angle / 2)
+    return np.eye(3) + 2 * s * c * A + 2 * s * s * (A @ A)
+
+
+@njit(cache=True)
+def _tangent_basis(t: np.ndarray) -> np.ndarray:
+    """Two unit vectors [2, 3] across the unit vector t, from the axis furthest from it."""
+    across = np.empty((2, 3))
+    first = _skew(np.eye(3)[np.argmin(np.abs(t))]) @ t
+    across[0] = first / np.linalg.norm(first)
+    across[1] = _skew(t) @ across[0]
+    return across
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
@@ -196,11 +231,6 @@ def _sum_normal(
             for other in range(5):
                 normal[k, other] += robust * J[k] * J[other]
     return normal, gradient
-
-
-def _tangent_basis(t: np.ndarray) -> np.ndarray:
-    """Two unit vectors [2, 3] across t."""
-    return np.asarray(np.linalg.svd(t[None])[2][1:])
 
 
 def _homogeneous(x: np.ndarray) -> np.ndarray:
