@@ -106,7 +106,10 @@ def doubts(chosen: Candidate, others: Sequence[Candidate], statistics: Statistic
 
 
 def path_difference(cam_from_world: np.ndarray, other: np.ndarray) -> float:
-    """RMS distance of the camera centres after similarity alignment, as a share of the path length."""
+    """RMS distance of the camera centres after similarity alignment, as a share of the path length.
+
+    Unlike `stages.shared.alignment.umeyama` it takes straight paths: the turn about the line changes no distance.
+    """
     a, b = (lie.inverse(poses)[:, :3, 3] for poses in (cam_from_world, other))
     a, b = a - a.mean(axis=0), b - b.mean(axis=0)
     U, singular, Vt = np.linalg.svd(a.T @ b)

@@ -17,6 +17,8 @@ FLOW_VARIANCE = 1.5
 """Variance of a match, px^2, against which the prior of the focal length is weighed."""
 INVERSE_DEPTHS = (1e-4, 20.0)
 """Range of inverse depths, relative to their median."""
+REFINEMENTS = 2
+"""Gauss-Newton steps from every candidate of a sweep for inverse depths."""
 MAX_LOG_FOCAL_STEP = 0.35
 MAX_DAMPING = 1e4
 
@@ -88,7 +90,7 @@ class Step:
 
 
 def normalise(state: State) -> State:
-    """The same solution in the gauge: first pose identity, median inverse depth 1 (no change if nothing is finite)."""
+    """The same solution in the gauge: first pose identity, median inverse depth, which must be positive, 1."""
     scale = float(np.median(state.inverse_depth))
     cam_from_world = state.cam_from_world @ lie.inverse(state.cam_from_world[0])
     cam_from_world[:, :3, 3] *= scale
@@ -108,6 +110,18 @@ def robust_cost(graph: FlowGraph, errors: np.ndarray, sigma_px: float) -> float:
     return sigma_px**2 * total / max(float(graph.weights.sum(dtype=float)), 1e-12)
 
 
+def fitting_pixels(graph: FlowGraph, errors: np.ndarray, sigma_px: float, share: float) -> np.ndarray:
+    """Which pixels [T, P] have `share` of their matches, by weight, fit with errors [E, P] at the scale `sigma_px`.
+
+    A pixel without matches does.
+    """
+    fits = graph.weights / (1 + (errors / np.float32(sigma_px)) ** 2) ** 2
+    fitting, total = np.zeros((2, graph.T, len(graph.pixels)))
+    np.add.at(fitting, graph.source, fits)
+    np.add.at(total, graph.source, graph.weights)
+    return np.asarray(fitting >= share * total)
+
+
 def linear_system(
     graph: FlowGraph, state: State, sigma_px: float, eliminate: bool = True
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -118,12 +132,10 @@ def linear_system(
     return reduced.assemble(graph, relative, hessians, schur if eliminate else np.zeros_like(schur))
 
 
-def sweep(
-    graph: FlowGraph, state: State, candidates: np.ndarray, sigma_px: float, refinements: int = 2
-) -> tuple[np.ndarray, np.ndarray]:
+def sweep(graph: FlowGraph, state: State, candidates: np.ndarray, sigma_px: float) -> tuple[np.ndarray, np.ndarray]:
     """Best inverse depth [T, P] and its curvature [T, P] (px^2) with the poses fixed, from `candidates` [K, T, P]."""
     data, at = observations(graph), geometry(graph, state)
-    best, curvature = residuals.sweep_depth(data, at, float(sigma_px), candidates, refinements, *INVERSE_DEPTHS)
+    best, curvature = residuals.sweep_depth(data, at, float(sigma_px), candidates, REFINEMENTS, *INVERSE_DEPTHS)
     return best, curvature
 
 

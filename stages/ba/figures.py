@@ -3,7 +3,7 @@
 Drawn by hand: matplotlib takes a second, a quarter of what the stage itself needs.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -82,7 +82,9 @@ def _draw_histogram(pen: ImageDraw.ImageDraw, column: int, errors_px: np.ndarray
         pen.rectangle((left, top, right, base), COLOURS[0])
 
 
-def _draw_axes(pen: ImageDraw.ImageDraw, column: int, limits: tuple[np.ndarray, np.ndarray], title: str):  # type: ignore[no-untyped-def]
+def _draw_axes(
+    pen: ImageDraw.ImageDraw, column: int, limits: tuple[np.ndarray, np.ndarray], title: str
+) -> Callable[[np.ndarray], list[tuple[float, float]]]:
     """A frame with its title and limits; returns the map from data [n, 2] to points of the canvas."""
     left, top = column * CELL_PX + MARGIN_PX, 2 * TITLE_PX
     width, height = CELL_PX - MARGIN_PX - 12, PLOT_PX - TITLE_PX - MARGIN_PX // 2

@@ -1,4 +1,4 @@
-"""Poses from scratch: chains of two-view motions for several focal lengths and thresholds, adjusted and compared."""
+"""Poses from scratch: chains of two-view motions, depths for given poses, and how adjusted starts are compared."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -107,10 +107,10 @@ def adjust(
     return Candidate(name, state, cost, roughness(state.cam_from_world), steps)
 
 
-def choose(candidates: Sequence[Candidate], margin: float = COST_MARGIN) -> Candidate:
-    """The smoothest camera path among the candidates whose cost is within `margin` of the lowest."""
+def choose(candidates: Sequence[Candidate]) -> Candidate:
+    """The smoothest camera path among the candidates whose cost is within COST_MARGIN of the lowest."""
     lowest = min(candidate.cost for candidate in candidates)
-    near = [candidate for candidate in candidates if candidate.cost <= lowest * (1 + margin)]
+    near = [candidate for candidate in candidates if candidate.cost <= lowest * (1 + COST_MARGIN)]
     return min(near, key=lambda candidate: candidate.roughness)
 
 

@@ -24,13 +24,13 @@ MATCHED = 0.5
 SMOOTHER = 0.5
 """Without masks the same matches are explained as well by a path this much smoother: then the masks are wrong."""
 FITTING_PX = (0.3, 1.0)
+"""Limits of the scale up to which a match fits."""
 ENOUGH = 1e-3
 """Guesses are told apart by costs that differ by much more: smaller gains are left to the refinement."""
 FAR_BEHIND = 2.0
 """A guess that costs this many times the lowest at the wide scale is no rival at the narrow one."""
 EXPLAINED = 0.85
 """If less than this share of the pixels fits the motion found, what is left may be the background."""
-
 SAME_PIXELS = 0.5
 """A motion that also fits this share of the pixels of another is no second one."""
 
@@ -155,18 +155,11 @@ def longest_step(graph: FlowGraph) -> int:
 
 
 def explained(graph: FlowGraph, state: State) -> np.ndarray:
-    """Which pixels [T, P] fit the poses of `state` at some depth, by the vote of their matches; unmatched ones do.
-
-    A match fits up to three times the median error, within limits.
-    """
+    """Which pixels [T, P] fit the poses of `state` at some depth: half of their matches, at three median errors."""
     state = initialise.initial_state(graph, state.cam_from_world, state.focal_px, FITTING_PX[1])
     errors = dba.errors_px(graph, state)
     sigma_px = np.clip(3 * np.median(errors[graph.weights > MIN_WEIGHT]), *FITTING_PX)
-    fits = graph.weights / (1 + (errors / sigma_px) ** 2) ** 2
-    fitting, total = np.zeros(state.inverse_depth.shape), np.zeros(state.inverse_depth.shape)
-    np.add.at(fitting, graph.source, fits)
-    np.add.at(total, graph.source, graph.weights)
-    return np.asarray(fitting >= 0.5 * total)
+    return dba.fitting_pixels(graph, errors, float(sigma_px), 0.5)
 
 
 def border_share(graph: FlowGraph, chosen: np.ndarray) -> float:

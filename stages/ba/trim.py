@@ -72,10 +72,6 @@ def _cost(graph: FlowGraph, state: State, sigma_px: float) -> float:
 
 
 def _fitting(graph: FlowGraph, state: State, sigma_px: float) -> np.ndarray:
-    """Which pixels [T, P] fit the state at some depth, by the vote of their matches."""
+    """Which pixels [T, P] fit the state at some depth."""
     errors = dba.errors_px(graph, initialise.search_depth(graph, state, sigma_px))
-    fits = graph.weights / (1 + (errors / sigma_px) ** 2) ** 2
-    fitting, total = np.zeros((2, *state.inverse_depth.shape))
-    np.add.at(fitting, graph.source, fits)
-    np.add.at(total, graph.source, graph.weights)
-    return np.asarray(fitting >= AGREEING * total)
+    return dba.fitting_pixels(graph, errors, sigma_px, AGREEING)
