@@ -47,8 +47,6 @@ def main(
     from stages.gaussians.figure import training_figure
     from stages.gaussians.inputs import read_observations
     from stages.gaussians.optimise import Trainer
-    from stages.gaussians.ply import write_ply
-    from stages.gaussians.storage import scene_tensors
     from stages.shared.images import write_figure
 
     needs, failed = read_json(scene), "failed" in read_cameras(poses).status
@@ -61,16 +59,27 @@ def main(
     checkpoint = Checkpoint(model, [sequence, masks, poses, depth, scene, points, deformation], options)
     checkpoint.resume(trainer)
     trainer.run(checkpoint.save_sometimes)
-
-    tensors, settings = scene_tensors(gaussians)
-    settings |= {"median_depth": float(np.median(seen.depths)), "options": options.model_dump()}
-    settings |= {"width": trainer.width, "height": trainer.height, "status": "poses failed" if failed else "trained"}
     write_table(convergence, vars(trainer.history), {"units": "seconds of training, dB", "device": str(trainer.device)})
     write_figure(figure, training_figure(trainer, seen))
-    write_ply(ply, *(tensors[name] for name in ("means", "quats", "log_scales", "logits", "sh")))
-    _write_half(half, gaussians, seen, settings)
-    write_model(model, tensors, settings)
+    status = {"status": "poses failed" if failed else "trained", "options": options.model_dump()}
+    _write_models((ply, model, half), gaussians, seen, status)
     checkpoint.remove()
+
+
+def _write_models(
+    paths: tuple[Path, Path, Path], scene: "GaussianScene", seen: "Observations", about: dict[str, Any]
+) -> None:
+    """Canonical splats, the whole model, and the same in half precision."""
+    from stages.gaussians.ply import write_ply
+    from stages.gaussians.storage import scene_tensors
+
+    ply, model, half = paths
+    tensors, settings = scene_tensors(scene)
+    height, width = seen.images.shape[1:3]
+    settings |= about | {"median_depth": float(np.median(seen.depths)), "width": width, "height": height}
+    write_ply(ply, *(tensors[name] for name in ("means", "quats", "log_scales", "logits", "sh")))
+    _write_half(half, scene, seen, settings)
+    write_model(model, tensors, settings)
 
 
 def _write_half(path: Path, scene: "GaussianScene", seen: "Observations", settings: dict[str, Any]) -> None:
