@@ -39,22 +39,20 @@ class Candidate:
     steps: list[Step]
 
 
-def chain(graph: FlowGraph, hypothesis: Hypothesis, seed: int) -> tuple[np.ndarray, int]:
-    """Camera poses [T, 4, 4] chained from pairs `step` frames apart, and the number of pairs without a model.
+def chain(graph: FlowGraph, hypothesis: Hypothesis, seed: int) -> np.ndarray:
+    """Camera poses [T, 4, 4] chained from pairs `step` frames apart.
 
     The scale of each pair follows from the shared frame: the inverse depths seen forwards and backwards agree up to
     it (weighted median of their log ratio). The frames between are passed at constant velocity, and a pair without a
     model goes on at the velocity before it.
     """
     cam_from_world = np.tile(np.eye(4), (graph.T, 1, 1))
-    velocity, scale, lost = np.zeros(6), 1.0, 0
+    velocity, scale = np.zeros(6), 1.0
     previous: tuple[int, twoview.TwoView] | None = None
     for i, j in pair_chain(graph, hypothesis.step):
         rays = twoview.pair_rays(graph, i, j, hypothesis.focal_px)
         pair = twoview.estimate_motion(*rays, hypothesis.focal_px, hypothesis.threshold_px, seed)
-        if pair is None:
-            lost += 1
-        else:
+        if pair is not None:
             if previous is not None:
                 before, motion = previous
                 scale *= _relative_scale(graph, (before, i, j), (motion, pair), hypothesis.focal_px)
@@ -62,7 +60,7 @@ def chain(graph: FlowGraph, hypothesis: Hypothesis, seed: int) -> tuple[np.ndarr
             previous = i, pair
         for frame in range(i + 1, j + 1):
             cam_from_world[frame] = lie.exp_se3((frame - i) * velocity) @ cam_from_world[i]
-    return cam_from_world, lost
+    return cam_from_world
 
 
 def pair_chain(graph: FlowGraph, step: int) -> list[tuple[int, int]]:

@@ -121,7 +121,7 @@ def guess(observed: Observed, graph: FlowGraph) -> list[Candidate]:
         at = f"at {focal_px / graph.width:.2f} W"
         for step in steps:
             hypothesis = Hypothesis(focal_px, min(threshold_px / 2, MAX_PAIR_PX), step)
-            poses, _ = initialise.chain(graph, hypothesis, observed.seed)
+            poses = initialise.chain(graph, hypothesis, observed.seed)
             states[f"chain {at}, {step} frames apart"] = initialise.initial_state(graph, poses, focal_px)
         if planes:
             poses = planar.chain_planes(planes, focal_px)

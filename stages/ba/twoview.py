@@ -15,15 +15,18 @@ from stages.shared import lie
 
 RANSAC_MATCHES = 1500
 """RANSAC gains nothing from more; all matches take part in the refinement."""
+REFINEMENTS = 12
+"""Gauss-Newton steps of a two-view motion."""
+ROTATION_SIGMA_PX = 0.5
+"""The last robust scale of a rotation."""
 
 
 @dataclass(frozen=True)
 class TwoView:
-    """Motion of a pair of frames: y ~ R x + d t with |t| = 1, and the median Sampson error in px."""
+    """Motion of a pair of frames: y ~ R x + d t with |t| = 1."""
 
     R: np.ndarray
     t: np.ndarray
-    sampson_px: float
 
 
 def pair_rays(graph: FlowGraph, i: int, j: int, focal_px: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -46,7 +49,7 @@ def estimate_motion(
     """Robust relative motion: RANSAC on a subset, then Geman-McClure refinement of the Sampson error on all matches.
 
     Models are scored by MSAC: MAGSAC++ marginalises over thresholds far above the one given, and a fifth of moving
-    pixels is then enough to win (tests/test_ba.py has the case).
+    pixels is then enough to win (tests/test_ba_start.py has the case).
 
     Returns:
         None when there are too few matches or no model.
@@ -64,33 +67,25 @@ def estimate_motion(
         return None
     chosen = inliers.ravel() > 0
     R, t = _decompose(E, x[::step][chosen], y[::step][chosen])
-    return refine_motion(R, t, x, y, w, focal_px, (3 * threshold_px, threshold_px))
+    return _refine_motion(R, t, x, y, w, threshold_px / focal_px)
 
 
-def refine_motion(
-    R: np.ndarray,
-    t: np.ndarray,
-    x: np.ndarray,
-    y: np.ndarray,
-    w: np.ndarray,
-    focal_px: float,
-    sigmas_px: tuple[float, float],
-    iterations: int = 12,
-) -> TwoView:
-    """Minimise the weighted Sampson error over (R, direction of t), the robust scale falling from first to last."""
-    R, t = _minimise(np.ascontiguousarray(R), t, x, y, w, np.geomspace(*sigmas_px, iterations) / focal_px)
-    residual = np.abs(sampson_errors(R, t, x, y)) * focal_px
+def _refine_motion(R: np.ndarray, t: np.ndarray, x: np.ndarray, y: np.ndarray, w: np.ndarray, sigma: float) -> TwoView:
+    """Minimise the weighted Sampson error over (R, direction of t), the robust scale falling from thrice sigma to it."""
+    R, t = _minimise(np.ascontiguousarray(R), t, x, y, w, np.geomspace(3 * sigma, sigma, REFINEMENTS))
     d, parallax = triangulate(R, t, x, y)
-    fits = residual < 2 * sigmas_px[1]
+    fits = np.abs(sampson_errors(R, t, x, y)) < 2 * sigma
     if (d[fits] * parallax[fits]).sum() < 0:
         t = -t
-    return TwoView(R, t, float(np.median(residual)))
+    return TwoView(R, t)
 
 
 def sampson_errors(R: np.ndarray, t: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Signed Sampson distances [n] of the matches from the epipolar geometry of (R, t), in units of the rays."""
-    numerator, gradient = _epipolar(R, t, x, y)[:2]
-    return np.asarray(numerator / gradient)
+    E = lie.skew(t) @ R
+    line_y, line_x = _homogeneous(x) @ E.T, _homogeneous(y) @ E
+    squared = (line_y[:, :2] ** 2).sum(axis=1) + (line_x[:, :2] ** 2).sum(axis=1)
+    return np.asarray((_homogeneous(y) * line_y).sum(axis=1) / np.sqrt(np.maximum(squared, 1e-24)))
 
 
 def triangulate(R: np.ndarray, t: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -102,12 +97,10 @@ def triangulate(R: np.ndarray, t: np.ndarray, x: np.ndarray, y: np.ndarray) -> t
     return (slope * offset).sum(axis=1) / np.maximum(squared, 1e-12), np.sqrt(squared)
 
 
-def fit_rotation(
-    x: np.ndarray, y: np.ndarray, w: np.ndarray, focal_px: float, sigma_px: float = 0.5
-) -> tuple[np.ndarray, np.ndarray]:
+def fit_rotation(x: np.ndarray, y: np.ndarray, w: np.ndarray, focal_px: float) -> tuple[np.ndarray, np.ndarray]:
     """Robust rotation R [3, 3] with y ~ R x, and the residuals [n] in px."""
     R = np.eye(3)
-    for level_px in np.maximum(20 * 0.5 ** np.arange(10), sigma_px):
+    for level_px in np.maximum(20 * 0.5 ** np.arange(10), ROTATION_SIGMA_PX):
         r, u = _rotation_residual(R, x, y, focal_px)
         robust = w / (1 + (r**2).sum(axis=1) / level_px**2) ** 2
         a, b = u[:, 0], u[:, 1]
@@ -138,15 +131,6 @@ def _decompose(E: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray,
         return float(((d > 0) & (z_second > 0)).mean())
 
     return max(candidates, key=share_ahead)
-
-
-def _epipolar(R: np.ndarray, t: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, ...]:
-    """y^T E x, the length of its gradient, and the lines E x and E^T y."""
-    E = lie.skew(t) @ R
-    line_y, line_x = _homogeneous(x) @ E.T, _homogeneous(y) @ E
-    numerator = (_homogeneous(y) * line_y).sum(axis=1)
-    squared = (line_y[:, :2] ** 2).sum(axis=1) + (line_x[:, :2] ** 2).sum(axis=1)
-    return numerator, np.sqrt(np.maximum(squared, 1e-24)), line_y, line_x
 
 
 @njit(cache=True, error_model="numpy")
