@@ -71,7 +71,7 @@ def estimate_motion(
 
 
 def _refine_motion(R: np.ndarray, t: np.ndarray, x: np.ndarray, y: np.ndarray, w: np.ndarray, sigma: float) -> TwoView:
-    """Minimise the weighted Sampson error over (R, direction of t), the robust scale falling from thrice sigma to it."""
+    """Minimise the weighted Sampson error over (R, direction of t), the robust scale falling from 3 sigma to it."""
     R, t = _minimise(np.ascontiguousarray(R), t, x, y, w, np.geomspace(3 * sigma, sigma, REFINEMENTS))
     d, parallax = triangulate(R, t, x, y)
     fits = np.abs(sampson_errors(R, t, x, y)) < 2 * sigma
