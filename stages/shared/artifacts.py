@@ -1,8 +1,8 @@
 """Every file that stages exchange: one reader and one writer per kind, atomic, with metadata, never pickle.
 
 Tables are Parquet; dense per-row tensors are Arrow IPC with fixed-shape-tensor columns (memory-mapped on reading);
-models are safetensors; the rest is JSON and PNG. `metadata` carries units and options; the writers add
-`format_version` and the digest of the code that wrote the file.
+models are safetensors; the rest is JSON, and images (`stages.shared.images`). `metadata` carries units and options; the
+writers add `format_version` and the digest of the code that wrote the file.
 """
 
 import contextlib

@@ -6,6 +6,8 @@ import cv2
 import numpy as np
 
 MASK_COLOUR = np.array([255, 60, 40])
+GAP_PX = 4
+"""Between the images of a contact sheet."""
 
 
 def flow_to_rgb(flow: np.ndarray, max_px: float | None = None) -> np.ndarray:
@@ -37,14 +39,14 @@ def overlay_mask(rgb: np.ndarray, mask: np.ndarray) -> np.ndarray:
     return tinted
 
 
-def contact_sheet(images: Sequence[np.ndarray], columns: int, width_px: int = 1200, gap_px: int = 4) -> np.ndarray:
+def contact_sheet(images: Sequence[np.ndarray], columns: int, width_px: int = 1200) -> np.ndarray:
     """Images [H, W, 3] in rows of `columns` on white, scaled so that the sheet is `width_px` wide."""
-    cell = (width_px - gap_px * (columns - 1)) // columns
+    cell = (width_px - GAP_PX * (columns - 1)) // columns
     height = round(images[0].shape[0] * cell / images[0].shape[1])
     rows = -(-len(images) // columns)
-    sheet = np.full((rows * (height + gap_px) - gap_px, width_px, 3), 255, np.uint8)
+    sheet = np.full((rows * (height + GAP_PX) - GAP_PX, width_px, 3), 255, np.uint8)
     for k, image in enumerate(images):
-        y, x = k // columns * (height + gap_px), k % columns * (cell + gap_px)
+        y, x = k // columns * (height + GAP_PX), k % columns * (cell + GAP_PX)
         sheet[y : y + height, x : x + cell] = cv2.resize(image, (cell, height), interpolation=cv2.INTER_AREA)
     return sheet
 

@@ -2,7 +2,7 @@
 
 import logging
 import sys
-from collections.abc import Iterable, Iterator, Sized
+from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import TypeVar
 
@@ -30,14 +30,12 @@ def setup(log: Path | None) -> None:
         logger.addHandler(file)
 
 
-def progress(items: Iterable[ItemT], title: str, total: int | None = None) -> Iterator[ItemT]:
+def progress(items: Collection[ItemT], title: str) -> Iterator[ItemT]:
     """Yield `items` with a bar on a terminal and a log line at every tenth of the way."""
-    if total is None and isinstance(items, Sized):
-        total = len(items)
-    last_tenth = 0
-    bar = tqdm(items, desc=title, total=total, leave=False, disable=not sys.stderr.isatty())
+    total, last_tenth = len(items), 0
+    bar = tqdm(items, desc=title, leave=False, disable=not sys.stderr.isatty())
     for done, item in enumerate(bar, start=1):
         yield item
-        if total and done * 10 // total > last_tenth:
+        if done * 10 // total > last_tenth:
             last_tenth = done * 10 // total
             logger.info("%s: %d of %d", title, done, total)

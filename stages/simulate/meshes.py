@@ -4,6 +4,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+SEGMENTS = 24
+"""Of the outline of a cylinder."""
+
 
 class Mesh(NamedTuple):
     """Vertices [V, 3] float64 and faces [F, 3] int64. Faces that share vertices are shaded smoothly."""
@@ -51,17 +54,17 @@ def sphere(radii: tuple[float, float, float], segments: int = 40) -> Mesh:
     return _welded(Mesh(np.stack(directions, axis=1) * radii, sheet.faces))
 
 
-def cylinder(radius: float, height: float, segments: int = 24) -> Mesh:
+def cylinder(radius: float, height: float) -> Mesh:
     """An upright cylinder with caps, its origin at the middle of its bottom."""
-    side = grid(segments, int(np.clip(height / (4 * radius), 1, 12)))
+    side = grid(SEGMENTS, int(np.clip(height / (4 * radius), 1, 12)))
     angle = side.vertices[:, 0] * 2 * np.pi
     wall = np.stack([radius * np.cos(angle), radius * np.sin(angle), side.vertices[:, 1] * height], axis=1)
-    rim = np.arange(segments) * 2 * np.pi / segments
+    rim = np.arange(SEGMENTS) * 2 * np.pi / SEGMENTS
     caps = []
     for z, order in ((0.0, [0, 2, 1]), (height, [0, 1, 2])):
-        ring = np.stack([radius * np.cos(rim), radius * np.sin(rim), np.full(segments, z)], axis=1)
-        k = np.arange(segments)
-        fan = np.stack([np.zeros_like(k), 1 + k, 1 + (k + 1) % segments], axis=1)[:, order]
+        ring = np.stack([radius * np.cos(rim), radius * np.sin(rim), np.full(SEGMENTS, z)], axis=1)
+        k = np.arange(SEGMENTS)
+        fan = np.stack([np.zeros_like(k), 1 + k, 1 + (k + 1) % SEGMENTS], axis=1)[:, order]
         caps.append(Mesh(np.concatenate([[[0.0, 0.0, z]], ring]), fan))
     return join([_welded(Mesh(wall, side.faces)), *caps])
 
