@@ -172,8 +172,7 @@ def main() -> None:
     print(f"iteration, 24 frames, {len(graph.pixels)} px: {1e3 * step:.1f} ms, {ratios['Ceres']:.0f} x Ceres")
 
     counts = (25, 50, 100, 200)
-    works = {str(T): full_step(*random_problem(T, 8, (1, 2, 3, 5))) for T in counts}
-    median = alternated(works, 3)
+    median = alternated({str(T): full_step(*random_problem(T, 8, (1, 2, 3, 5))) for T in counts}, 3)
     per_frame = {T: 1e3 * median[str(T)] / T for T in counts}
     ratios["growth"] = per_frame[200] / per_frame[25]
     print("ms per frame and iteration: " + ", ".join(f"{T} frames {ms:.2f}" for T, ms in per_frame.items()))

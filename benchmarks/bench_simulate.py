@@ -7,8 +7,10 @@ is the exponent of a power law fitted to them: 1 means proportional, 0 means fre
 
 import statistics
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -36,7 +38,7 @@ EFFECTS = {
 }
 
 
-def cpu_seconds(works: dict[str, Callable[[], object]]) -> dict[str, float]:
+def cpu_seconds(works: Mapping[str, Callable[[], object]]) -> dict[str, float]:
     """Median CPU seconds of each work."""
     return alternated(works, ROUNDS, time.process_time)
 
@@ -64,7 +66,7 @@ def by_scene() -> None:
     """CPU seconds of a clean 512-pixel-wide frame with all truth, for every scene of the library."""
     stages = {path.stem: set_stage(load_scene(path), 0) for path in sorted(SCENES.glob("*.yaml"))}
     works = {
-        f"{name} {eye}": lambda s=stage, e=eye: clean_frame(s, e == "both")
+        f"{name} {eye}": partial(clean_frame, stage, eye == "both")
         for name, stage in stages.items()
         for eye in ("left", "both")
     }
@@ -80,7 +82,7 @@ def by_resolution() -> None:
     scene = load_scene(SCENES / "demo.yaml")
     sizes = [(128, 54), (256, 109), (512, 218), (1024, 436)]
     stages = {f"{w}x{h}": set_stage(scene.model_copy(update={"width": w, "height": h}), 0) for w, h in sizes}
-    seconds = cpu_seconds({name: lambda s=stage: clean_frame(s) for name, stage in stages.items()})
+    seconds = cpu_seconds({name: partial(clean_frame, stage) for name, stage in stages.items()})
     for name, value in seconds.items():
         print(f"  {name:18}{value:8.3f} s")
     print(f"  grows with pixels to the power {growth([w * h for w, h in sizes], seconds.values()):.2f}")
@@ -91,7 +93,7 @@ def by_objects() -> None:
     counts = (10, 40, 160, 640)
     for path in ([], [{"time": 0}, {"time": 1, "move": [0.3, 0, 0]}]):
         stages = {str(count): set_stage(_rocks(count, path), 0) for count in counts}
-        seconds = cpu_seconds({name: lambda s=stage: clean_frame(s) for name, stage in stages.items()})
+        seconds = cpu_seconds({name: partial(clean_frame, stage) for name, stage in stages.items()})
         for name, value in seconds.items():
             print(f"  {name:>4} {'moving' if path else 'resting'} rocks {value:8.3f} s")
         print(f"  grows with objects to the power {growth(counts, seconds.values()):.2f}")
@@ -111,7 +113,7 @@ def by_effect() -> None:
         "clean frame": lambda: clean_frame(plain),
         "no effect": lambda: frames.final(plain, 7, now, seen, clean),
     }
-    works |= {name: lambda s=stage: frames.final(s, 7, now, seen, clean) for name, stage in stages.items()}
+    works |= {name: partial(frames.final, stage, 7, now, seen, clean) for name, stage in stages.items()}
     seconds = cpu_seconds(works)
     for name, value in seconds.items():
         print(f"  {name:18}{value:8.4f} s   {value / seconds['clean frame']:6.3f} of a clean frame")
@@ -133,7 +135,7 @@ def tree_against_brute_force() -> None:
     print(f"  {len(still.corners)} triangles: the tree is {seconds['every'] / seconds['tree']:.0f} times as fast")
 
 
-def _rocks(count: int, path: list[dict[str, object]]) -> Scene:
+def _rocks(count: int, path: list[Any]) -> Scene:
     """The demo's camera over `count` scattered rocks."""
     demo = load_scene(SCENES / "demo.yaml")
     area = [[-7, -2, 0], [7, 12, 0]]

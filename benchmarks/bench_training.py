@@ -29,7 +29,7 @@ N, N_DYNAMIC, P, WIDTH, HEIGHT, F = 50_000, 5_000, 512, 512, 218, 4
 STEPS, WARM_UP = 30, 3
 N_LARGE = 200_000
 GOAL_MS = 60.0
-PARTS = {
+PARTS: dict[str, list[tuple[Any, str]]] = {
     "rasterise": [(raster_bins, "gather"), (raster_bins, "bin_tiles"), (raster_kernels, "composite")],
     "rasterise, backward": [(raster_adjoint, "composite_adjoint"), (raster_adjoint, "splat_gradients")],
     "project": [(projection_kernels, "project")],

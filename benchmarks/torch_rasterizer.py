@@ -67,5 +67,5 @@ def forward_and_backward(splats: dict[str, Tensor], weights: Tensor, width: int,
     leaves = {name: value.detach().requires_grad_() for name, value in splats.items()}
     lists = tile_lists(splats, width, height)
     for tiles in batches(lists):
-        (composite(leaves, tiles, lists, width) * weights[tiles]).sum().backward()
+        (composite(leaves, tiles, lists, width) * weights[tiles]).sum().backward()  # type: ignore[no-untyped-call]
     return {name: leaf.grad for name, leaf in leaves.items() if leaf.grad is not None}
