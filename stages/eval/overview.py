@@ -97,6 +97,7 @@ def tiles(rows: Rows) -> list[Tile]:
     against = f"best COLMAP: {decimal(best['ate_percent'], 2)} %, n = {best['n']}" if best else "COLMAP: none"
     copied_words = f"{copied['method']}: {copied['psnr_db']:.1f} dB, n = {copied['n']}" if copied else ""
     cpu_s = f"; {np.mean(_per_sequence(own, 'cpu_s', sum)):.0f} s of CPU" if seconds else ""
+    most = f"largest of all stages; n = {len(peak_mb)}"
     spent = f"per sequence, without COLMAP{cpu_s}; n = {len(seconds)}"
     return [
         Tile("Camera error (ATE)", _show(ours, "ate_percent", 2), "% of path", f"{_scored(ours)}; {against}"),
@@ -106,7 +107,7 @@ def tiles(rows: Rows) -> list[Tile]:
         ),
         Tile("Mask IoU", _show(mask, "iou", 2), "", _scored(mask)),
         Tile("Time", f"{np.mean(seconds):.0f}" if seconds else "n/a", "s", spent),
-        Tile("Peak memory", f"{max(peak_mb):.0f}" if peak_mb else "n/a", "MB", "largest of all stages"),
+        Tile("Peak memory", f"{max(peak_mb):.0f}" if peak_mb else "n/a", "MB", most),
     ]
 
 
