@@ -195,8 +195,9 @@ def cloud_within(
         stride_px += 1
 
 
-def initial_cloud(seen: Observations, deformation: Deformation | None, canonical: int, stride_px: int, K: int,
-                  sh_degree: int) -> Cloud:  # fmt: skip
+def initial_cloud(
+    seen: Observations, deformation: Deformation | None, canonical: int, stride_px: int, K: int, sh_degree: int
+) -> Cloud:
     """Gaussians of the whole scene; without a deformation every pixel is static.
 
     Each candidate is voted static or dynamic over all frames in which it is seen: a static pixel that the masks of
