@@ -3,11 +3,12 @@
 Run as `python -m benchmarks.flow_accuracy FOLDER [FOLDER ...]`, each a folder of frames `<training>/<pass>/<sequence>`
 beside its truth. Per sequence: end-point error of flow to the next frame, overall and by true motion, and how often
 confident flow is right to a pixel; with depth and cameras also per frame distance, against exact flow of the pixels
-seen in both frames. Options of the flow stage follow as in `python -m stages.flow.estimate --help`, e.g.
-`--options finest_scale=1`; `--frames 8` takes the first frames only.
+seen in both frames. What truth a folder lacks is told in a line each. Options of the flow stage follow as in
+`python -m stages.flow.estimate --help`, e.g. `--options finest_scale=1`; `--frames 8` takes the first frames only.
 """
 
 import argparse
+import sys
 import tempfile
 import time
 from dataclasses import replace
@@ -16,11 +17,19 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from stages.eval.flow_error import MIN_CONFIDENCE, RIGHT_PX, SPEEDS_PX, FlowErrors, flow_errors
+from stages.eval.flow_error import (
+    MIN_CONFIDENCE,
+    RIGHT_PX,
+    SPEEDS_PX,
+    FlowErrors,
+    flow_errors,
+    has_some_true_flow,
+)
 from stages.flow import estimate
 from stages.flow.options import FlowOptions
 from stages.flow.truth import NEEDED, read_truth, true_flow
 from stages.shared.artifacts import read_dense, write_json
+from stages.shared.errors import InputError
 from stages.shared.options import validate
 from stages.shared.sequences import Sequence, check_sequence, sequence_to_json
 
@@ -66,25 +75,42 @@ def by_distance(frames: Sequence, flow: dict[str, np.ndarray]) -> list[str]:
     return lines
 
 
+def report(folder: Path, limit: int | None, options: FlowOptions) -> list[str]:
+    """Lines on one sequence, of its first `limit` frames: the errors, or what it lacks for them.
+
+    Raises:
+        InputError: if the folder holds no sequence.
+    """
+    if not folder.is_dir():
+        raise InputError(folder, "a folder of frames", "nothing there", "name <training>/<pass>/<sequence>")
+    frames = check_sequence(folder.name, folder)
+    frames = replace(frames, frames=frames.frames[:limit], numbers=frames.numbers[:limit])
+    name = f"{folder.parent.name}/{folder.name}"
+    if not has_some_true_flow(frames):
+        return [f"{name}: no true flow in {folder.parents[1] / 'flow' / folder.name}, so nothing to measure"]
+    flow, seconds = measured(frames, options)
+    lines = [f"{name}, {len(flow['source'])} edges, {seconds:.1f} s of CPU time"]
+    lines.append("  " + summary(flow_errors(frames, flow)))
+    lacking = (kind for kind in NEEDED if not frames.has_truth(kind))
+    missing = [f"  {kind} is not there for every frame, so no errors by frame distance" for kind in lacking]
+    return [*lines, *(missing or by_distance(frames, flow))]
+
+
 def main() -> None:
-    """Print the errors of every sequence."""
+    """Print the errors of every sequence; exit code 2 and one line for bad input."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folders", type=Path, nargs="+", metavar="FOLDER")
     parser.add_argument("--frames", type=int, help="use the first frames only")
     parser.add_argument("--options", nargs="*", default=[], metavar="NAME=VALUE", help="options of the flow stage")
     arguments = parser.parse_args()
     given = {name: yaml.safe_load(value) for name, value in (pair.split("=", 1) for pair in arguments.options)}
-    options = validate(FlowOptions, given, "--options")
-    for folder in arguments.folders:
-        frames = check_sequence(folder.name, folder)
-        if arguments.frames:
-            n = arguments.frames
-            frames = replace(frames, frames=frames.frames[:n], numbers=frames.numbers[:n])
-        flow, seconds = measured(frames, options)
-        print(f"{folder.parent.name}/{folder.name}, {len(flow['source'])} edges, {seconds:.1f} s of CPU time")
-        print("  " + summary(flow_errors(frames, flow)))
-        if all(frames.has_truth(kind) for kind in NEEDED):
-            print("\n".join(by_distance(frames, flow)), flush=True)
+    try:
+        options = validate(FlowOptions, given, "--options")
+        for folder in arguments.folders:
+            print("\n".join(report(folder, arguments.frames, options)), flush=True)
+    except InputError as error:
+        sys.stderr.write(f"{error}\n")
+        sys.exit(2)
 
 
 if __name__ == "__main__":
