@@ -107,7 +107,7 @@ def main() -> None:
     try:
         options = validate(FlowOptions, given, "--options")
         for folder in arguments.folders:
-            print("\n".join(report(folder, arguments.frames, options)), flush=True)
+            print("\n".join(report(folder.absolute(), arguments.frames, options)), flush=True)
     except InputError as error:
         sys.stderr.write(f"{error}\n")
         sys.exit(2)

@@ -6,7 +6,7 @@ from typing import Any
 from stages.eval.tables import write_rows
 
 METRICS = (
-    *("rpe_rot_deg", "focal_error_percent", "iou", "psnr_static_db", "psnr_dynamic_db", "ssim"),
+    *("rpe_rot_deg", "focal_error_percent", "iou", "boundary_f", "psnr_static_db", "psnr_dynamic_db", "ssim"),
     *("ate", "rpe_trans", "path", "registered", "total"),
     *("cpu_s", "poses_cpu_s", "peak_mb", "model_mb"),
     *("step_ms", "equal_psnr_db", "equal_s", "configured_equal_s"),
@@ -22,6 +22,7 @@ def cost_row(setting: str, ate: float | None, seconds: float, psnr: float = 20.0
         "knob": None,
         "value": None,
         "is_default": False,
+        "overrides": "{}",
     }
     row |= dict.fromkeys(METRICS, 1.0) | {"ate_percent": ate, "psnr_db": psnr, "status": "ok", "note": ""}
     return row | {"poses_wall_s": seconds / 2, "wall_s": seconds} | changes
@@ -36,7 +37,7 @@ def cost_rows() -> list[dict[str, Any]]:
         cost_row("accurate", 0.5, 180, 22.0),
         *(cost_row(f"ba.stride_px={v}", a, s, **knob, value=v) for v, a, s in (("4", 0.7, 90), ("16", 1.5, 50))),
         cost_row("ba.stride_px=8", 1.0, 60, 21.0, **knob, value="8", is_default=True),
-        cost_row("true", 0.2, 10, group="masks"),
+        cost_row("true", 0.2, 10, group="masks", overrides='{"segment.source": "truth"}'),
     ]
 
 

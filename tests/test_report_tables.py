@@ -6,15 +6,15 @@ import pytest
 import yaml
 from conftest import REPO
 
-from stages.eval import plots, published, summaries
+from stages.eval import plots, published, ratios, summaries
 from stages.eval.tables import decimal
 
 PUBLISHED = REPO / "workflow" / "resources" / "published.yaml"
 
 
-def _pose_row(sequence: str, status: str = "ok", **errors: float | None) -> dict[str, Any]:
+def _pose_row(sequence: str, status: str = "ok", **changes: float | str | None) -> dict[str, Any]:
     keys = ("ate", "ate_percent", "rpe_trans", "rpe_rot_deg", "focal_error_percent", "wall_s", "cpu_s")
-    return {"sequence": sequence, "method": "ours", "status": status, **dict.fromkeys(keys), **errors}
+    return {"sequence": sequence, "method": "ours", "status": status, **dict.fromkeys(keys), **changes}
 
 
 def test_means_leave_out_failures_but_count_them() -> None:
@@ -53,6 +53,45 @@ def test_other_data_stand_apart_from_published_rows() -> None:
     assert "holds 13 of these 14" in apart.note
     assert all(row["source"] != "this report" for row in apart.rows)
     assert "not the same data" in published.image_table(numbers).title
+
+
+def test_ratios_take_the_best_complete_variant_of_colmap_and_count_who_is_beaten() -> None:
+    def poses(sequence: str, ours: float | None, *colmap: float | None) -> list[dict[str, Any]]:
+        methods = ("ours", "COLMAP global", "COLMAP incremental, x2", "COLMAP global, masked")
+        return [
+            _pose_row(sequence, "failed" if error is None else "ok", method=method, ate_percent=error)
+            for method, error in zip(methods, (ours, *colmap), strict=False)
+        ]
+
+    listed = [
+        *poses("lower", 0.2, 0.5, 0.4, 0.1),  # what COLMAP gains from our masks is no rival
+        *poses("higher", 0.3, 0.1, None),
+        *poses("alone", 0.3, None, None),
+        *poses("lost", None, 0.1, 0.1),
+        *poses("both lost", None, None, None),
+        *poses("not run", 0.3),
+        _pose_row("still", "degenerate truth: static camera"),
+        _pose_row("blind", "no truth"),
+    ]
+    masks = (("lower", 0.1, "ok"), ("higher", 0.2, "ok"), ("lost", 0.2, "ok"), ("alone", None, "failed"))
+    true_masks = {"overrides": '{"segment.source": "truth"}'}
+    settings = [{"sequence": n, "ate_percent": e, "status": s} | true_masks for n, e, s in masks]
+    other = {"sequence": "lower", "ate_percent": 9.0, "status": "ok"}
+    more = {"overrides": '{"segment.source": "truth", "flow.source": "truth"}'}
+    table = ratios.ratio_table(listed, [other | {"overrides": "{}"}, other | more, *settings])
+    keys = ("sequence", "colmap", "colmap_ratio", "true_masks_ratio")
+    assert [tuple(row[key] for key in keys) for row in table.rows] == [
+        ("lower", "COLMAP incremental, x2", pytest.approx(0.5), pytest.approx(2.0)),
+        ("higher", "COLMAP global", pytest.approx(3.0), pytest.approx(1.5)),
+        ("alone", "none complete", None, None),
+        ("lost", "COLMAP global", None, None),
+        ("both lost", "none complete", None, None),
+    ]
+    assert table.note == (
+        "Lower than the best of COLMAP without masks on 2 of 5 sequences (1 of these: COLMAP has no complete path). "
+        "At most 1.5 times the error with true masks on 1 of 3 sequences."
+    )
+    assert ratios.ratio_table([row for row in listed if row["method"] == "ours"], []).rows == []
 
 
 @pytest.mark.parametrize(

@@ -28,7 +28,7 @@ def write_scores(folder: Path, ate: float | None, psnr: dict[str, float]) -> Non
     errors = {"rpe_rot_deg": 0.1, "focal_error_percent": -2.0, "status": "failed" if ate is None else "ok"}
     errors |= {"ate": 0.05, "rpe_trans": 0.01, "path": 9.0, "registered": 7, "total": 8, "note": ""}
     write("poses", [{"method": m, "ate_percent": a} | errors for m, a in (("ours, round 1", 9.0), ("ours", ate))])
-    write("masks", [{"method": "refined masks", "round": r, "iou": r / 10} for r in (2, 1)])
+    write("masks", [{"method": "refined masks", "round": r, "iou": r / 10, "boundary_f": r / 20} for r in (2, 1)])
     image = [{"method": "ours", "split": "test", "region": r, "psnr_db": v, "ssim": 0.5} for r, v in psnr.items()]
     write("images", [*image, {"method": "blend", "split": "test", "region": "whole", "psnr_db": 99.0, "ssim": 0.9}])
     rounds = {stage: 2 if stage in ("motion", "segment", "ba") else 1 for stage in TIMES}
@@ -67,7 +67,7 @@ def test_a_row_says_what_a_setting_reached_and_cost(tmp_path: Path) -> None:
     one, two = read_rows(tmp_path / "costs.parquet")
     assert (one["setting"], one["is_default"], two["is_default"], two["value"]) == ("one", True, False, "1,2")
     assert json.loads(two["overrides"]) == {"flow.offsets": [1, 2]}
-    assert (one["ate_percent"], one["status"], one["iou"]) == (0.5, "ok", 0.2)
+    assert (one["ate_percent"], one["status"], one["iou"], one["boundary_f"]) == (0.5, "ok", 0.2, 0.1)
     assert (two["ate_percent"], two["status"]) == (None, "failed")
     assert (one["registered"], one["total"], one["ate"], one["rpe_trans"]) == (7, 8, 0.05, 0.01)
     assert (one["psnr_db"], one["psnr_static_db"], one["psnr_dynamic_db"], one["ssim"]) == (25.0, 26.0, 20.0, 0.5)

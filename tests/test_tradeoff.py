@@ -1,5 +1,7 @@
 """What accuracy costs: the front, the price of the next tenth, and the growth, against numbers that are known."""
 
+from typing import Any
+
 import comparison_tables
 import numpy as np
 import pytest
@@ -77,6 +79,18 @@ def test_the_report_draws_settings_beside_colmap_and_lists_every_group() -> None
     masks = tables[2].rows
     assert [row["setting"] for row in masks] == ["as configured", "true"]
     assert masks[1]["front"] == ""  # truth is no choice
+
+
+def test_the_effect_of_masks_is_told_per_sequence_where_several_were_swept() -> None:
+    changes: dict[str, Any] = {"group": "masks", "iou": 0.7, "boundary_f": 0.6, "focal_error_percent": -3.0}
+    rows = [comparison_tables.cost_row("prior", a, 9, sequence=s, **changes) for s, a in (("a", 0.1), ("b", 0.2))]
+    assert tradeoff_report.sequence_tables(rows[:1]) == []
+    (table,) = tradeoff_report.sequence_tables([*rows, comparison_tables.cost_row("fast", 1.0, 9)])
+    keys = ("sequence", "setting", "ate_percent", "focal_abs_percent", "iou", "boundary_f")
+    assert [tuple(row[key] for key in keys) for row in table.rows] == [
+        ("a", "prior", 0.1, 3.0, 0.7, 0.6),
+        ("b", "prior", 0.2, 3.0, 0.7, 0.6),
+    ]
 
 
 def test_growth_is_recovered_beside_its_fixed_part() -> None:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from stages.eval import published, report_tables, score_models, summaries
+from stages.eval import published, ratios, report_tables, score_models, summaries
 from stages.eval.costs import is_ours
 from stages.eval.sections import Figure
 from stages.eval.tables import Row, Table, decimal
@@ -63,10 +63,16 @@ def build_groups(rows: Rows, protocols: Mapping[str, str], numbers: Mapping[str,
     time_mean, time = report_tables.time_tables(rows["time"])
     checks_mean, checks = report_tables.check_tables(rows["checks"])
     effects = [report_tables.decision_table(rows["decisions"]), report_tables.simulation_table(rows["simulation"])]
+    compared = ratios.ratio_table(rows["poses"], rows["settings"])
     other_poses, other_images = published.pose_table(numbers, rows["poses"]), published.image_table(numbers)
     many = len({row["sequence"] for row in rows["time"]}) > 1
     groups = [
-        Group("poses", "Camera poses", [poses_mean] if many else [poses], [*([poses] if many else []), other_poses]),
+        Group(
+            "poses",
+            "Camera poses",
+            [poses_mean if many else poses, compared],
+            [*([poses] if many else []), other_poses],
+        ),
         Group("images", "Images", [images_mean] if many else [images], [*([images] if many else []), other_images]),
         Group("masks", "Masks", [masks_mean] if many else [masks], [masks] if many else []),
         Group("checks", "Flow, depth, motion and size", [checks_mean] if many else [checks], [checks] if many else []),

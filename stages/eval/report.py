@@ -37,8 +37,9 @@ def main(
     """Write the report. It needs no network, no other file, and only the results that are there."""
     rows, protocols = gather(sequences, manifests)
     names = [folder.name for folder in sequences]
-    compared = comparison_groups(sweep, growth, rows["poses"])
-    rows["poses"] = with_settings(rows["poses"], sweep, names)
+    rows["settings"] = [row for row in read_rows(sweep) if row["sequence"] in names] if sweep else []
+    compared = comparison_groups(rows["settings"], growth, rows["poses"])
+    rows["poses"] = with_settings(rows["poses"], rows["settings"], names)
     groups = overview.build_groups(rows, protocols, yaml.safe_load(published_numbers.read_text()))
     groups[-1:-1] = compared
     every = {table.name: table for group in groups for table in [*group.tables, *group.more]}
@@ -73,19 +74,19 @@ def build_sections(folders: list[Path], tables: dict[str, Table]) -> list[Sectio
     return shown
 
 
-def with_settings(poses: list[Row], sweep: Path | None, names: list[str]) -> list[Row]:
-    """The pose rows and those of the sweep on the same sequences, in the order of `names`."""
-    others = tradeoff_report.pose_rows(read_rows(sweep)) if sweep else []
-    rows = [*poses, *(row for row in others if row["sequence"] in names)]
+def with_settings(poses: list[Row], settings: list[Row], names: list[str]) -> list[Row]:
+    """The pose rows and those of the sweep, in the order of `names`."""
+    rows = [*poses, *tradeoff_report.pose_rows(settings)]
     return sorted(rows, key=lambda row: names.index(row["sequence"]))
 
 
-def comparison_groups(sweep: Path | None, growth: Path | None, poses: list[Row]) -> list[Group]:
+def comparison_groups(settings: list[Row], growth: Path | None, poses: list[Row]) -> list[Group]:
     """The groups of the sweep and of the scaling, where they were run."""
     groups = []
-    if sweep:
-        sentence, figures, tables = tradeoff_report.sweep_part(read_rows(sweep), poses)
-        groups.append(Group("tradeoff", "Accuracy against time", tables, [], figures, sentence))
+    if settings:
+        sentence, figures, tables = tradeoff_report.sweep_part(settings, poses)
+        more = tradeoff_report.sequence_tables(settings)
+        groups.append(Group("tradeoff", "Accuracy against time", tables, more, figures, sentence))
     if growth:
         figures, tables = tradeoff_report.growth_part(read_rows(growth))
         groups.append(Group("growth", "Growth of time and memory", tables, [], figures))

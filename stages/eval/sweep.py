@@ -18,7 +18,7 @@ POSE_SCORES = (
 )
 COLUMNS = (
     *("sequence", "group", "setting", "knob", "value", "is_default", "overrides"),
-    *(*POSE_SCORES, "iou"),
+    *(*POSE_SCORES, "iou", "boundary_f"),
     *("psnr_db", "psnr_static_db", "psnr_dynamic_db", "ssim"),
     *("wall_s", "cpu_s", "poses_wall_s", "poses_cpu_s", "peak_mb", "model_mb"),
     *("step_ms", "equal_psnr_db", "equal_s", "configured_equal_s"),
@@ -75,9 +75,10 @@ def pose_scores(rows: Iterable[Row]) -> Row:
 
 
 def mask_scores(rows: Iterable[Row]) -> Row:
-    """IoU of the refined masks of the last round; None without truth."""
+    """IoU and boundary F of the refined masks of the last round; None without truth."""
     refined = [row for row in rows if row["method"] == "refined masks"]
-    return {"iou": max(refined, key=lambda row: row["round"])["iou"] if refined else None}
+    last = max(refined, key=lambda row: row["round"], default={})
+    return {name: last.get(name) for name in ("iou", "boundary_f")}
 
 
 def image_scores(rows: Iterable[Row]) -> Row:

@@ -10,7 +10,7 @@ from stages.eval.tables import Row, decimal
 
 POSE_METRICS = ("ate_percent", "rpe_rot_deg", "focal_abs_percent")
 OTHER_METRICS = (
-    *("iou", "psnr_db", "psnr_static_db", "psnr_dynamic_db", "ssim"),
+    *("iou", "boundary_f", "psnr_db", "psnr_static_db", "psnr_dynamic_db", "ssim"),
     *("wall_s", "cpu_s", "poses_wall_s", "poses_cpu_s", "peak_mb", "model_mb"),
     *("step_ms", "equal_psnr_db", "equal_s", "configured_equal_s"),
 )
@@ -30,14 +30,15 @@ def means(rows: Sequence[Row]) -> list[Row]:
 
 
 def _mean(members: Sequence[Row]) -> Row:
-    scored = [_with_size(row) for row in members if row["status"] == "ok"]
+    scored = [with_size(row) for row in members if row["status"] == "ok"]
     found = {key: _known_mean(scored, key) for key in POSE_METRICS}
     found |= {key: _known_mean(members, key) for key in OTHER_METRICS}
     failed = sum(row["status"] in ("failed", "partial") for row in members)
     return {**found, "n": len(scored), "sequences": len(members), "failed": failed}
 
 
-def _with_size(row: Row) -> Row:
+def with_size(row: Row) -> Row:
+    """The row with its focal error by size, since signs would cancel in means."""
     signed = row["focal_error_percent"]
     return row | {"focal_abs_percent": None if signed is None else abs(signed)}
 

@@ -38,13 +38,18 @@ GROWTH_NOTE = (
     "measured sizes; in brackets the exponents that fit within 5 %; constant: grows by less than 5 %. The fixed part "
     "holds the start of the process; fewer than three sizes fix no exponent."
 )
-COLUMNS = (
-    Column("setting", "setting"),
-    Column("front", "on the front"),
+SETTING = Column("setting", "setting")
+ERRORS = (
     Column("ate_percent", "ATE", "% of path", 2),
     Column("rpe_rot_deg", "RPE", "degrees", 3),
     Column("focal_abs_percent", "focal error", "%, size", 1),
     Column("iou", "mask IoU", "0..1", 3),
+    Column("boundary_f", "boundary F", "0..1", 3),
+)
+COLUMNS = (
+    SETTING,
+    Column("front", "on the front"),
+    *ERRORS,
     Column("psnr_db", "PSNR", "dB", 2),
     Column("psnr_static_db", "PSNR static", "dB", 2),
     Column("psnr_dynamic_db", "PSNR dynamic", "dB", 2),
@@ -63,7 +68,7 @@ TRAINING_NOTE = (
     "configured run is so many times as fast."
 )
 TRAINING_COLUMNS = (
-    Column("setting", "setting"),
+    SETTING,
     Column("group", "group"),
     Column("step_ms", "per step", "ms", 1),
     Column("equal_psnr_db", "PSNR that both reach", "dB", 2),
@@ -98,6 +103,16 @@ def sweep_part(costs: Sequence[Row], poses: Sequence[Row]) -> tuple[str, list[Fi
     groups = dict.fromkeys(row["group"] for row in rows)
     tables = [*(_table(group, rows, on_front) for group in groups), *_training_tables(rows)]
     return " ".join(sentences), figures, tables
+
+
+def sequence_tables(costs: Sequence[Row]) -> list[Table]:
+    """Effect of the masks on every sequence, where several were swept."""
+    rows = [tradeoff.with_size(row) for row in costs if row["group"] == "masks"]
+    if len({row["sequence"] for row in rows}) < 2:
+        return []
+    columns = (Column("sequence", "sequence"), SETTING, *ERRORS, Column("status", "status"))
+    note = "No masks score 0 where something moves; true masks score 1 by definition."
+    return [Table("sweep_masks_sequences", f"{TITLES['masks']}, every sequence", note, columns, rows)]
 
 
 def pose_rows(costs: Sequence[Row]) -> list[Row]:

@@ -1,0 +1,74 @@
+"""Our camera error over that of COLMAP and over that of the same pipeline with true masks, sequence by sequence."""
+
+import json
+from collections.abc import Sequence
+
+from stages.eval.tables import Column, Row, Table
+
+TRUE_MASKS = {"segment.source": "truth"}
+"""The only option in which the run with true masks differs from the configured one."""
+MAX_RATIO = 1.5
+"""Masks that are good enough leave at most this many times the error that true ones leave."""
+COLUMNS = (
+    Column("sequence", "sequence"),
+    Column("ate_percent", "ours", "ATE, % of path", 3),
+    Column("colmap_percent", "best COLMAP", "ATE, % of path", 3),
+    Column("colmap", "its variant"),
+    Column("colmap_ratio", "ours / COLMAP", "ratio", 2),
+    Column("true_masks_percent", "ours, true masks", "ATE, % of path", 3),
+    Column("true_masks_ratio", "ours / true masks", "ratio", 2),
+)
+
+
+def ratio_table(poses: Sequence[Row], settings: Sequence[Row]) -> Table:
+    """A row per sequence whose true path defines an ATE, with the counts as its note; none without a comparison.
+
+    Args:
+        poses: rows of the pose table. Of COLMAP's variants the complete one of lowest ATE counts, among those that
+            see the frames without our masks.
+        settings: rows of the sweep's table.
+    """
+    scored = [row for row in poses if row["method"] == "ours" and row["status"] in ("ok", "partial", "failed")]
+    rows = [_row(row, poses, settings) for row in scored]
+    compared = [row for row in rows if row["colmap"] or row["true_masks_percent"] is not None]
+    return Table("ratios", "Camera error against COLMAP and against true masks", counts(compared), COLUMNS, compared)
+
+
+def counts(rows: Sequence[Row]) -> str:
+    """On how many sequences ours is lower than COLMAP's best, and near enough to true masks.
+
+    Whoever has no complete path is beaten on that sequence by the other.
+    """
+    found = []
+    rivals = [row for row in rows if row["colmap"]]
+    if rivals:
+        alone = sum(row["ate_percent"] is not None and row["colmap_percent"] is None for row in rivals)
+        lower = alone + sum(row["colmap_ratio"] is not None and row["colmap_ratio"] < 1 for row in rivals)
+        missing = f" ({alone} of these: COLMAP has no complete path)" if alone else ""
+        found.append(f"Lower than the best of COLMAP without masks on {lower} of {len(rivals)} sequences{missing}.")
+    masked = [row for row in rows if row["true_masks_percent"] is not None]
+    if masked:
+        near = sum(row["true_masks_ratio"] is not None and row["true_masks_ratio"] <= MAX_RATIO for row in masked)
+        found.append(f"At most {MAX_RATIO:g} times the error with true masks on {near} of {len(masked)} sequences.")
+    return " ".join(found)
+
+
+def _row(ours: Row, poses: Sequence[Row], settings: Sequence[Row]) -> Row:
+    name, error = ours["sequence"], _complete_error(ours)
+    rivals = [row for row in poses if row["sequence"] == name and _sees_plain_frames(row["method"])]
+    best = min((row for row in rivals if row["status"] == "ok"), key=lambda row: row["ate_percent"], default=None)
+    true_masks = next((r for r in settings if r["sequence"] == name and json.loads(r["overrides"]) == TRUE_MASKS), None)
+    row: Row = {"sequence": name, "ate_percent": error}
+    row["colmap"] = best["method"] if best else "none complete" if rivals else None
+    for key, other in (("colmap", _complete_error(best)), ("true_masks", _complete_error(true_masks))):
+        row[f"{key}_percent"] = other
+        row[f"{key}_ratio"] = error / other if error is not None and other else None
+    return row
+
+
+def _complete_error(row: Row | None) -> float | None:
+    return row["ate_percent"] if row and row["status"] == "ok" else None
+
+
+def _sees_plain_frames(method: str) -> bool:
+    return method.startswith("COLMAP") and not method.endswith("masked")
