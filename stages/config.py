@@ -40,6 +40,9 @@ class Config(Options):
     sequences: Literal["all"] | list[str] = Field("all", description="'all' or a list of names within the dataset")
     preset: Preset = Field("balanced", description="fast, balanced or accurate; your own values win over the preset's")
     rounds: int = Field(2, ge=1, le=5, description="how often motion, masks and poses are estimated in turn")
+    first_masks: Literal["flow", "none"] = Field(
+        "flow", description="masks of the first of several rounds: from flow alone, or none, which saves their time"
+    )
     intrinsics: Literal["estimate", "truth"] = Field("estimate", description="focal length: estimate it or use truth")
     holdout_every: int = Field(8, ge=2, description="one frame in this many is held out from training")
     holdout_first: int = Field(4, ge=0, description="0-based index of the first held-out frame")

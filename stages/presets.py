@@ -9,7 +9,8 @@ Overrides = dict[str, Any]
 
 PRESETS: dict[Preset, Overrides] = {
     "fast": {
-        "flow.max_width_px": 384,
+        "first_masks": "none",
+        "flow.max_width_px": 320,
         "flow.offsets": (1, 2, 4),
         "flow.long_edges": 1,
         "ba.start_focals": (1.05,),

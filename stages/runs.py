@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from stages.comparisons import GROWING
-from stages.settings import REPEATED, Setting, find_home
+from stages.settings import Setting, find_home, rounds_of
 
 SIZES = {
     "frames": ("inspect", "sequence.json"),
@@ -40,11 +40,10 @@ def swept_run(settings: Sequence[Setting], setting: Setting, sequence: str) -> d
 
 def scaled_run(settings: Sequence[Setting], setting: Setting, sequence: str) -> dict[str, Any]:
     """Where the size of a run and the costs of the stages that its axis measures lie, a file per round."""
-    rounds = setting.config.rounds
     stats = {
         stage: [
             _path(settings, setting, sequence, stage, f"stats/{stage}.json", number)
-            for number in range(1 if stage in REPEATED else rounds, rounds + 1)
+            for number in rounds_of(setting, stage)
         ]
         for stage in GROWING[setting.group]
     }

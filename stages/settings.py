@@ -29,7 +29,7 @@ UPSTREAM = {
 """The stage that each stage follows. What it reads from others lies further up; COLMAP aside, it is one chain."""
 
 REPEATED = ("motion", "segment", "ba")
-"""Stages that every round repeats."""
+"""Stages that rounds repeat."""
 
 TRUTH = {
     "intrinsics": ("camdata_left",),
@@ -127,8 +127,8 @@ def _refuse_data(option: str, where: str) -> None:
     """A setting changes how we process a sequence: neither which sequences there are, nor the baseline beside them."""
     section, _, _ = option.partition(".")
     ours = [stage for stage in UPSTREAM if stage != "colmap"]
-    if section not in (*ours, *SHARED_KEYS, "rounds", "preset"):
-        expected = f"an option of {', '.join(ours)}, or one of {', '.join(SHARED_KEYS)}, rounds"
+    if section not in (*ours, *SHARED_KEYS, "rounds", "first_masks", "preset"):
+        expected = f"an option of {', '.join(ours)}, or one of {', '.join(SHARED_KEYS)}, rounds, first_masks"
         raise InputError(where, expected, f"'{option}'", "write it as section.option")
 
 
@@ -164,22 +164,33 @@ def _refuse_equal_folders(settings: Sequence[Setting]) -> None:
             )
 
 
+def rounds_of(setting: Setting, stage: str) -> range:
+    """The rounds in which a setting runs a stage: the last one for stages that rounds do not repeat.
+
+    The first of several rounds goes without masks if `first_masks` is "none".
+    """
+    rounds, without = setting.config.rounds, setting.config.first_masks == "none"
+    if stage not in REPEATED:
+        return range(rounds, rounds + 1)
+    return range(2 if stage != "ba" and without and rounds > 1 else 1, rounds + 1)
+
+
 def find_home(settings: Sequence[Setting], setting: Setting, stage: str, number: int) -> str:
     """Where the results of a stage under a setting lie: in the folder of the first setting that makes the same ones.
 
     Args:
         settings: all, the configured one first.
-        number: the round that is meant, 1 to the setting's rounds; ignored by stages that rounds do not repeat.
+        number: the round that is meant, one of `rounds_of`; ignored by stages that rounds do not repeat.
 
     Returns:
         "", or a prefix that ends with "/": "settings/<name>/", "round1/", "settings/<name>/round1/".
 
     Raises:
-        KeyError: if `setting` is none of the settings, or has fewer rounds.
+        KeyError: if `setting` is none of the settings, or does not run the stage in that round.
     """
     wanted = identity(setting, stage, number)
     for other in settings:
-        if (stage not in REPEATED or number <= other.config.rounds) and identity(other, stage, number) == wanted:
+        if (stage not in REPEATED or number in rounds_of(other, stage)) and identity(other, stage, number) == wanted:
             last = stage not in REPEATED or number == other.config.rounds
             return other.folder + ("" if last else f"round{number}/")
     raise KeyError(f"{stage}, round {number}, under {setting.folder!r}")
@@ -190,6 +201,8 @@ def identity(setting: Setting, stage: str, number: int) -> tuple[Any, ...]:
     """All flags that the results of a stage depend on: its own and those of every stage before it."""
     flags = configuration.flags(setting.config, stage)
     before = "ba" if stage == "motion" and number > 1 else UPSTREAM[stage]
+    if before == "segment" and number not in rounds_of(setting, before):
+        before = "flow"
     if before is None:
         return stage, flags
     if before == "ba":

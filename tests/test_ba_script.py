@@ -91,7 +91,7 @@ def test_true_intrinsics_are_those_of_the_camera_files(rendered: Path, tmp_path:
     for number in frames.numbers:
         write_image(tmp_path / "masks" / f"frame_{number:04d}.png", np.zeros((frames.height, frames.width), bool))
     paths = outputs(tmp_path / "out")
-    main(sequence, flow, tmp_path / "masks", **paths, options=BAOptions(intrinsics="truth"))
+    main(sequence, flow, masks=tmp_path / "masks", **paths, options=BAOptions(intrinsics="truth"))
     true_Ks, true_poses = read_cams(frames.truth_files("camdata_left"))
     cameras = read_cameras(paths["poses"])
     assert read_metadata(paths["poses"])["focal"]["decision"] == "known"
@@ -104,3 +104,12 @@ def test_options_stay_light() -> None:
 
     code = "import sys, stages.ba.options; assert not {'numba', 'cv2', 'scipy', 'torch'} & set(sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_a_first_round_may_do_without_masks(artifacts: dict[str, Path], tmp_path: Path) -> None:
+    masks = artifacts.pop("masks")
+    main(**artifacts, **(without := outputs(tmp_path / "without")), options=BAOptions())
+    main(**artifacts, **(masked := outputs(tmp_path / "masked")), options=BAOptions(), masks=masks)
+    assert read_metadata(without["poses"])["static_share"] == 1 > read_metadata(masked["poses"])["static_share"]
+    scene = make_scene(T=6, size=(64, 96), disc_radius=0.6)
+    assert trajectory_error(read_cameras(without["poses"]).cam_from_world, scene.cam_from_world) < 0.02

@@ -7,7 +7,7 @@ import finished_run as run
 import numpy as np
 import pytest
 
-from stages.eval import overview, score_geometry, score_masks, score_models, score_poses
+from stages.eval import costs, overview, score_geometry, score_masks, score_models, score_poses
 from stages.eval.tables import read_rows
 from stages.shared import lie
 from stages.shared.artifacts import read_dense, write_model
@@ -138,6 +138,12 @@ def test_time_rows_follow_the_order_of_the_stages(scored: Path) -> None:
         *(("inspect", None), ("flow", None), ("motion", 1), ("segment", 1), ("ba", 1))
     ]
     assert rows[-1]["stage"] == "colmap"
+
+
+def test_time_rows_of_a_first_round_without_masks_belong_to_the_last(scored: Path) -> None:
+    files = [scored / "stats/motion.json", scored / "stats/ba.json", scored / "stats/ba.json"]
+    rows = costs.time_rows("run", files)
+    assert [(row["stage"], row["round"]) for row in rows] == [("ba", 1), ("motion", 2), ("ba", 2)]
 
 
 def test_without_truth_the_tables_say_what_is_missing(tmp_path: Path) -> None:

@@ -25,7 +25,7 @@ def homes(stage: str, number: int = 0, **raw: Any) -> dict[str, str]:
     """Where the results of a stage lie, by name of the setting; of the last round unless one is given."""
     raw = {"sweep": SWEEP} | raw
     every = [settings.configured(raw), *settings.compared(raw)[0]]
-    ran = [s for s in every[1:] if number <= s.config.rounds]
+    ran = [s for s in every[1:] if not number or number in settings.rounds_of(s, stage)]
     return {s.name: settings.find_home(every, s, stage, number or s.config.rounds) for s in ran}
 
 
@@ -88,6 +88,25 @@ def test_rounds_in_common_are_shared() -> None:
     assert homes("scene")["rounds=1"] == "settings/rounds=1/"
     assert homes("motion", 1)["ba.stride_px=4"] == "round1/"  # the first prior knows no adjustment
     assert homes("motion", 2)["ba.stride_px=4"] == "settings/ba.stride_px=4/"
+
+
+def test_the_first_round_may_go_without_masks() -> None:
+    """Then its poses depend on flow alone: no change of masks is a reason to find them again."""
+    runs = {"a": {"none": {"first_masks": "none"}, "smooth": {"first_masks": "none", "segment.smoothness": 5}}}
+    (plain, smooth), _ = settings.compared({"sweep": {"runs": runs, "presets": [], "knobs": {}}})
+    assert list(settings.rounds_of(plain, "motion")) == list(settings.rounds_of(plain, "segment")) == [2]
+    assert list(settings.rounds_of(plain, "ba")) == [1, 2]
+    every = [plain, smooth]
+    assert settings.find_home(every, smooth, "ba", 1) == "settings/a-none/round1/"
+    assert settings.find_home(every, smooth, "motion", 2) == "settings/a-none/"
+    assert settings.find_home(every, smooth, "segment", 2) == "settings/a-smooth/"
+    with pytest.raises(KeyError):
+        settings.find_home(every, smooth, "segment", 1)
+
+
+def test_a_single_round_has_masks_whatever_the_first_does() -> None:
+    setting = settings.configured({"first_masks": "none", "rounds": 1})
+    assert list(settings.rounds_of(setting, "segment")) == [1]
 
 
 def test_two_settings_share_what_differs_from_the_configured_run() -> None:

@@ -48,13 +48,13 @@ GAUGE = "the first camera is the world; the median inverse depth of the solver's
 def main(
     sequence: Annotated[Path, In("sequence.json of the input check")],
     flow: Annotated[Path, In("flow/pairs.arrow")],
-    masks: Annotated[Path, In("folder of dynamic masks, 255 = dynamic")],
     poses: Annotated[Path, Out("poses.parquet: pose, intrinsics, covariance and status per frame")],
     trajectory: Annotated[Path, Out("trajectory.tum: world-from-camera, for evo and others")],
     depth: Annotated[Path, Out("depth.arrow: inverse depth and its variance per frame")],
     convergence: Annotated[Path, Out("convergence.parquet: cost, step, damping and seconds per iteration")],
     figure: Annotated[Path, Out("picture for the report")],
     options: BAOptions,
+    masks: Annotated[Path | None, In("folder of dynamic masks, 255 = dynamic")] = None,
     previous_poses: Annotated[Path | None, In("poses.parquet of the round before")] = None,
 ) -> None:
     """Estimate camera poses, one shared focal length and depth from flow and masks.
@@ -141,8 +141,10 @@ def _read_texture(frames: Sequence, size: tuple[int, int]) -> np.ndarray:
     return np.stack([texture_weights(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)) for rgb in small])
 
 
-def _read_masks(folder: Path, frames: Sequence) -> np.ndarray:
-    """Masks [T, H, W] bool, true where dynamic."""
+def _read_masks(folder: Path | None, frames: Sequence) -> np.ndarray:
+    """Masks [T, H, W] bool, true where dynamic; without a folder nothing is."""
+    if folder is None:
+        return np.zeros((len(frames.numbers), frames.height, frames.width), bool)
     masks = []
     for number in frames.numbers:
         path = folder / f"frame_{number:04d}.png"

@@ -17,11 +17,12 @@ def time_rows(name: str, files: Sequence[Path]) -> list[Row]:
     Args:
         files: those of a repeated stage in the order of the rounds; their folders say nothing, for runs share them.
     """
-    seen: Counter[str] = Counter()
-    rows = []
+    of_stage = Counter(path.stem for path in files)
+    rounds, seen, rows = max(of_stage.values()), Counter[str](), []
     for path in files:
         seen[path.stem] += 1
-        rows.append(_time_row(name, path, seen[path.stem]))
+        # Masks may be left out of the first round, never of the last.
+        rows.append(_time_row(name, path, rounds - of_stage[path.stem] + seen[path.stem]))
     return sorted(rows, key=_stage_order)
 
 

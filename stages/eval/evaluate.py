@@ -8,6 +8,7 @@ from typing import Annotated
 import numpy as np
 
 from stages.eval import (
+    adjustment,
     costs,
     image_metrics,
     lpips,
@@ -33,7 +34,7 @@ from stages.shared.sequences import Sequence, read_sequence
 
 POSES = (
     *("sequence", "method", "registered", "total", "ate", "ate_percent", "rpe_trans", "rpe_rot_deg"),
-    *("focal_error_percent", "path", "wall_s", "cpu_s", "status", "note", "protocol"),
+    *("focal_error_percent", "path", "wall_s", "cpu_s", "status", "note", "protocol", *adjustment.DECISIONS),
 )
 IMAGES = (
     *("sequence", "method", "split", "region", "psnr_db", "ssim", "lpips", "frames", "width", "height"),
@@ -82,7 +83,9 @@ def main(
         partial.write_bytes(draw_trajectories(paths, "png"))
     own_masks = [score_masks.read_masks(folder) for folder in masks]
     pairs = read_dense(flow)
-    mask_frames = _write_masks(frames, priors, own_masks, masks_table)
+    first = len(poses) - len(masks) + 1  # masks may be left out of the first round, never of the last
+    by_round = dict(enumerate(zip(priors, own_masks, strict=True), first))
+    mask_frames = _write_masks(frames, by_round, masks_table)
     image_frames = _write_images(frames, renders, pairs, own_masks[-1], images_table, options)
     write_rows(frames_table, [*image_frames, *mask_frames], FRAMES, {})
     grid = read_dense(depth), read_metadata(depth)["stride_px"]
@@ -106,12 +109,15 @@ def _write_poses(
 
 
 def _write_masks(
-    frames: Sequence, priors: list[Path], own_masks: list[dict[int, np.ndarray]], table: Path
+    frames: Sequence, by_round: Mapping[int, tuple[Path, dict[int, np.ndarray]]], table: Path
 ) -> list[Row]:
-    """Scores of the masks of every round; those of single frames are returned."""
-    own_priors = [score_masks.read_prior_masks(path, frames.width, frames.height) for path in priors]
-    by_round = [{"motion prior": p, "refined masks": m} for p, m in zip(own_priors, own_masks, strict=True)]
-    rows, of_frames = score_masks.score_masks(frames.name, by_round, *true_masks(frames))
+    """Scores of the prior and the masks of every round that has any; those of single frames are returned."""
+    size = frames.width, frames.height
+    masks = {
+        k: {"motion prior": score_masks.read_prior_masks(prior, *size), "refined masks": own}
+        for k, (prior, own) in by_round.items()
+    }
+    rows, of_frames = score_masks.score_masks(frames.name, masks, *true_masks(frames))
     write_rows(table, rows, MASKS, {"protocol": mask_metrics.PROTOCOL})
     return _long(of_frames, "masks", ("iou", "boundary_f"))
 

@@ -1,6 +1,6 @@
 """Rows of the mask table: the motion prior and the refined masks of every round against true motion masks."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -28,17 +28,20 @@ def read_prior_masks(path: Path, width: int, height: int) -> dict[int, np.ndarra
 
 
 def score_masks(
-    name: str, rounds: Sequence[Mapping[str, Mapping[int, np.ndarray]]], truth: Mapping[int, np.ndarray], source: str
+    name: str,
+    rounds: Mapping[int, Mapping[str, Mapping[int, np.ndarray]]],
+    truth: Mapping[int, np.ndarray],
+    source: str,
 ) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """Rows per round and method, and rows per frame of the last round.
 
     Args:
-        rounds: for each round, masks by method ("motion prior", "refined masks") and frame number.
+        rounds: by round, masks by method ("motion prior", "refined masks") and frame number.
         truth: true masks by frame number; without any, only the share of dynamic pixels is given.
         source: where the truth comes from.
     """
-    table, frames = [], []
-    for k, methods in enumerate(rounds, start=1):
+    table, frames, last = [], [], max(rounds)
+    for k, methods in rounds.items():
         for method, masks in methods.items():
             scored = {n: _score(mask, truth[n]) for n, mask in masks.items() if n in truth}
             iou, boundary_f = np.mean(list(scored.values()), axis=0).tolist() if scored else (None, None)
@@ -47,9 +50,9 @@ def score_masks(
                 "dynamic_percent": 100 * float(np.mean([mask.mean() for mask in masks.values()])),
                 "true_percent": 100 * float(np.mean([truth[n].mean() for n in scored])) if scored else None,
             }
-            about = f"after round {k} of {len(rounds)}; truth: {source}"
+            about = f"after round {k} of {last}; truth: {source}"
             table.append(row | shares | {"frames": len(scored), "protocol": about})
-            if k == len(rounds):
+            if k == last:
                 frames += [
                     {"method": method, "frame": n, "iou": i, "boundary_f": f} for n, (i, f) in sorted(scored.items())
                 ]

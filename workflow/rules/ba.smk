@@ -2,8 +2,8 @@ rule ba:
     input:
         sequence=artifact("inspect", "sequence.json"),
         flow=artifact("flow", "flow/pairs.arrow"),
-        masks=artifact("segment", "masks"),
-        previous_poses=previous("ba/poses.parquet"),
+        masks=optional("segment", "masks"),
+        previous_poses=optional("ba", "ba/poses.parquet", before=1),
     output:
         poses="<results>/{dataset}/{seq}/{setting}{round}ba/poses.parquet",
         trajectory="<results>/{dataset}/{seq}/{setting}{round}ba/trajectory.tum",
@@ -21,9 +21,9 @@ rule ba:
     params:
         code=code_digest("stages.ba.solve"),
         flags=flags("ba"),
-        previous=previous_flags,
+        optional=optional_flags("masks", "previous_poses"),
     shell:
-        "python -m stages.ba.solve --sequence {input.sequence:q} --flow {input.flow:q} --masks {input.masks:q}"
-        " {params.previous} --poses {output.poses:q} --trajectory {output.trajectory:q} --depth {output.depth:q}"
+        "python -m stages.ba.solve --sequence {input.sequence:q} --flow {input.flow:q}"
+        " {params.optional} --poses {output.poses:q} --trajectory {output.trajectory:q} --depth {output.depth:q}"
         " --convergence {output.convergence:q} --figure {output.figure:q} {params.flags}"
         " --log {log:q} --stats {output.stats:q}"

@@ -91,12 +91,10 @@ def artifact(stage, name):
 
 
 def artifacts(stage, name):
-    """The input function of what a stage makes in every round, in order; of one file if rounds do not repeat it."""
+    """The input function of what a stage makes in all of its rounds, in order; in the last if they do not repeat it."""
 
     def of_rounds(wildcards):
-        rounds = setting_of(wildcards).config.rounds
-        first = 1 if stage in settings.REPEATED else rounds
-        numbers = range(first, rounds + 1)
+        numbers = settings.rounds_of(setting_of(wildcards), stage)
         return [artifact_path(wildcards, stage, name, number) for number in numbers]
 
     return of_rounds
@@ -117,25 +115,28 @@ def megabytes(base, bytes_per_pixel):
     return of_job
 
 
-def previous(name):
-    """The input function of what `ba` made in the round before; nothing in the first."""
+def optional(stage, name, before=0):
+    """The input function of what a stage makes, `before` rounds ago; nothing where it is not run in that round."""
 
     def of_job(wildcards):
-        number = round_number(wildcards) - 1
-        return artifact_path(wildcards, "ba", name, number) if number else []
+        number = round_number(wildcards) - before
+        if number not in settings.rounds_of(setting_of(wildcards), stage):
+            return []
+        return artifact_path(wildcards, stage, name, number)
 
     return of_job
 
 
-def previous_flags(wildcards, input):
-    """The flags that hand over the round before."""
-    given = {
-        f"--{name.replace('_', '-')}": input.get(name)
-        for name in ("previous_poses", "previous_depth")
-    }
-    return " ".join(
-        f"{flag} {shlex.quote(path)}" for flag, path in given.items() if path
-    )
+def optional_flags(*names):
+    """The flags that hand over the optional inputs of these names which there are."""
+
+    def of_job(wildcards, input):
+        given = {f"--{name.replace('_', '-')}": input.get(name) for name in names}
+        return " ".join(
+            f"{flag} {shlex.quote(path)}" for flag, path in given.items() if path
+        )
+
+    return of_job
 
 
 def scene_file(wildcards):

@@ -24,8 +24,8 @@ rule motion:
     input:
         sequence=artifact("inspect", "sequence.json"),
         flow=artifact("flow", "flow/pairs.arrow"),
-        previous_poses=previous("ba/poses.parquet"),
-        previous_depth=previous("ba/depth.arrow"),
+        previous_poses=optional("ba", "ba/poses.parquet", before=1),
+        previous_depth=optional("ba", "ba/depth.arrow", before=1),
     output:
         prior="<results>/{dataset}/{seq}/{setting}{round}motion/prior.arrow",
         figure="<results>/{dataset}/{seq}/{setting}{round}figures/motion.png",
@@ -40,7 +40,7 @@ rule motion:
     params:
         code=code_digest("stages.flow.motion"),
         flags=flags("motion"),
-        previous=previous_flags,
+        previous=optional_flags("previous_poses", "previous_depth"),
     shell:
         "python -m stages.flow.motion --sequence {input.sequence:q} --flow {input.flow:q} {params.previous}"
         " --output {output.prior:q} --figure {output.figure:q} {params.flags} --log {log:q} --stats {output.stats:q}"
