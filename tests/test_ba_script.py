@@ -7,7 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from conftest import write_frames
+from ba_files import outputs, write_inputs
 from numpy.testing import assert_allclose
 from synthetic import flow_arrays, make_scene, trajectory_error
 
@@ -15,7 +15,7 @@ from stages.ba.options import BAOptions
 from stages.ba.solve import main
 from stages.flow.estimate import main as estimate_flow
 from stages.flow.options import FlowOptions
-from stages.shared.artifacts import read_dense, read_metadata, read_table, write_dense, write_json
+from stages.shared.artifacts import read_dense, read_metadata, read_table, write_json
 from stages.shared.cameras import read_cameras
 from stages.shared.errors import InputError
 from stages.shared.images import write_image
@@ -27,22 +27,7 @@ from stages.shared.sintel import read_cams
 def artifacts(tmp_path: Path) -> dict[str, Path]:
     """Input files of the script for a small exact scene with a mover."""
     scene = make_scene(T=6, size=(64, 96), disc_radius=0.6)
-    frames = write_frames(tmp_path / "clip", count=6, size=(64, 96))
-    write_json(tmp_path / "sequence.json", sequence_to_json(check_sequence("clip", frames)))
-    source, target, flow, confidence = flow_arrays(scene)
-    columns = {"source": source, "target": target, "flow": flow.astype(np.float16)}
-    columns["confidence"] = confidence.astype(np.float16)
-    write_dense(tmp_path / "pairs.arrow", columns, {"width": 96, "height": 64, "scale": 1.0})
-    for k, mask in enumerate(scene.dynamic, start=1):
-        write_image(tmp_path / "masks" / f"frame_{k:04d}.png", mask)
-    return {"sequence": tmp_path / "sequence.json", "flow": tmp_path / "pairs.arrow", "masks": tmp_path / "masks"}
-
-
-def outputs(folder: Path) -> dict[str, Path]:
-    """Where a run of the script writes."""
-    names = {"poses": "poses.parquet", "trajectory": "trajectory.tum", "depth": "depth.arrow"}
-    names |= {"convergence": "convergence.parquet", "figure": "ba.png"}
-    return {key: folder / name for key, name in names.items()}
+    return write_inputs(tmp_path, flow_arrays(scene), scene.dynamic)
 
 
 def test_the_script_writes_every_artifact_and_continues_a_round(artifacts: dict[str, Path], tmp_path: Path) -> None:

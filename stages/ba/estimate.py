@@ -8,7 +8,7 @@ import numpy as np
 from stages.ba import classify, dba, initialise, rotation, trim
 from stages.ba.classify import Statistics
 from stages.ba.dba import FocalPrior, Level, State, Step, Unknowns
-from stages.ba.graph import MIN_MATCHES, MIN_WEIGHT, FlowGraph, favour_distance
+from stages.ba.graph import MIN_MATCHES, FlowGraph, favour_distance, shared_matches
 from stages.ba.initialise import Candidate
 from stages.ba.options import BAOptions
 from stages.ba.start import Observed, PoseGuess, Start, find_start
@@ -147,9 +147,9 @@ def _estimate_rotations(problem: Problem, statistics: Statistics, prior: FocalPr
 
 
 def _observed(graph: FlowGraph) -> bool:
-    """Whether most neighbouring frames share enough confident matches to be related at all."""
-    near = np.abs(graph.target - graph.source) == 1
-    return bool(near.any() and np.median((graph.weights[near] > MIN_WEIGHT).sum(axis=1)) >= MIN_MATCHES)
+    """Whether most neighbouring frames share enough sure matches to be related at all."""
+    shared = shared_matches(graph.source, graph.target, graph.weights, graph.T)
+    return bool(np.median(np.diagonal(shared, 1)) >= MIN_MATCHES)
 
 
 def _failure(graph: FlowGraph, focal_px: float) -> Estimate:

@@ -9,6 +9,8 @@ MIN_STATIC_SHARE = 0.15
 """A frame with less static area than this cannot be trusted to be masked."""
 
 MIN_WEIGHT = 0.3
+SURE_WEIGHT = 0.5
+"""Weight above which a match is seen and not guessed: that of flow without texture stays below one half."""
 MIN_MATCHES = 50
 """Fewer confident matches than this do not relate two frames."""
 
@@ -61,9 +63,9 @@ class FlowGraph:
         return at if at < self.pointer[i + 1] and self.target[at] == j else None
 
     def observed_frames(self) -> np.ndarray:
-        """Which frames [T] have at least MIN_MATCHES confident matches."""
-        confident = (self.weights > MIN_WEIGHT).sum(axis=1)
-        return np.bincount(self.source, confident, self.T) + np.bincount(self.target, confident, self.T) >= MIN_MATCHES
+        """Which frames [T] have at least MIN_MATCHES sure matches."""
+        shared = shared_matches(self.source, self.target, self.weights, self.T)
+        return np.asarray(shared.sum(axis=1) >= MIN_MATCHES)
 
     def resample(self, maps: np.ndarray, stride: int) -> np.ndarray:
         """Maps [T, h, w] with a value per cell of `stride` px of the flow grid, at the pixels of this graph, [T, P].
@@ -80,6 +82,13 @@ class FlowGraph:
         v = np.minimum(np.arange(self.height) // self.stride, self.rows - 1)
         u = np.minimum(np.arange(self.width) // self.stride, self.columns - 1)
         return np.asarray(values[:, v[:, None], u])
+
+
+def shared_matches(source: np.ndarray, target: np.ndarray, weights: np.ndarray, T: int) -> np.ndarray:
+    """Number [T, T] of sure matches of each pair of frames, both directions together, of edges with weights [E, P]."""
+    counts = np.zeros((T, T), np.int64)
+    np.add.at(counts, (source, target), (weights > SURE_WEIGHT).sum(axis=1))
+    return counts + counts.T
 
 
 def build_graph(

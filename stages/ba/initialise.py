@@ -57,7 +57,7 @@ def chain(graph: FlowGraph, hypothesis: Hypothesis, seed: int) -> np.ndarray:
                 before, motion = previous
                 scale *= _relative_scale(graph, (before, i, j), (motion, pair), hypothesis.focal_px)
             velocity = lie.log_se3(lie.from_parts(pair.R, scale * pair.t)) / (j - i)
-            previous = i, pair
+        previous = None if pair is None else (i, pair)
         for frame in range(i + 1, j + 1):
             cam_from_world[frame] = lie.exp_se3((frame - i) * velocity) @ cam_from_world[i]
     return cam_from_world

@@ -78,6 +78,7 @@ def scale_gauge(S: np.ndarray, cam_from_world: np.ndarray) -> np.ndarray:
     """
     s = np.zeros(len(S))
     s[:-1].reshape(-1, 6)[:, :3] = cam_from_world[:, :3, 3]
+    s[np.diagonal(S) == 0] = 0  # frames without matches, which would take up the size of all others at no cost
     squared = s @ s
     return np.trace(S) / len(S) * np.outer(s, s) / squared if squared > 0 else np.zeros_like(S)
 

@@ -7,9 +7,9 @@ from typing import Annotated, Any
 import cv2
 import numpy as np
 
-from stages.ba import dba, figures, given
+from stages.ba import dba, figures, given, shots
 from stages.ba.depth import DepthMaps, depth_maps
-from stages.ba.estimate import Estimate, Problem, estimate
+from stages.ba.estimate import Estimate, Problem
 from stages.ba.graph import (
     MIN_WEIGHT,
     FlowGraph,
@@ -64,7 +64,7 @@ def main(
     "failed" and identity poses.
     """
     frames = read_sequence(sequence)
-    matches = _read_matches(flow, len(frames.numbers))
+    matches = _read_matches(flow, len(frames.numbers), options)
     centre, known_focal_px = _known_intrinsics(frames, matches, options)
     static, ignored = trusted_static_areas(static_areas(_read_masks(masks, frames), *matches.size))
     everything = with_texture(matches.graph(options.stride_px, centre), _read_texture(frames, matches.size))
@@ -72,8 +72,9 @@ def main(
     previous = _previous(previous_poses, matches.scale)
     unmasked = everything if (static < 1).any() else None
     masked = unmasked is not None or previous is not None
-    solution = _solve(Problem(graph, masked, known_focal_px, previous, unmasked), frames, options)
-    flags = solution.flags + _mask_doubts(static, ignored, previous_poses)
+    solution = _solve(Problem(graph, masked, known_focal_px, previous, unmasked), matches.shot, frames, options)
+    flags = shots.doubts(matches.shot, frames.numbers) + solution.flags
+    flags += _mask_doubts(static[matches.shot], ignored[matches.shot], previous_poses)
     _log(frames.name, solution, flags)
     if solution.static is not None:
         static, graph = solution.static, mask_graph(everything, solution.static)
@@ -83,7 +84,7 @@ def main(
     if options.depth_from == "truth":
         maps = _true_depth(maps, solution.state, frames, stride_px, options)
     cameras = _cameras(solution, graph, frames, matches.scale)
-    write_cameras(poses, cameras, _pose_metadata(solution, flags, static, options))
+    write_cameras(poses, cameras, _pose_metadata(solution, flags, static[matches.shot], options))
     write_tum(trajectory, cameras)
     _write_depth(depth, maps, frames, stride_px)
     _write_convergence(convergence, solution)
@@ -96,28 +97,36 @@ class _Matches:
 
     Attributes:
         columns: of the table, a row per edge.
+        shot: [T] bool, the frames to relate to each other.
         size: (width, height) of the flow grid; scale: its width over that of the frames.
     """
 
     columns: dict[str, np.ndarray]
-    T: int
+    shot: np.ndarray
     size: tuple[int, int]
     scale: float
 
     def graph(self, stride: int, centre: np.ndarray) -> FlowGraph:
-        """All matches, unmasked, of one pixel per `stride` px."""
+        """The matches of the shot, unmasked, of one pixel per `stride` px."""
         source, target, flow, confidence = (self.columns[name] for name in ("source", "target", "flow", "confidence"))
-        return build_graph(source, target, flow, confidence, self.T, stride, centre)
+        graph = build_graph(source, target, flow, confidence, len(self.shot), stride, centre)
+        return shots.isolate(graph, self.shot)
 
 
-def _read_matches(flow: Path, T: int) -> _Matches:
-    about = read_metadata(flow)
-    return _Matches(read_dense(flow), T, (int(about["width"]), int(about["height"])), float(about["scale"]))
-
-
-def _solve(problem: Problem, frames: Sequence, options: BAOptions) -> Estimate:
+def _read_matches(flow: Path, T: int, options: BAOptions) -> _Matches:
+    about, columns, stride = read_metadata(flow), read_dense(flow), options.stride_px
+    shot = np.ones(T, bool)
     if options.poses_from == "estimate":
-        return estimate(problem, options)
+        sampled = columns["confidence"][:, stride // 2 :: stride, stride // 2 :: stride].reshape(
+            len(columns["source"]), -1
+        )
+        shot = shots.linked_frames(columns["source"], columns["target"], sampled, T)
+    return _Matches(columns, shot, (int(about["width"]), int(about["height"])), float(about["scale"]))
+
+
+def _solve(problem: Problem, shot: np.ndarray, frames: Sequence, options: BAOptions) -> Estimate:
+    if options.poses_from == "estimate":
+        return shots.estimate_shot(problem, shot, options)
     assert problem.known_focal_px is not None, "true poses come with the true focal length"
     return given.solve_depths(problem.graph, given.true_poses(frames), problem.known_focal_px, options.seed)
 

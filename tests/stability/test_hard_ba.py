@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import write_frames
+from ba_files import outputs, write_inputs
 from numpy.testing import assert_allclose
 from synthetic import PLANE, flow_arrays, make_scene, observe, rotation_error_deg, trajectory_error
 
@@ -18,10 +18,8 @@ from stages.ba.graph import build_graph, mask_graph, static_areas, trusted_stati
 from stages.ba.options import BAOptions
 from stages.ba.solve import main
 from stages.shared import lie
-from stages.shared.artifacts import read_dense, read_metadata, write_dense, write_json
+from stages.shared.artifacts import read_dense, read_metadata
 from stages.shared.cameras import read_cameras
-from stages.shared.images import write_image
-from stages.shared.sequences import check_sequence, sequence_to_json
 
 OPTIONS = BAOptions()
 
@@ -180,32 +178,12 @@ def test_masks_over_the_whole_image_are_ignored_and_an_empty_mask_is_normal() ->
 
 @pytest.mark.parametrize(("dynamic", "confident", "status"), [(True, 1, "estimated"), (False, 0, "failed")])
 def test_the_script_survives_and_says_so(tmp_path: Path, dynamic: bool, confident: int, status: str) -> None:
-    scene = make_scene(T=4, size=(48, 64))
-    frames = write_frames(tmp_path / "clip", count=4, size=(48, 64))
-    write_json(tmp_path / "sequence.json", sequence_to_json(check_sequence("clip", frames)))
-    source, target, flow, confidence = flow_arrays(scene, (1, 2))
-    columns = {"source": source, "target": target, "flow": flow.astype(np.float16)}
-    columns["confidence"] = (confident * confidence).astype(np.float16)
-    write_dense(tmp_path / "pairs.arrow", columns, {"width": 64, "height": 48, "scale": 1.0})
-    for number in range(1, 5):
-        write_image(tmp_path / "masks" / f"frame_{number:04d}.png", np.full((48, 64), dynamic))
-    names = {
-        "poses": "p.parquet",
-        "trajectory": "t.tum",
-        "depth": "d.arrow",
-        "convergence": "c.parquet",
-        "figure": "f.png",
-    }
-    main(
-        tmp_path / "sequence.json",
-        tmp_path / "pairs.arrow",
-        tmp_path / "masks",
-        **{key: tmp_path / name for key, name in names.items()},
-        options=BAOptions(stride_px=4),
-    )
-    cameras, depth = read_cameras(tmp_path / "p.parquet"), read_dense(tmp_path / "d.arrow")
+    source, target, flow, confidence = flow_arrays(make_scene(T=4, size=(48, 64)), (1, 2))
+    files = write_inputs(tmp_path, (source, target, flow, confident * confidence), np.full((4, 48, 64), dynamic))
+    main(**files, **(paths := outputs(tmp_path / "out")), options=BAOptions(stride_px=4))
+    cameras, depth = read_cameras(paths["poses"]), read_dense(paths["depth"])
     assert set(cameras.status) == {status}
-    assert read_metadata(tmp_path / "p.parquet")["flags"]
+    assert read_metadata(paths["poses"])["flags"]
     assert np.isfinite(cameras.cam_from_world).all()
     assert (depth["inverse_depth"] > 0).all()
     assert np.isfinite(depth["variance"]).all()

@@ -1,0 +1,117 @@
+"""One shot of a sequence: the frames that matches link. A cut, or frames that show nothing, leave others out of it."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from stages.ba.estimate import Estimate, Problem, estimate
+from stages.ba.graph import MIN_MATCHES, FlowGraph, shared_matches
+from stages.ba.options import BAOptions
+from stages.shared import lie
+
+MIN_FRAMES = 3
+"""Fewer frames than this are no shot: chance links two frames of noise."""
+UNKNOWN_VARIANCE = 1e6
+"""Variance of the twist of a pose that nothing is known of."""
+
+
+def linked_frames(source: np.ndarray, target: np.ndarray, weights: np.ndarray, T: int) -> np.ndarray:
+    """Which of T frames belong to the longest shot: the largest set that MIN_MATCHES sure matches a pair hold together.
+
+    Args:
+        source, target: [E] frame indices; weights: [E, P] confidences of sampled matches, without masks.
+
+    Returns:
+        [T] bool; all true where no MIN_FRAMES frames are linked, so that the whole sequence is judged.
+    """
+    linked = (shared_matches(source, target, weights, T) >= MIN_MATCHES) | np.eye(T, dtype=bool)
+    label = np.arange(T)
+    while (lowest := np.where(linked, label, T).min(axis=1)).tolist() != label.tolist():
+        label = lowest
+    sizes = np.bincount(label)
+    return label == sizes.argmax() if sizes.max() >= MIN_FRAMES else np.ones(T, bool)
+
+
+def isolate(graph: FlowGraph, frames: np.ndarray) -> FlowGraph:
+    """The graph without the observations of edges that touch any but these frames [T]."""
+    kept = frames[graph.source] & frames[graph.target]
+    return replace(graph, weights=graph.weights * kept[:, None])
+
+
+def estimate_shot(problem: Problem, frames: np.ndarray, options: BAOptions) -> Estimate:
+    """The estimate from the frames [T] of one shot; the poses of the others are bridged.
+
+    What lies before its first frame and after its last takes no part: statistics and gauge are those of the shot.
+    """
+    if frames.all():
+        return estimate(problem, options)
+    inside = slice(int(np.argmax(frames)), len(frames) - int(np.argmax(frames[::-1])))
+    previous, unmasked = problem.previous, problem.unmasked
+    part = replace(
+        problem,
+        graph=_cut_out(problem.graph, inside),
+        previous=previous and replace(previous, cam_from_world=previous.cam_from_world[inside]),
+        unmasked=unmasked and _cut_out(unmasked, inside),
+    )
+    return _put_back(estimate(part, options), inside, frames)
+
+
+def bridge(cam_from_world: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """Poses [T, 4, 4], those not `known` [T] at constant velocity between the nearest, or equal to it at the ends."""
+    at, bridged = np.flatnonzero(known), cam_from_world.copy()
+    for k in np.flatnonzero(~known):
+        after = int(np.searchsorted(at, k))
+        first, last = at[max(after - 1, 0)], at[min(after, len(at) - 1)]
+        share = (k - first) / (last - first) if last > first else 0.0
+        motion = lie.log_se3(cam_from_world[last] @ lie.inverse(cam_from_world[first]))
+        bridged[k] = lie.exp_se3(share * motion) @ cam_from_world[first]
+    return bridged
+
+
+def doubts(frames: np.ndarray, numbers: list[int]) -> list[str]:
+    """What to say of a sequence with these numbers [T] of which only some frames [T] form the shot that is solved."""
+    if frames.all():
+        return []
+    left_out = _ranges([number for number, kept in zip(numbers, frames, strict=True) if not kept])
+    advice = "split the sequence there if it is cut, or leave out what shows nothing"
+    return [f"unobserved: frames {left_out} share too few confident matches with the others; {advice}"]
+
+
+def _cut_out(graph: FlowGraph, inside: slice) -> FlowGraph:
+    """The graph of the frames first..stop - 1 alone."""
+    first, stop = inside.start, inside.stop
+    kept = (graph.source >= first) & (graph.source < stop) & (graph.target >= first) & (graph.target < stop)
+    source, target = graph.source[kept] - first, graph.target[kept] - first
+    return replace(
+        graph,
+        source=source,
+        target=target,
+        pointer=np.searchsorted(source, np.arange(stop - first + 1)),
+        matches=graph.matches[kept],
+        weights=graph.weights[kept],
+        texture=None if graph.texture is None else graph.texture[inside],
+    )
+
+
+def _put_back(part: Estimate, inside: slice, frames: np.ndarray) -> Estimate:
+    """The estimate of the frames `inside` as one of all; nothing is known of the others."""
+    around = inside.start, len(frames) - inside.stop
+
+    def padded(values: np.ndarray) -> np.ndarray:
+        return np.pad(values, [around] + [(0, 0)] * (values.ndim - 1), "edge")
+
+    poses = bridge(padded(part.state.cam_from_world), frames)
+    inverse_depth = np.ones((len(frames), part.state.inverse_depth.shape[1]))
+    inverse_depth[inside] = part.state.inverse_depth
+    static = None if part.static is None else padded(part.static)
+    covariance = np.where(frames[:, None, None], padded(part.covariance), UNKNOWN_VARIANCE * np.eye(6))
+    state = replace(part.state, cam_from_world=poses, inverse_depth=inverse_depth)
+    return replace(part, state=state, covariance=covariance, static=static)
+
+
+def _ranges(numbers: list[int]) -> str:
+    """Ascending numbers in words, as "3-5, 8"."""
+    breaks = [k for k in range(1, len(numbers)) if numbers[k] != numbers[k - 1] + 1]
+    starts, stops = [0, *breaks], [*breaks, len(numbers)]
+    runs = [(numbers[start], numbers[stop - 1]) for start, stop in zip(starts, stops, strict=True)]
+    return ", ".join(f"{first}-{last}" if last > first else f"{first}" for first, last in runs)
