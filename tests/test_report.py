@@ -112,7 +112,10 @@ def test_failures_and_missing_parts_are_told(page: str) -> None:
     assert "unfinished: not evaluated; it counts as failed" in text
     assert "No camera truth, hence no ATE or RPE: blind_wall" in text
     assert "no camera truth: no ATE, RPE or focal error" in text
-    assert "poses: a doubt" in text
+    doubts = "Round 1: an early doubt. Last round: a doubt; one more."
+    assert f"wall: the adjustment doubts its poses. {doubts}" in text
+    assert f"Doubts about the poses. {doubts}" in text
+    assert "Doubts about the poses. a doubt; one more" in text  # of the sequence that was never evaluated
     assert "trajectories: no eval/trajectory.parquet; masks: no masks" in text
     assert "renders: no renders/test" in text
 

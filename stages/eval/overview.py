@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from stages.eval import published, ratios, report_tables, score_models, summaries
+from stages.eval import adjustment, published, ratios, report_tables, score_models, summaries
 from stages.eval.costs import is_ours
 from stages.eval.sections import Figure
 from stages.eval.tables import Row, Table, decimal
@@ -63,16 +63,14 @@ def build_groups(rows: Rows, protocols: Mapping[str, str], numbers: Mapping[str,
     time_mean, time = report_tables.time_tables(rows["time"])
     checks_mean, checks = report_tables.check_tables(rows["checks"])
     effects = [report_tables.decision_table(rows["decisions"]), report_tables.simulation_table(rows["simulation"])]
+    decided = adjustment.decision_table(rows["poses"])
+    statistics = adjustment.statistics_table(rows["statistics"])
     compared = ratios.ratio_table(rows["poses"], rows["settings"])
     other_poses, other_images = published.pose_table(numbers, rows["poses"]), published.image_table(numbers)
     many = len({row["sequence"] for row in rows["time"]}) > 1
+    more_poses = [*([poses] if many else []), statistics, other_poses]
     groups = [
-        Group(
-            "poses",
-            "Camera poses",
-            [poses_mean if many else poses, compared],
-            [*([poses] if many else []), other_poses],
-        ),
+        Group("poses", "Camera poses", [poses_mean if many else poses, decided, compared], more_poses),
         Group("images", "Images", [images_mean] if many else [images], [*([images] if many else []), other_images]),
         Group("masks", "Masks", [masks_mean] if many else [masks], [masks] if many else []),
         Group("checks", "Flow, depth, motion and size", [checks_mean] if many else [checks], [checks] if many else []),
@@ -133,8 +131,15 @@ def problems(rows: Rows, names: Sequence[str]) -> list[str]:
     scored = {row["sequence"] for row in rows["poses"]}
     found = [f"{name}: not evaluated; it counts as failed." for name in names if name not in scored]
     for row in rows["poses"]:
-        if row["status"] not in ("ok", "no truth"):
+        if row["status"] in ("partial", "failed"):
             found.append(f"{row['sequence']}, {row['method']}: {row['status']} ({row['note']}).")
+    degenerate = {row["sequence"]: row for row in rows["poses"] if row["status"].startswith("degenerate truth")}
+    found += [f"{name}: {row['status']} ({row['note']})." for name, row in degenerate.items()]
+    for name in names:
+        # A round without any pose says why in its row.
+        own = [row for row in rows["poses"] if row["sequence"] == name and row["registered"]]
+        if doubts := adjustment.doubts_by_round(own):
+            found.append(f"{name}: the adjustment doubts its poses. {doubts}")
     found += score_models.stuck_fits(rows["checks"])
     blind = sorted({row["sequence"] for row in rows["poses"] if row["status"] == "no truth"})
     if blind:

@@ -13,7 +13,7 @@ COLUMNS = (
     Column("sequence", "sequence"),
     Column("ate_percent", "ours", "ATE, % of path", 3),
     Column("colmap_percent", "best COLMAP", "ATE, % of path", 3),
-    Column("colmap", "its variant"),
+    Column("colmap", "variant of COLMAP"),
     Column("colmap_ratio", "ours / COLMAP", "ratio", 2),
     Column("true_masks_percent", "ours, true masks", "ATE, % of path", 3),
     Column("true_masks_ratio", "ours / true masks", "ratio", 2),

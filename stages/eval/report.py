@@ -7,7 +7,7 @@ import jinja2
 import markupsafe
 import yaml
 
-from stages.eval import overview, provenance, tradeoff_report
+from stages.eval import adjustment, overview, provenance, tradeoff_report
 from stages.eval.effects import decision_rows, simulation_rows
 from stages.eval.options import ReportOptions
 from stages.eval.overview import Group
@@ -21,7 +21,8 @@ from stages.shared.log import logger, progress
 TEMPLATES = Path(__file__).parent / "templates"
 ASSETS = {"style": "style.css", "script": "sort.js"}
 KINDS = ("poses", "images", "masks", "checks", "time")
-SECTION_TABLES = ("poses", "images", "masks", "checks", "time", "decisions", "simulation")
+SECTION_TABLES = ("poses", "adjustment", "images", "masks", "checks", "time", "decisions", "simulation")
+FOLDED_TABLES = ("statistics",)
 
 
 def main(
@@ -68,8 +69,10 @@ def build_sections(folders: list[Path], tables: dict[str, Table]) -> list[Sectio
     for folder in progress(folders, "sequences"):
         section = build_section(folder)
         if len(folders) > 1:
-            own = [tables[name].of(section.name) for name in SECTION_TABLES if name in tables]
-            section.tables = [table for table in own if table.rows]
+            section.tables, section.more = (
+                [own for name in names if name in tables and (own := tables[name].of(section.name)).rows]
+                for names in (SECTION_TABLES, FOLDED_TABLES)
+            )
         shown.append(section)
     return shown
 
@@ -103,6 +106,7 @@ def gather(folders: list[Path], manifests: Path | None) -> tuple[dict[str, list[
                 rows[kind] += read_rows(path)
                 protocols[kind] = read_metadata(path).get("protocol", "")
     rows["decisions"] = [row for folder in folders for row in decision_rows(folder)]
+    rows["statistics"] = [row for folder in folders for row in adjustment.statistic_rows(folder)]
     rows["simulation"] = [row for folder in folders for row in simulation_rows(manifests, folder.name)]
     return rows, protocols
 

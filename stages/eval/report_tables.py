@@ -1,8 +1,9 @@
 """The tables of the report: which columns, with which labels, units and protocol."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
-from stages.eval import summaries
+from stages.eval import adjustment, summaries
 from stages.eval.tables import Column, Row, Table
 
 SEQUENCE, METHOD, N = Column("sequence", "sequence"), Column("method", "method"), Column("n", "sequences")
@@ -54,7 +55,8 @@ def pose_tables(rows: list[Row], protocol: str) -> tuple[Table, Table]:
     signed = Column("focal_error_percent", "focal error", "%", 1)
     frames = Column("registered", "registered", "frames"), Column("total", "of", "frames")
     about = Column("status", "status"), Column("note", "note", long=True), Column("path", "true path", "scene units", 2)
-    columns = (SEQUENCE, METHOD, *ERRORS, signed, *SECONDS, *frames, *about, HOW)
+    decided = (replace(column, file_only=True) for column in adjustment.COLUMNS)  # a table of its own shows them
+    columns = (SEQUENCE, METHOD, *ERRORS, signed, *SECONDS, *frames, *about, HOW, *decided)
     return mean, Table("poses", "Poses of every sequence", f"{note} {statements(rows, 'method')}", columns, rows)
 
 

@@ -1,13 +1,13 @@
 """Rows of the pose table: ours in every round, COLMAP in every variant."""
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from stages.eval import trajectory
+from stages.eval import adjustment, trajectory
 from stages.shared import lie
 from stages.shared.alignment import DegenerateError, extent
 from stages.shared.artifacts import read_metadata, read_table
@@ -26,6 +26,7 @@ class Candidate:
         cameras: the k <= total registered frames, ascending; None if there is none.
         failure: why there is none.
         wall_s, cpu_s: seconds of the whole method.
+        decided: what our adjustment decided, the columns adjustment.DECISIONS; a baseline says nothing of it.
     """
 
     method: str
@@ -35,6 +36,7 @@ class Candidate:
     failure: str | None
     wall_s: float
     cpu_s: float
+    decided: Mapping[str, Any] = field(default_factory=lambda: dict.fromkeys(adjustment.DECISIONS))
 
 
 def own_candidates(tables: Sequence[Path], seconds: Sequence[tuple[float, float]]) -> list[Candidate]:
@@ -53,7 +55,8 @@ def own_candidates(tables: Sequence[Path], seconds: Sequence[tuple[float, float]
             if good.any()
             else "; ".join(metadata.get("flags", [])).removeprefix("failed: ") or str(cameras.status[0])
         )
-        candidates.append(Candidate(method, protocol, len(good), registered, failure, *spent))
+        decided = adjustment.decisions(metadata)
+        candidates.append(Candidate(method, protocol, len(good), registered, failure, *spent, decided))
     return candidates
 
 
@@ -117,6 +120,7 @@ def _empty_row(name: str, candidate: Candidate) -> dict[str, Any]:
         **dict.fromkeys(errors),
         "wall_s": candidate.wall_s,
         "cpu_s": candidate.cpu_s,
+        **candidate.decided,
     }
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from stages.eval import pictures, plots
+from stages.eval import adjustment, pictures, plots
 from stages.eval.score_images import true_images
 from stages.eval.score_masks import read_masks
 from stages.eval.tables import Row, Table, read_rows
@@ -48,6 +48,7 @@ class Section:
     figures: list[Figure] = field(default_factory=list)
     stage_figures: list[Figure] = field(default_factory=list)
     tables: list[Table] = field(default_factory=list)
+    more: list[Table] = field(default_factory=list)
     missing: list[str] = field(default_factory=list)
     doubts: list[str] = field(default_factory=list)
 
@@ -80,8 +81,8 @@ def build_section(folder: Path) -> Section:
 
 
 def _doubts(folder: Path) -> list[str]:
-    poses, model = folder / "ba" / "poses.parquet", folder / "gaussians" / "model.safetensors"
-    found = [f"poses: {flag}" for flag in read_metadata(poses).get("flags", [])] if poses.exists() else []
+    model, doubts = folder / "gaussians" / "model.safetensors", adjustment.doubts_of(folder)
+    found = [f"Doubts about the poses. {doubts}"] if doubts else []
     if model.exists() and read_metadata(model).get("status") == "poses failed":
         found.append("Gaussians: the poses failed: a static scene was trained before a camera at rest")
     return found

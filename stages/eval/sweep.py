@@ -14,7 +14,7 @@ from stages.shared.cli import In, Out
 
 POSE_SCORES = (
     *("ate", "ate_percent", "rpe_trans", "rpe_rot_deg", "focal_error_percent", "path"),
-    *("registered", "total", "status", "note"),
+    *("registered", "total", "status", "note", "camera", "focal", "focal_sigma_percent", "doubts"),
 )
 COLUMNS = (
     *("sequence", "group", "setting", "knob", "value", "is_default", "overrides"),
