@@ -52,6 +52,11 @@ class Scene:
         return float(self.K[0, 0])
 
 
+def painted(dynamic: np.ndarray) -> np.ndarray:
+    """Frames [T, h, w, 3] uint8 in which the pixels `dynamic` [T, h, w] are red and all others grey."""
+    return np.where(dynamic[..., None], (200, 40, 40), (120, 120, 120)).astype(np.uint8)
+
+
 def make_scene(
     T: int = 8,
     size: tuple[int, int] = (64, 96),

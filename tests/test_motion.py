@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 from conftest import write_frames
-from synthetic import Scene, flow_arrays, make_scene
+from synthetic import Scene, flow_arrays, make_scene, painted
 
 from stages.flow import epipolar, motion, pooling, resweep
 from stages.flow.epipolar import Evidence, PairMatches
@@ -58,7 +58,7 @@ def test_a_mover_stands_out_without_cameras() -> None:
     pairs["flow"] = pairs["flow"] + moving[0][..., None] * steps * np.array([0, 3], np.float32)
     assert epipolar.flat_share(edges, matches(pairs), 0) < epipolar.FLAT_SHARE
     evidence = epipolar.two_view_evidence(edges, matches(pairs), scene.T, parallax=True, seed=0)
-    misfit = pooling.pool(evidence, edges, pairs["flow"], pairs["weights"])
+    misfit = pooling.pool(evidence, painted(moving), edges, pairs["flow"], pairs["weights"])
     probability = motion.to_probability(misfit, *motion.FLOW_CURVE)
     assert overlap(probability > 0.5, moving) > 0.6
 
@@ -71,7 +71,8 @@ def test_threads_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     for threads in ("1", "4"):
         monkeypatch.setenv("OMP_NUM_THREADS", threads)
         evidence = epipolar.two_view_evidence(edges, matches(pairs), scene.T, parallax=True, seed=0)
-        found.append([*evidence, pooling.pool(evidence, edges, pairs["flow"], pairs["weights"])])
+        misfit = pooling.pool(evidence, painted(scene.dynamic), edges, pairs["flow"], pairs["weights"])
+        found.append([*evidence, misfit])
     for alone, together in zip(*found, strict=True):
         np.testing.assert_array_equal(alone, together)
 
@@ -83,7 +84,7 @@ def test_a_mover_stands_out_sharply_with_cameras() -> None:
     evidence, _, _ = resweep.camera_evidence(
         pairs, scene.cam_from_world, Ks, np.full(scene.depth.shape, 0.2, np.float32)
     )
-    misfit = pooling.pool(evidence, edges, pairs["flow"], pairs["weights"])
+    misfit = pooling.pool(evidence, painted(scene.dynamic), edges, pairs["flow"], pairs["weights"])
     assert overlap(motion.to_probability(misfit, *motion.CAMERA_CURVE) > 0.5, scene.dynamic) > 0.7
 
 
@@ -94,7 +95,7 @@ def test_static_scene_fits_its_depth_exactly() -> None:
     Ks = np.broadcast_to(scene.K, (scene.T, 3, 3))
     start = np.full(scene.depth.shape, 0.3, np.float32)
     evidence, _, sigma_px = resweep.camera_evidence(pairs, scene.cam_from_world, Ks, start)
-    assert sigma_px == pytest.approx(0.5)
+    assert sigma_px == pytest.approx(resweep.SIGMA_RANGE_PX[0])
     assert evidence.misfit[evidence.weight > 1].max() < 1e-3
 
 
@@ -158,9 +159,21 @@ def test_pooling_fills_from_neighbouring_frames() -> None:
     weight[0] = 0
     edges = {(0, 1): 0, (0, 2): 1}
     flow, weights = np.zeros((2, 20, 20, 2), np.float32), np.ones((2, 20, 20), np.float32)
-    pooled = pooling.pool(Evidence(misfit, weight), edges, flow, weights)
+    pooled = pooling.pool(Evidence(misfit, weight), painted(misfit > 0), edges, flow, weights)
     assert pooled[0, 10, 10] > 0.8
     assert pooled[0, 1, 1] < 1e-6
+
+
+def test_evidence_speaks_for_pixels_alike_up_to_a_colour_edge() -> None:
+    """Half of a mover is matched; the other half, and what stands beside it, say nothing themselves."""
+    moving = np.zeros((1, 40, 128), bool)
+    moving[:, :, 60:68] = True
+    misfit, weight = moving.astype(np.float32), np.zeros(moving.shape, np.float32)
+    weight[:, :20, 60:68] = 5.0
+    flow, weights = np.zeros((0, 40, 128, 2), np.float32), np.zeros((0, 40, 128), np.float32)
+    pooled = pooling.pool(Evidence(misfit, weight), painted(moving), {}, flow, weights)
+    assert pooled[0, 22, 62:66].min() > 0.5
+    assert pooled[0, :, 56:59].max() < 0.01
 
 
 def test_badly_matched_flow_weighs_little_and_flow_out_of_the_frame_nothing() -> None:

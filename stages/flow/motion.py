@@ -48,19 +48,20 @@ def main(
     pairs["flow"] = pairs["flow"].astype(np.float32)
     pairs["weights"] = evidence_weights(pairs["flow"], pairs["confidence"])
     edges = {(int(i), int(j)): e for e, (i, j) in enumerate(zip(pairs["source"], pairs["target"], strict=True))}
+    rgb = _read_reduced(frames, *pairs["confidence"].shape[1:])
     cameras = _usable_cameras(previous_poses, previous_depth)
     if cameras is None or previous_depth is None:
         evidence, facts = _from_flow(pairs, edges, len(frames.numbers), options.seed)
     else:
         stride_px = float(read_metadata(previous_depth)["stride_px"])
-        evidence, facts = _from_cameras(frames, pairs, cameras, read_dense(previous_depth), scale, stride_px)
-    misfit = pool(evidence, edges, pairs["flow"], pairs["weights"])
+        evidence, facts = _from_cameras(rgb, pairs, cameras, read_dense(previous_depth), scale, stride_px)
+    misfit = pool(evidence, rgb, edges, pairs["flow"], pairs["weights"])
     probability = to_probability(misfit, *(FLOW_CURVE if cameras is None else CAMERA_CURVE))
     facts |= {"moving_share": float((probability > 0.5).mean())}
     logger.info("%s: %s", frames.name, facts)
     columns = {"frame": np.array(frames.numbers), "probability": probability.astype(np.float16)}
     write_dense(output, columns, {"units": "probability", **facts, "options": options.model_dump(mode="json")})
-    write_figure(figure, _picture(frames, probability))
+    write_figure(figure, _picture(rgb, probability))
 
 
 def to_probability(misfit: np.ndarray, midway: float, spread: float) -> np.ndarray:
@@ -93,7 +94,7 @@ def _from_flow(
 
 
 def _from_cameras(
-    frames: Sequence,
+    rgb: np.ndarray,
     pairs: dict[str, np.ndarray],
     cameras: Cameras,
     depth: dict[str, np.ndarray],
@@ -105,28 +106,21 @@ def _from_cameras(
     start = resweep.resample(depth["inverse_depth"], stride_px * scale, h, w)
     seen = cameras.cam_from_world, scale_intrinsics(cameras.Ks, scale)
     evidence, inverse_depth, sigma_px = resweep.camera_evidence(pairs, *seen, start)
-    grey = np.stack([cv2.cvtColor(_reduced(path, w, h), cv2.COLOR_RGB2GRAY) for path in frames.frames])
-    evidence = photometric.corroborate(evidence, grey, pairs, resweep.projections(pairs, *seen), inverse_depth)
+    evidence = photometric.corroborate(evidence, rgb, pairs, resweep.projections(pairs, *seen), inverse_depth)
     rotating = set(cameras.status) == {"rotation-only"}
     model = "rotations: the camera does not translate" if rotating else "depth re-sweep"
     return evidence, {"source": "cameras", "model": model, "sigma_px": sigma_px}
 
 
-def _reduced(path: Path, w: int, h: int) -> np.ndarray:
-    """A frame on the flow grid, [h, w, 3]."""
-    return np.asarray(cv2.resize(read_rgb(path), (w, h), interpolation=cv2.INTER_AREA))
+def _read_reduced(frames: Sequence, h: int, w: int) -> np.ndarray:
+    """All frames on the flow grid, [T, h, w, 3] uint8."""
+    return np.stack([cv2.resize(read_rgb(path), (w, h), interpolation=cv2.INTER_AREA) for path in frames.frames])
 
 
-def _picture(frames: Sequence, probability: np.ndarray) -> np.ndarray:
+def _picture(rgb: np.ndarray, probability: np.ndarray) -> np.ndarray:
     """Shown frames above the probability of motion."""
     shown = figures.spread(len(probability), 4)
-    h, w = probability.shape[1:]
-    reduced = [_reduced(frames.frames[k], w, h) for k in shown]
-    cells = [
-        image
-        for k, rgb in zip(shown, reduced, strict=True)
-        for image in (rgb, figures.scalar_to_rgb(probability[k], 0, 1))
-    ]
+    cells = [image for k in shown for image in (rgb[k], figures.scalar_to_rgb(probability[k], 0, 1))]
     return figures.contact_sheet(cells, columns=4)
 
 

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 
 from stages.flow.epipolar import Evidence
+from stages.flow.pooling import PRIOR_WEIGHT
 from stages.flow.resweep import rigid_flow
 from stages.shared.threads import threaded
 from stages.shared.warp import is_inside, warp
@@ -24,32 +25,34 @@ FLOW_SHARE = 0.75
 EXCESS = 0.5
 """Residual beyond that, in units of the tolerance, that counts by half."""
 TOLERANCE = 1.0, 0.5
-"""Residual that no motion explains: grey levels, and pixels by which the best static match may be off."""
+"""Residual that no motion explains: colour levels, and pixels by which the best static match may be off."""
 EXPLAINED = 0.35
 """Misfit below which the depth of a pixel is offered to its neighbours."""
 WINDOW_PX, NEIGHBOURS_PX = 5, 15
+MEAN_OF_COLOURS = np.full((1, 3), 1 / 3, np.float32)
 NEVER = np.float32(1e30)
 """Beyond every inverse depth."""
 
 
 def corroborate(
     evidence: Evidence,
-    grey: np.ndarray,
+    rgb: np.ndarray,
     pairs: Mapping[str, np.ndarray],
     projections: tuple[np.ndarray, np.ndarray],
     inverse_depth: np.ndarray,
 ) -> Evidence:
     """Evidence with the misfit of unreliable flow cut to what the pictures confirm, and the weight they give it.
 
-    The pictures speak where flow is silent, the more the better the frame's other pixels were matched.
+    The pictures speak where flow is silent, the more the better the frame's other pixels were matched, and no less
+    than the prior that a pixel is static: else nothing would show in frames that are matched badly throughout.
 
     Args:
         evidence: misfit [T, h, w] to the static world, and its weight.
-        grey: [T, h, w] uint8 frames on the flow grid.
+        rgb: [T, h, w, 3] uint8 frames on the flow grid.
         pairs: source, target [E], flow [E, h, w, 2] px, confidence [E, h, w].
         projections: A [E, 3, 3] and b [E, 3] of `resweep`; inverse_depth: [T, h, w] in the units of b.
     """
-    frames = np.stack([cv2.GaussianBlur(frame.astype(np.float32), (0, 0), 0.7) for frame in grey])
+    frames = np.stack([cv2.GaussianBlur(frame, (0, 0), 0.7) for frame in rgb])
 
     def of_frame(i: int) -> tuple[np.ndarray, np.ndarray]:
         edges = np.flatnonzero(pairs["source"] == i)
@@ -60,14 +63,15 @@ def corroborate(
         cameras = projections[0][near], projections[1][near]
         contradicted = _contradicted(frames, i, pairs["target"][near], pairs["flow"][near], cameras, depths)
         misfit = evidence.misfit[i] * np.maximum(np.minimum(reliability, 1), contradicted)
-        return misfit, np.maximum(evidence.weight[i], (confidence > 0.5).mean() if len(edges) else 0)
+        weight = max((confidence > 0.5).mean(), PRIOR_WEIGHT) if len(edges) else 0
+        return misfit, np.maximum(evidence.weight[i], weight)
 
     misfit, weight = zip(*threaded(of_frame, range(len(frames))), strict=True)
     return Evidence(np.stack(misfit), np.stack(weight))
 
 
 def _static_depths(inverse_depth: np.ndarray, misfit: np.ndarray) -> list[np.ndarray]:
-    """Inverse depths [h, w] that a static pixel may have: the one found, and the farthest and nearest around it.
+    """Inverse depths [h, w] that a static pixel may have: the one found, smoothed, and the farthest and nearest around.
 
     The flow of a thin or moving thing spills over the static pixels beside it, and so does the depth found from it.
     """
@@ -77,7 +81,7 @@ def _static_depths(inverse_depth: np.ndarray, misfit: np.ndarray) -> list[np.nda
     farthest = cv2.erode(np.where(sure, smooth, NEVER), kernel)
     nearest = cv2.dilate(np.where(sure, smooth, -NEVER), kernel)
     around = [np.where(np.abs(depth) < NEVER, depth, smooth) for depth in (farthest, nearest)]
-    return [inverse_depth, smooth, *around]
+    return [smooth, *around]
 
 
 def _contradicted(
@@ -93,14 +97,15 @@ def _contradicted(
     Frames before and after are averaged apart and the better side counts: what is hidden on one is seen on the other.
     """
     here = frames[i]
-    total, seen = np.zeros((2, 2, 1 + len(depths), *here.shape), np.float32)
+    total, seen = np.zeros((2, 2, 1 + len(depths), *here.shape[:2]), np.float32)
     for j, flow, A, b in zip(targets, flows, *projections, strict=True):
         ways = [flow.astype(np.float32, copy=False), *(rigid_flow(A, b, depth) for depth in depths)]
-        exposure = np.float32(np.median(warp(frames[j], ways[0]) - here))
-        for k, way in enumerate(ways):
+        warped = [warp(frames[j], way) for way in ways]
+        expected = _exposed(here, warped[0])
+        for k, (way, found) in enumerate(zip(ways, warped, strict=True)):
             inside = is_inside(way)
-            residual = np.abs(warp(frames[j], way) - here - exposure)
-            total[int(j > i), k] += inside * cv2.blur(residual, (WINDOW_PX, WINDOW_PX))
+            residual = cv2.transform(cv2.absdiff(found, expected), MEAN_OF_COLOURS)
+            total[int(j > i), k] += inside * cv2.boxFilter(residual, cv2.CV_32F, (WINDOW_PX, WINDOW_PX))
             seen[int(j > i), k] += inside
     mean = np.where(seen > 0, total / np.maximum(seen, 1), np.inf).min(axis=0)
     in_view = np.isfinite(mean[0]) & np.isfinite(mean[1:]).any(axis=0)
@@ -109,8 +114,15 @@ def _contradicted(
     return np.asarray(squared / (1 + squared))
 
 
+def _exposed(frame: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """A frame [h, w, 3] uint8 as it would be with the exposure of the other, by the median difference per colour."""
+    change = np.median(other[::2, ::2].astype(np.int16) - frame[::2, ::2], axis=(0, 1))
+    return np.asarray(cv2.add(frame, (*change.tolist(), 0.0)))
+
+
 def _tolerance(frame: np.ndarray) -> np.ndarray:
-    """Residual [h, w] in grey levels that the best static match of a static pixel may have."""
-    slope = np.hypot(cv2.Sobel(frame, cv2.CV_32F, 1, 0, scale=1 / 8), cv2.Sobel(frame, cv2.CV_32F, 0, 1, scale=1 / 8))
-    grey_levels, pixels = TOLERANCE
-    return np.asarray(grey_levels + pixels * cv2.blur(slope, (WINDOW_PX, WINDOW_PX)))
+    """Residual [h, w] in colour levels that the best static match of a static pixel of a frame [h, w, 3] may have."""
+    grey = cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY)
+    slope = np.hypot(cv2.Sobel(grey, cv2.CV_32F, 1, 0, scale=1 / 8), cv2.Sobel(grey, cv2.CV_32F, 0, 1, scale=1 / 8))
+    levels, pixels = TOLERANCE
+    return np.asarray(levels + pixels * cv2.blur(slope, (WINDOW_PX, WINDOW_PX)))

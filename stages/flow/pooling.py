@@ -12,7 +12,11 @@ MIN_WEIGHT = 0.1
 POOLED_OFFSETS = (1, 2)
 PRIOR_WEIGHT = 0.3
 """Weight that a pixel needs before its misfit counts: without evidence a pixel is taken as static."""
-BLUR_PX = 1.0
+REFERENCE_WIDTH = 512
+SMOOTHNESS = 100.0
+"""Weight of edge-aware smoothing for frames of that width: evidence spreads over some ten pixels."""
+COLOUR_SIGMA = 4.0
+"""Colour step (0..255) that stops it."""
 
 
 def evidence_weights(flow: np.ndarray, confidence: np.ndarray) -> np.ndarray:
@@ -42,14 +46,23 @@ def _weigh(flow, weights):  # type: ignore[no-untyped-def]
                 weights[e, y, x] = max(weights[e, y, x], floor) if inside else np.float32(0)
 
 
-def pool(evidence: Evidence, edges: dict[tuple[int, int], int], flow: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Mean misfit [T, h, w] in 0..1, weighted by its evidence, over a small blur and the frames one and two away.
+def pool(
+    evidence: Evidence,
+    rgb: np.ndarray,
+    edges: dict[tuple[int, int], int],
+    flow: np.ndarray,
+    weights: np.ndarray,
+) -> np.ndarray:
+    """Mean misfit [T, h, w] in 0..1, weighted by its evidence, of pixels alike and of the frames one and two away.
+
+    Within a frame evidence spreads up to colour edges, as far as that of other pixels does not outweigh it: what is
+    matched well speaks for what is not.
 
     Args:
+        rgb: [T, h, w, 3] uint8 frames on the flow grid.
         edges: (source, target) -> row of flow [E, h, w, 2] px and weights [E, h, w].
     """
-    numerator = np.stack([cv2.GaussianBlur(m * w, (0, 0), BLUR_PX) for m, w in zip(*evidence, strict=True)])
-    denominator = np.stack([cv2.GaussianBlur(w, (0, 0), BLUR_PX) for w in evidence.weight])
+    numerator, denominator = np.stack(threaded(_spread, *evidence, rgb), axis=1)
 
     def of_frame(frame: int) -> np.ndarray:
         pooled, total = numerator[frame].copy(), denominator[frame].copy()
@@ -60,3 +73,14 @@ def pool(evidence: Evidence, edges: dict[tuple[int, int], int], flow: np.ndarray
         return np.asarray(pooled / (total + PRIOR_WEIGHT))
 
     return np.stack(threaded(of_frame, range(len(numerator))))
+
+
+def _spread(misfit: np.ndarray, weight: np.ndarray, rgb: np.ndarray) -> np.ndarray:
+    """Weighted misfit and weight of a frame, [2, h, w], smoothed alike up to its colour edges.
+
+    Their ratio is a normalised convolution (Knutsson and Westin, CVPR 1993) by the fast global smoother (Min et al.,
+    TIP 2014), whose reach in pixels grows with the root of its weight: hence the squared width.
+    """
+    smoothness = SMOOTHNESS * (rgb.shape[1] / REFERENCE_WIDTH) ** 2
+    smoother = cv2.ximgproc.createFastGlobalSmootherFilter(rgb, smoothness, COLOUR_SIGMA)
+    return np.stack([smoother.filter(image.astype(np.float32)) for image in (misfit * weight, weight)])

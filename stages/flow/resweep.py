@@ -21,7 +21,9 @@ RIDGE_PX2 = 0.01
 """Parallax below a tenth of a pixel says nothing about depth: the start is kept."""
 Z_MIN = 0.05
 REFINEMENTS = 2
-SIGMA_RANGE_PX = (0.5, 3.0)
+NOISE_SCALE = 5.0
+SIGMA_RANGE_PX = (0.35, 3.0)
+"""Robust scale: so many times the median residual, within these bounds."""
 COARSE = 8
 """Every eighth pixel is enough to measure the noise."""
 
@@ -31,7 +33,8 @@ def camera_evidence(
 ) -> tuple[Evidence, np.ndarray, float]:
     """Misfit [T, h, w] to the best depth under the cameras, with its weight; that inverse depth; the noise scale in px.
 
-    The scale is three times the median residual within 0.5..3 px: a fixed one lets masks run away on noisy flow.
+    The scale follows the median residual: a fixed one lets masks run away on noisy flow, and is blind to slow motion
+    where flow is good.
     Edges weigh as much as their frames are apart: slow motion shows over many frames only.
 
     Args:
@@ -46,7 +49,7 @@ def camera_evidence(
     weights = pairs["weights"] * (distance / distance.mean()).astype(np.float32)[:, None, None]
     inputs = (pairs["flow"], weights, (start / unit).astype(np.float32))
     _, inverse_depth = sweep(pointer, A, b, *inputs, 1.0, COARSE)
-    sigma_px = float(np.clip(3 * _median_residual(A, b, pairs, inverse_depth), *SIGMA_RANGE_PX))
+    sigma_px = float(np.clip(NOISE_SCALE * _median_residual(A, b, pairs, inverse_depth), *SIGMA_RANGE_PX))
     misfit, inverse_depth = sweep(pointer, A, b, *inputs, sigma_px, 1)
     weight = np.add.reduceat(weights, pointer[:-1], axis=0)
     return Evidence(misfit, weight), unit * inverse_depth, sigma_px

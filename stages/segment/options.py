@@ -16,7 +16,7 @@ class SegmentOptions(Options):
     )
 
     high: float = Field(
-        0.7, ge=0.05, le=0.95, description="probability that a region must reach somewhere to be dynamic"
+        0.8, ge=0.05, le=0.95, description="probability that a region must reach somewhere to be dynamic"
     )
     low: float = Field(0.4, ge=0.05, le=0.95, description="probability down to which such a region extends")
     smoothness: float = Field(

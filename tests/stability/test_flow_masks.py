@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from synthetic import PLANE, Scene, flow_arrays, make_scene
+from synthetic import PLANE, Scene, flow_arrays, make_scene, painted
 
 from stages.flow import epipolar, motion, photometric, pooling, resweep
 from stages.flow.confidence import flow_confidence
@@ -30,6 +30,11 @@ def observed(scene: Scene) -> tuple[dict[str, np.ndarray], Edges, PairMatches]:
     return pairs, edges, PairMatches(pixels, pixels + flow, weights)
 
 
+def coloured(grey: np.ndarray) -> np.ndarray:
+    """Grey frames [T, h, w] as colour frames."""
+    return np.repeat(grey[..., None], 3, axis=-1)
+
+
 def prior_with_cameras(scene: Scene, cam_from_world: np.ndarray | None = None) -> np.ndarray:
     """Probability of motion [T, h, w] from exact flow and cameras."""
     pairs, edges, _ = observed(scene)
@@ -37,7 +42,8 @@ def prior_with_cameras(scene: Scene, cam_from_world: np.ndarray | None = None) -
     Ks = np.broadcast_to(scene.K, (scene.T, 3, 3))
     start = np.full(scene.depth.shape, np.median(1 / scene.depth), np.float32)
     evidence, _, _ = resweep.camera_evidence(pairs, poses, Ks, start)
-    return motion.to_probability(pooling.pool(evidence, edges, pairs["flow"], pairs["weights"]), *motion.CAMERA_CURVE)
+    misfit = pooling.pool(evidence, painted(scene.dynamic), edges, pairs["flow"], pairs["weights"])
+    return motion.to_probability(misfit, *motion.CAMERA_CURVE)
 
 
 @pytest.mark.parametrize("grey_level", [0, 128, 255])
@@ -88,7 +94,7 @@ def test_failed_flow_is_no_motion_unless_the_pictures_say_so() -> None:
     pairs = {"source": source, "target": target, "flow": flow, "confidence": confidence}
     projections = np.tile(np.eye(3), (len(edges), 1, 1)), (target - source)[:, None] * [-2.0, 0, 0]
     all_misfit = Evidence(np.ones(grey.shape, np.float32), np.ones(grey.shape, np.float32))
-    cut = photometric.corroborate(all_misfit, grey, pairs, projections, np.ones(grey.shape)).misfit
+    cut = photometric.corroborate(all_misfit, coloured(grey), pairs, projections, np.ones(grey.shape)).misfit
     assert cut[1][failed].mean() < 0.05
     assert cut[1][moving].mean() > 0.9
     assert (cut[1][:, 40:50] == 1).all()
@@ -107,9 +113,30 @@ def test_a_wrong_depth_beside_a_thin_thing_is_no_motion() -> None:
     pairs = {"source": source, "target": target, "flow": flow, "confidence": confidence}
     projections = np.tile(np.eye(3), (len(edges), 1, 1)), (target - source)[:, None] * [-2.0, 0, 0]
     evidence = Evidence(misfit, np.zeros(grey.shape, np.float32))
-    cut = photometric.corroborate(evidence, grey, pairs, projections, inverse_depth)
+    cut = photometric.corroborate(evidence, coloured(grey), pairs, projections, inverse_depth)
     assert cut.misfit[1][strip].mean() < 0.05
     assert (cut.weight[1] > 0.5).all(), "what the pictures say counts without confident flow"
+
+
+def test_motion_that_only_colour_shows_is_confirmed_where_all_is_matched_badly() -> None:
+    """A red thing as bright as the green wall it passes, in frames without one confident match."""
+    moving = np.zeros((3, 64, 96), bool)
+    for k in range(3):
+        moving[k, 20:44, 14 + 24 * k : 34 + 24 * k] = True
+    rgb = np.where(moving[..., None], (200, 40, 40), (40, 121, 40)).astype(np.uint8)
+    luminance = rgb @ np.array([0.299, 0.587, 0.114])
+    assert np.ptp(luminance) < 1.0
+    edges = [(i, j) for i in range(3) for j in range(3) if i != j]
+    source, target = np.array(edges).T
+    steps = (target - source)[:, None, None, None]
+    flow = np.where(moving[source][..., None], steps * [24.0, 0], 0).astype(np.float32)
+    pairs = {"source": source, "target": target, "flow": flow, "confidence": np.zeros(flow.shape[:3], np.float32)}
+    projections = np.tile(np.eye(3), (len(edges), 1, 1)), np.zeros((len(edges), 3))
+    evidence = Evidence(np.ones(moving.shape, np.float32), np.zeros(moving.shape, np.float32))
+    found = photometric.corroborate(evidence, rgb, pairs, projections, np.ones(moving.shape))
+    assert found.misfit[1, 24:40, 42:54].min() > 0.9
+    assert found.misfit[1, :, :30].max() < 0.05
+    assert found.weight.min() >= pooling.PRIOR_WEIGHT
 
 
 def test_pure_rotation_keeps_the_depth_it_starts_from() -> None:
@@ -131,7 +158,7 @@ def test_wrong_cameras_cannot_hide_behind_no_flow() -> None:
     evidence, _, sigma_px = resweep.camera_evidence(
         pairs, scene.cam_from_world, Ks, np.ones(scene.depth.shape, np.float32)
     )
-    assert (pooling.pool(evidence, edges, pairs["flow"], pairs["weights"]) == 0).all()
+    assert (pooling.pool(evidence, painted(scene.dynamic), edges, pairs["flow"], pairs["weights"]) == 0).all()
     assert sigma_px == resweep.SIGMA_RANGE_PX[0]
 
 
@@ -179,8 +206,9 @@ def test_masks_of_rendered_sequences(rendered: Path, name: str, least_iou: float
     pairs["confidence"] = confidence
     seen = poses, np.stack([K for K, _ in cameras])
     evidence, inverse_depth, _ = resweep.camera_evidence(pairs, *seen, start)
-    evidence = photometric.corroborate(evidence, grey, pairs, resweep.projections(pairs, *seen), inverse_depth)
-    misfit = pooling.pool(evidence, edges, flow, pairs["weights"])
+    rgb, projections = np.stack(frames), resweep.projections(pairs, *seen)
+    evidence = photometric.corroborate(evidence, rgb, pairs, projections, inverse_depth)
+    misfit = pooling.pool(evidence, rgb, edges, flow, pairs["weights"])
     probability = vote(motion.to_probability(misfit, *motion.CAMERA_CURVE), edges, flow, confidence)
     options = SegmentOptions()
     masks = []
