@@ -92,4 +92,5 @@ def test_the_page_says_what_the_camera_was_taken_for_and_on_which_numbers(result
         values = {row[0]: float(row[1]) for row in found[f"statistics_{name}"]["rows"]}
         assert values["left by a rotation, long baseline"] < 0.5
         assert values["static area"] == 100
+        assert ("roughness of the camera path" in values) == (name == "sleeping")  # a turning camera has no path
         assert all(row[3].endswith(".") for row in found[f"statistics_{name}"]["rows"])

@@ -120,7 +120,8 @@ def _estimate(problem: Problem, options: BAOptions) -> Estimate:
     doubts = classify.doubts(replace(found, state=refined.state), start.others, statistics, residual_px)
     steps = [step for candidate in (*start.others, found) for step in candidate.steps] + refined.steps
     solution = _finish(problem, statistics, refined.state, focal, doubts, steps)
-    return replace(solution, static=start.static, flags=start.flags + solution.flags)
+    numbers = solution.statistics | {"roughness": found.roughness}
+    return replace(solution, static=start.static, statistics=numbers, flags=start.flags + solution.flags)
 
 
 def _start(

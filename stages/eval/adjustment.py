@@ -59,6 +59,11 @@ STATISTICS: Mapping[str, tuple[str, str, str]] = {
         PX,
         "Hardly more than the line before: the scene is planar, which is a doubt.",
     ),
+    "roughness": (
+        "roughness of the camera path",
+        "mean |a| / mean |v|",
+        "Starts that fit equally well: the smoothest is taken. A rough path of a moving camera is a doubt.",
+    ),
     "residual_px": (
         "left by the solution, median",
         PX,
