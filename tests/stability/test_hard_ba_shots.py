@@ -30,7 +30,7 @@ def glued(first: Scene, second: Scene) -> tuple[np.ndarray, ...]:
     pairs = [(i, j) for i in range(T) for j in range(T) if abs(i - j) in OFFSETS]
     source, target = np.array(pairs).T
     flow, confidence = np.zeros((len(pairs), *pixels, 2), np.float32), np.zeros((len(pairs), *pixels), np.float32)
-    confidence[:, ::24, ::24] = 1
+    confidence[:, :8, :16] = 1
     for scene, start in ((first, 0), (second, first.T)):
         inner = [k for k, (i, j) in enumerate(pairs) if start <= min(i, j) and max(i, j) < start + scene.T]
         _, _, flow[inner], confidence[inner] = flow_arrays(scene, OFFSETS)
@@ -61,6 +61,7 @@ def test_of_a_cut_sequence_the_longest_shot_is_solved_alone(longest_first: bool)
     graph, frames = graph_of(edges, 12)
     inside = slice(0, 7) if longest_first else slice(5, 12)
     assert_array_equal(np.flatnonzero(frames), np.arange(12)[inside])
+    assert not graph.weights[~(frames[graph.source] & frames[graph.target])].any()
     solution = shots.estimate_shot(Problem(graph, masked=True, known_focal_px=long.focal_px), frames, BAOptions())
     poses, covariance = solution.state.cam_from_world, solution.covariance
     assert trajectory_error(poses[inside], long.cam_from_world) < 2e-3
@@ -77,26 +78,29 @@ def test_black_frames_amid_others_are_bridged_and_known_to_be_unobserved() -> No
     solution = shots.estimate_shot(Problem(graph, masked=True, known_focal_px=scene.focal_px), frames, BAOptions())
     poses, covariance = solution.state.cam_from_world, solution.covariance
     assert trajectory_error(poses[frames], scene.cam_from_world[frames]) < 2e-3
-    assert trajectory_error(poses, scene.cam_from_world) < 1e-2
+    assert trajectory_error(poses, scene.cam_from_world) < 2e-3
     assert covariance[~frames, 0, 0].min() > 1e3 * covariance[frames].max()
 
 
 def test_a_chain_goes_on_behind_a_gap_at_the_scale_before_it() -> None:
     """Matches over a gap of k frames show k times the motion of the pair before it: no measure of the one behind it."""
     scene = make_scene(T=10)
-    graph, _ = graph_of(blind_at(scene, [4, 5]), 10)
+    graph, _ = graph_of(blind_at(scene, [4]), 10)
     poses = chain(graph, Hypothesis(scene.focal_px, 0.2), seed=0)
     steps = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
-    assert_allclose(steps[6:] / steps[0], 1, atol=0.5)
+    assert_allclose(steps / steps[0], 1, atol=0.2)
 
 
 def test_a_blind_frame_does_not_take_up_the_size_of_the_trajectory() -> None:
-    scene = make_scene(T=8)
-    graph, frames = graph_of(blind_at(scene, [4]), 8)
-    state = initial_state(graph, scene.cam_from_world, scene.focal_px)
-    S, _ = linear_system(graph, state, 1.0)
-    sigma = np.sqrt(np.diagonal(reduced.covariance(S, state.cam_from_world, Unknowns().indices(8))))[:-1].reshape(8, 6)
-    assert sigma[frames].max() < 1e-2 * sigma[4].min()
+    scene, sigmas = make_scene(T=8), []
+    for hidden in ([], [4]):
+        graph, frames = graph_of(blind_at(scene, hidden), 8)
+        state = initial_state(graph, scene.cam_from_world, scene.focal_px)
+        S, _ = linear_system(graph, state, 1.0)
+        covariance = reduced.covariance(S, state.cam_from_world, Unknowns().indices(8))
+        sigmas.append(np.sqrt(np.diagonal(covariance)[:-1]).reshape(8, 6))
+    assert sigmas[1][frames].max() < 2 * sigmas[0].max()
+    assert sigmas[1][4].min() > 1e3 * sigmas[0].max()
 
 
 @pytest.mark.parametrize("weight", [0.0, GUESSED])
