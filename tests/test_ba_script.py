@@ -16,7 +16,7 @@ from stages.ba.solve import main
 from stages.flow.estimate import main as estimate_flow
 from stages.flow.options import FlowOptions
 from stages.shared.artifacts import read_dense, read_metadata, read_table, write_json
-from stages.shared.cameras import read_cameras
+from stages.shared.cameras import read_cameras, write_cameras
 from stages.shared.errors import InputError
 from stages.shared.images import write_image
 from stages.shared.sequences import check_sequence, sequence_to_json
@@ -50,6 +50,37 @@ def test_the_script_writes_every_artifact_and_continues_a_round(artifacts: dict[
     metadata = read_metadata(second["poses"])
     assert metadata["focal"]["decision"] in ("estimated", "weakly observed")
     assert metadata["camera"] == "moving"
+
+
+def test_a_round_is_held_against_the_one_before(artifacts: dict[str, Path], tmp_path: Path) -> None:
+    options, (first, second) = BAOptions(stride_px=4), (outputs(tmp_path / name) for name in ("one", "two"))
+    main(**artifacts, **first, options=options)
+    cameras, metadata = read_cameras(first["poses"]), read_metadata(first["poses"])
+    longer = metadata["focal"] | {"focal_px": 1.3 * metadata["focal"]["focal_px"]}
+    write_cameras(before := tmp_path / "before.parquet", cameras, {"focal": longer, "static_share": 2.0})
+    main(**artifacts, **second, options=options, previous_poses=before)
+    flags = read_metadata(second["poses"])["flags"]
+    assert any("static area shrank from 2.00" in flag for flag in flags)
+    assert any("moved by -23 %" in flag and "not converged" in flag for flag in flags)
+    assert "previous round" in read_table(second["convergence"])["phase"]
+    assert metadata["flags"] == []
+
+
+@pytest.mark.parametrize(("motion", "status"), [("rotate", "rotation-only"), ("still", "near-still")])
+def test_a_camera_that_does_not_move_is_labelled_so(motion: str, status: str, tmp_path: Path) -> None:
+    scene = make_scene(T=6, motion=motion)
+    files, paths = write_inputs(tmp_path, flow_arrays(scene), scene.dynamic), outputs(tmp_path / "out")
+    main(**files, **paths, options=BAOptions(stride_px=4))
+    assert list(read_cameras(paths["poses"]).status) == [status] * 6
+    assert read_metadata(paths["poses"])["flags"] == []
+
+
+def test_what_is_no_number_is_null_in_the_metadata(tmp_path: Path) -> None:
+    source, target, flow, confidence = flow_arrays(make_scene(T=4, size=(48, 64)))
+    files = write_inputs(tmp_path, (source, target, flow, 0 * confidence), np.zeros((4, 48, 64), bool))
+    main(**files, **(paths := outputs(tmp_path / "out")), options=BAOptions(stride_px=4))
+    assert read_metadata(paths["poses"])["residual_px"] is None
+    assert b"Infinity" not in paths["poses"].read_bytes()
 
 
 def test_a_missing_mask_is_named(artifacts: dict[str, Path], tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Named statistics that tell, without truth, what kind of camera motion this is and whether a solution is doubtful."""
+"""Named statistics that tell, without truth, what kind of camera motion this is."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,8 +8,6 @@ import numpy as np
 
 from stages.ba import twoview
 from stages.ba.graph import MIN_MATCHES, FlowGraph
-from stages.ba.initialise import Candidate
-from stages.shared import lie
 
 ROTATION_PX = 0.5
 """Below this median residual over a long baseline, a rotation explains the flow (measured: 0.2 against 2.5-13 px)."""
@@ -21,10 +19,8 @@ FLOOR_PX = 0.05
 """Two-view residuals below this say nothing more about which model fits."""
 MOST = 80
 """Percentile of the residuals that stands for most matches: movers and outliers may be beyond."""
-ROUGH_PATH = 0.2
 RESIDUAL_RATIO = 3.0
-SAME_COST, SAME_PATH, SAME_ROUGHNESS = 0.05, 0.05, 2.0
-"""Rivals in earnest cost as little, go elsewhere (share of the path), and are nearly as smooth."""
+"""Residuals that many times larger than others are of another kind."""
 PAIRS = 8
 
 
@@ -85,39 +81,9 @@ def measure(graph: FlowGraph, focals_px: Sequence[float], seed: int) -> Statisti
         rotation[best],
         _median([np.median(residuals) for residuals in sampson]),
         _median([np.median(residuals) for residuals in homography]),
-        _median([np.percentile(residuals, MOST) for residuals in sampson]),
-        _median([np.percentile(residuals, MOST) for residuals in homography]),
+        _median([np.percentile(residuals, MOST, method="lower") for residuals in sampson]),
+        _median([np.percentile(residuals, MOST, method="lower") for residuals in homography]),
     )
-
-
-def doubts(chosen: Candidate, others: Sequence[Candidate], statistics: Statistics, residual_px: float) -> list[str]:
-    """Reasons, in words, to distrust a solution; empty when none of its statistics speaks against it."""
-    found = []
-    if statistics.camera == "moving" and chosen.roughness > ROUGH_PATH:
-        found.append(f"rough camera path: mean |a| / mean |v| = {chosen.roughness:.2f} > {ROUGH_PATH}")
-    if residual_px > RESIDUAL_RATIO * max(statistics.sampson_px, FLOOR_PX):
-        found.append(f"median residual {residual_px:.2f} px against {statistics.sampson_px:.2f} px of two-view fits")
-    for other in others:
-        difference = path_difference(chosen.state.cam_from_world, other.state.cam_from_world)
-        as_smooth = other.roughness <= SAME_ROUGHNESS * chosen.roughness
-        if other.cost <= chosen.cost * (1 + SAME_COST) and as_smooth and difference > SAME_PATH:
-            found.append(f"{other.name} costs the same and differs by {100 * difference:.0f} % of the path")
-    return found
-
-
-def path_difference(cam_from_world: np.ndarray, other: np.ndarray) -> float:
-    """RMS distance of the camera centres after similarity alignment, as a share of the path length.
-
-    Unlike `stages.shared.alignment.umeyama` it takes straight paths: the turn about the line changes no distance.
-    """
-    a, b = (lie.inverse(poses)[:, :3, 3] for poses in (cam_from_world, other))
-    a, b = a - a.mean(axis=0), b - b.mean(axis=0)
-    U, singular, Vt = np.linalg.svd(a.T @ b)
-    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))])
-    scale = (singular * signs).sum() / max((b**2).sum(), 1e-300)
-    aligned = scale * b @ (U * signs @ Vt).T
-    length = np.linalg.norm(np.diff(a, axis=0), axis=1).sum()
-    return float(np.sqrt(((a - aligned) ** 2).sum(axis=1).mean()) / max(length, 1e-300))
 
 
 def _pairs(graph: FlowGraph, offset: int) -> list[tuple[int, int]]:

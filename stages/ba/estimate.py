@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from stages.ba import classify, dba, initialise, rotation, trim
+from stages.ba import classify, dba, doubts, initialise, rotation, trim
 from stages.ba.classify import Statistics
 from stages.ba.dba import FocalPrior, Level, State, Step, Unknowns
 from stages.ba.graph import MIN_MATCHES, FlowGraph, favour_distance, shared_matches
@@ -117,9 +117,9 @@ def _estimate(problem: Problem, options: BAOptions) -> Estimate:
     state = initialise.initial_state(graph, found.state.cam_from_world, found.state.focal_px, FINE[0].sigma_px)
     refined, focal = _refine(problem, statistics, replace(found, state=state), prior)
     residual_px = median_residual(graph, refined.state)
-    doubts = classify.doubts(replace(found, state=refined.state), start.others, statistics, residual_px)
+    against = doubts.of_solution(replace(found, state=refined.state), start.others, statistics, residual_px)
     steps = [step for candidate in (*start.others, found) for step in candidate.steps] + refined.steps
-    solution = _finish(problem, statistics, refined.state, focal, doubts, steps)
+    solution = _finish(problem, statistics, refined.state, focal, against, steps)
     numbers = solution.statistics | {"roughness": found.roughness}
     return replace(solution, static=start.static, statistics=numbers, flags=start.flags + solution.flags)
 
@@ -225,18 +225,17 @@ def _adjust_twice(graph: FlowGraph, state: State, unknowns: Unknowns, prior: Foc
 
 
 def _finish(
-    problem: Problem, statistics: Statistics, state: State, focal: Focal, doubts: list[str], steps: list[Step]
+    problem: Problem, statistics: Statistics, state: State, focal: Focal, against: list[str], steps: list[Step]
 ) -> Estimate:
     graph = problem.graph
     unknowns = Unknowns(focal.decision in ("estimated", "weakly observed"), statistics.camera != "rotating")
     blocks = solution_covariance(graph, state, unknowns)[:-1, :-1].reshape(graph.T, 6, graph.T, 6)
     covariance = np.einsum("iaib->iab", blocks)
-    flags = list(doubts)
+    decision = asdict(focal) | {"focal_px": state.focal_px}
+    flags = list(against)
     if statistics.planar:
         flags.append("planar scene: one homography explains the flow, so that depth and motion rest on one plane")
-    if focal.decision == "weakly observed":
-        flags.append(f"focal length weakly observed: predicted error {100 * (focal.relative_sigma or 0):.0f} %")
+    flags += doubts.of_focal(statistics.camera, decision)
     numbers = asdict(statistics) | {"camera": statistics.camera, "planar": statistics.planar}
     residual_px = median_residual(graph, state)
-    decision = asdict(focal) | {"focal_px": state.focal_px}
-    return Estimate(state, statistics.camera, covariance, residual_px, decision, numbers, doubts, flags, steps)
+    return Estimate(state, statistics.camera, covariance, residual_px, decision, numbers, against, flags, steps)

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import cv2
 import numpy as np
 
-from stages.ba import dba, figures, given, shots
+from stages.ba import dba, doubts, figures, given, shots
 from stages.ba.depth import DepthMaps, depth_maps
 from stages.ba.estimate import Estimate, Problem
 from stages.ba.graph import (
@@ -40,8 +40,6 @@ from stages.shared.log import logger
 from stages.shared.sequences import Sequence, read_sequence
 
 STATUS = {"moving": "estimated", "near-still": "near-still", "rotating": "rotation-only", "failed": "failed"}
-SHRINKING = 0.7
-"""A static area that falls below this share of the round before is a sign of masks that run away."""
 GAUGE = "the first camera is the world; the median inverse depth of the solver's pixels is 1"
 
 
@@ -74,7 +72,7 @@ def main(
     masked = unmasked is not None or previous is not None
     solution = _solve(Problem(graph, masked, known_focal_px, previous, unmasked), matches.shot, frames, options)
     flags = shots.doubts(matches.shot, frames.numbers) + solution.flags
-    flags += _mask_doubts(static[matches.shot], ignored[matches.shot], previous_poses)
+    flags += _round_doubts(solution, static[matches.shot], ignored[matches.shot], previous_poses)
     _log(frames.name, solution, flags)
     if solution.static is not None:
         static, graph = solution.static, mask_graph(everything, solution.static)
@@ -186,16 +184,11 @@ def _previous(poses: Path | None, scale: float) -> PoseGuess | None:
     return PoseGuess(cameras.cam_from_world, float(cameras.Ks[0, 0, 0] * scale))
 
 
-def _mask_doubts(static: np.ndarray, ignored: np.ndarray, previous_poses: Path | None) -> list[str]:
-    """What speaks against the masks, of which those of some frames [T] were ignored."""
-    doubts = []
-    if ignored.any():
-        doubts.append(f"masks of {ignored.sum()} of {len(ignored)} frames ignored: they leave too little static area")
-    before = read_metadata(previous_poses).get("static_share") if previous_poses else None
-    if before and static.mean() < SHRINKING * before:
-        shares = f"from {before:.2f} to {static.mean():.2f}"
-        doubts.append(f"static area shrank {shares} since the round before: masks may gain from one more of `rounds`")
-    return doubts
+def _round_doubts(solution: Estimate, static: np.ndarray, ignored: np.ndarray, previous: Path | None) -> list[str]:
+    """What masks say against the solution, of which those of some frames [T] were ignored, and the round before."""
+    before = read_metadata(previous) if previous else {}
+    found = doubts.of_masks(static, ignored, before.get("static_share"))
+    return found + (doubts.of_rounds(solution.focal, before["focal"]) if before else [])
 
 
 def _cameras(solution: Estimate, graph: FlowGraph, frames: Sequence, scale: float) -> Cameras:
@@ -213,13 +206,18 @@ def _pose_metadata(solution: Estimate, flags: list[str], static: np.ndarray, opt
     return {
         "camera": solution.camera,
         "focal": solution.focal,
-        "statistics": solution.statistics,
-        "residual_px": solution.residual_px,
+        "statistics": {name: _or_null(value) for name, value in solution.statistics.items()},
+        "residual_px": _or_null(solution.residual_px),
         "flags": flags,
         "static_share": float(static.mean()),
         "gauge": GAUGE,
         "options": options.model_dump(),
     }
+
+
+def _or_null(value: Any) -> Any:
+    """The value; None in place of a number that JSON has no word for."""
+    return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
 def _write_depth(path: Path, maps: DepthMaps, frames: Sequence, stride_px: float) -> None:

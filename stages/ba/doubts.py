@@ -1,0 +1,90 @@
+"""What speaks against a solution, in words: its statistics, its focal length, its masks and the round before."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from stages.ba.classify import FLOOR_PX, RESIDUAL_RATIO, Statistics
+from stages.ba.initialise import Candidate
+from stages.shared import lie
+
+ROUGH_PATH = 0.2
+SAME_COST, SAME_PATH, SAME_ROUGHNESS = 0.05, 0.05, 2.0
+"""Rivals in earnest cost as little, go elsewhere (share of the path), and are nearly as smooth."""
+SHRINKING = 0.7
+"""A static area that falls below this share of the round before is a sign of masks that run away."""
+MOVED = 3.0
+"""Rounds that agree move the focal length by less than this many predicted errors (measured: by at most 0.4)."""
+
+
+def of_solution(
+    chosen: Candidate, others: Sequence[Candidate], statistics: Statistics, residual_px: float
+) -> list[str]:
+    """Reasons, in words, to distrust a solution; empty when none of its statistics speaks against it."""
+    found = []
+    if statistics.camera == "moving" and chosen.roughness > ROUGH_PATH:
+        found.append(f"rough camera path: mean |a| / mean |v| = {chosen.roughness:.2f} > {ROUGH_PATH}")
+    if residual_px > RESIDUAL_RATIO * max(statistics.sampson_px, FLOOR_PX):
+        found.append(f"median residual {residual_px:.2f} px against {statistics.sampson_px:.2f} px of two-view fits")
+    for other in others:
+        apart, length = path_difference(chosen.state.cam_from_world, other.state.cam_from_world)
+        # Paths that part by less than moves a pixel of median depth, 1, by the noise of the flow are the same.
+        seen = apart * chosen.state.focal_px > max(residual_px, FLOOR_PX)
+        as_smooth = other.roughness <= SAME_ROUGHNESS * chosen.roughness
+        if seen and other.cost <= chosen.cost * (1 + SAME_COST) and as_smooth and apart > SAME_PATH * length:
+            share = 100 * apart / length
+            found.append(f"{other.name} costs the same and differs by {share:.0f} % of the path")
+    return found
+
+
+def of_focal(camera: str, focal: Mapping[str, Any]) -> list[str]:
+    """What to say of the decision about the focal length, as the artifact has it, of a camera of this class."""
+    if focal["decision"] == "weakly observed":
+        return [f"focal length weakly observed: predicted error {100 * focal['relative_sigma']:.0f} %"]
+    if focal["decision"] == "held at prior" and camera == "moving":
+        return [f"focal length held at prior: {focal['reason']}"]
+    return []
+
+
+def of_rounds(now: Mapping[str, Any], before: Mapping[str, Any]) -> list[str]:
+    """Whether an estimated focal length says that rounds have not converged; both as the artifact has them."""
+    if now["decision"] not in ("estimated", "weakly observed"):
+        return []
+    moved = np.log(now["focal_px"] / before["focal_px"])
+    sigmas = abs(moved) / max(now["relative_sigma"], 1e-12)
+    if sigmas <= MOVED:
+        return []
+    words = f"focal length moved by {100 * np.expm1(moved):+.0f} % since the round before"
+    return [f"{words}, {sigmas:.0f} times its predicted error: rounds have not converged"]
+
+
+def of_masks(static: np.ndarray, ignored: np.ndarray, share_before: float | None) -> list[str]:
+    """What speaks against the masks that leave `static` [T, h, w], of which those of some frames [T] were ignored.
+
+    Args:
+        share_before: static share of the image in the round before, if there was one.
+    """
+    found = []
+    if ignored.any():
+        found.append(f"masks of {ignored.sum()} of {len(ignored)} frames ignored: they leave too little static area")
+    if share_before and static.mean() < SHRINKING * share_before:
+        shares = f"from {share_before:.2f} to {static.mean():.2f}"
+        readings = "movers found that the round before missed, or masks that run away: compare those of both rounds"
+        found.append(f"static area shrank {shares} since the round before: {readings}")
+    return found
+
+
+def path_difference(cam_from_world: np.ndarray, other: np.ndarray) -> tuple[float, float]:
+    """RMS distance of the camera centres after similarity alignment, and the length of the first path.
+
+    Unlike `stages.shared.alignment.umeyama` it takes straight paths: the turn about the line changes no distance.
+    """
+    a, b = (lie.inverse(poses)[:, :3, 3] for poses in (cam_from_world, other))
+    a, b = a - a.mean(axis=0), b - b.mean(axis=0)
+    U, singular, Vt = np.linalg.svd(a.T @ b)
+    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))])
+    scale = (singular * signs).sum() / max((b**2).sum(), 1e-300)
+    aligned = scale * b @ (U * signs @ Vt).T
+    length = np.linalg.norm(np.diff(a, axis=0), axis=1).sum()
+    return float(np.sqrt(((a - aligned) ** 2).sum(axis=1).mean())), float(length)
