@@ -29,7 +29,7 @@ addEventListener("load", () => {
   const table = (id) => document.querySelector(`[id="${id}"] + .scroll table`);
   const words = (cells) => [...cells].map((cell) => cell.firstChild ? cell.firstChild.textContent.trim() : "");
   const found = {};
-  for (const id of ["adjustment", "statistics_pan", "statistics_sleeping"]) {
+  for (const id of ["poses", "adjustment", "statistics_pan", "statistics_sleeping"]) {
     const box = table(id).closest(".scroll");
     found[id] = {head: words(table(id).tHead.rows[0].cells), rows: [...table(id).tBodies[0].rows].map(
       (row) => words(row.cells)), height: box.clientHeight, clipped: box.scrollWidth - box.clientWidth};

@@ -17,11 +17,10 @@ COLUMNS = (
     Column("doubts", "doubts"),
     Column("flags", "in words", long=True),
 )
-PX = "px of the flow grid"
 STATISTICS: Mapping[str, tuple[str, str, str]] = {
     "flow_px": (
         "flow between neighbouring frames",
-        PX,
+        "px",
         "Where a rotation explains the flow, a camera with little of it is near-still, with more of it rotation-only.",
     ),
     "offset": (
@@ -31,32 +30,32 @@ STATISTICS: Mapping[str, tuple[str, str, str]] = {
     ),
     "rotation_1_px": (
         "left by a rotation, neighbouring frames",
-        PX,
+        "px",
         "Nothing by itself: the next line shows how the camera's travel adds up.",
     ),
     "rotation_px": (
         "left by a rotation, long baseline",
-        PX,
+        "px",
         "Little in itself and against the epipolar residual: the camera does not travel; more: it is moving.",
     ),
     "sampson_px": (
-        "left by the epipolar geometry, median",
-        PX,
+        "left by the epipolar geometry (Sampson), median",
+        "px",
         "The noise of the flow: what the other residuals are held against.",
     ),
     "homography_px": (
         "left by a homography, median",
-        PX,
+        "px",
         "Hardly more than the epipolar residual: one plane fills half of the view, and starts from a plane compete.",
     ),
     "most_sampson_px": (
         "left by the epipolar geometry, of four matches in five",
-        PX,
+        "px",
         "What the next line is held against.",
     ),
     "most_homography_px": (
         "left by a homography, of four matches in five",
-        PX,
+        "px",
         "Hardly more than the line before: the scene is planar, which is a doubt.",
     ),
     "roughness": (
@@ -66,7 +65,7 @@ STATISTICS: Mapping[str, tuple[str, str, str]] = {
     ),
     "residual_px": (
         "left by the solution, median",
-        PX,
+        "px",
         "Several times the epipolar residual is a doubt.",
     ),
     "focal_sigma_percent": (
@@ -99,7 +98,8 @@ def decisions(metadata: Mapping[str, Any]) -> Row:
 
 def decision_table(poses: Sequence[Row]) -> Table:
     """The decisions of the last round on every sequence, from the rows of the pose table."""
-    rows = [row for row in poses if row["method"] == "ours" and row.get("camera")]
+    ours = (row for row in poses if row["method"] == "ours" and row.get("camera"))
+    rows = [{key: row[key] for key in ("sequence", *DECISIONS)} for row in ours]
     note = (
         "By the numbers of the adjustment alone, after the last round. Of a focal length that was held, the predicted "
         "error is that of estimating it."
@@ -129,7 +129,10 @@ def statistics_table(rows: list[Row]) -> Table:
     """The numbers of every sequence, each with what it decides."""
     value = Column("statistic", "statistic"), Column("value", "value"), Column("unit", "unit")
     columns = (Column("sequence", "sequence"), *value, Column("decides", "what it decides", long=True))
-    note = "Measured without truth, in the last round; medians over pairs of frames, of confident static matches."
+    note = (
+        "Measured without truth, in the last round: medians over pairs of frames, of confident static matches; pixels "
+        "are those of the flow grid."
+    )
     return Table("statistics", "On which numbers the adjustment decided", note, columns, rows)
 
 

@@ -53,8 +53,9 @@ def pose_tables(rows: list[Row], protocol: str) -> tuple[Table, Table]:
         summaries.pose_means(rows),
     )
     signed = Column("focal_error_percent", "focal error", "%", 1)
-    frames = Column("registered", "registered", "frames"), Column("total", "of", "frames")
-    about = Column("status", "status"), Column("note", "note", long=True), Column("path", "true path", "scene units", 2)
+    frames = Column("registered", "posed", "frames"), Column("total", "of", "frames")
+    path = Column("path", "true path", "scene units", 2, file_only=True)
+    about = Column("status", "status"), Column("note", "note", long=True), path
     decided = (replace(column, file_only=True) for column in adjustment.COLUMNS)  # a table of its own shows them
     columns = (SEQUENCE, METHOD, *ERRORS, signed, *SECONDS, *frames, *about, HOW, *decided)
     return mean, Table("poses", "Poses of every sequence", f"{note} {statements(rows, 'method')}", columns, rows)

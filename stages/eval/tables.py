@@ -15,6 +15,8 @@ from stages.shared.artifacts import atomic, read_table, write_table
 
 Row = dict[str, Any]
 MAX_DIGITS = 6
+WRAPPED = 20
+"""Texts of more characters may be broken into lines."""
 
 
 @dataclass(frozen=True)
@@ -49,8 +51,12 @@ class Column:
 
     def style(self, rows: Sequence[Row]) -> str:
         """The class of the cells in these rows."""
-        is_number = self.digits is not None or any(isinstance(row.get(self.key), int | float) for row in rows)
-        return "number" if is_number else "long" if self.long else "text"
+        values = [row.get(self.key) for row in rows]
+        if self.digits is not None or any(isinstance(value, int | float) for value in values):
+            return "number"
+        if self.long:
+            return "long"
+        return "words" if max((len(str(value)) for value in values), default=0) > WRAPPED else "text"
 
     def share(self, row: Row, highest: float) -> float | None:
         """Length of the bar in percent of the highest; none for totals and unknown values."""
