@@ -59,6 +59,8 @@ def reconstruct(root: Path, name: str, motion: str) -> Path:
     solve.main(folder / "sequence.json", folder / "flow/pairs.arrow", **outputs, options=options)
     shutil.copytree(folder / "ba", folder / "round1/ba", dirs_exist_ok=True)
     run.score(folder)
+    for only_drawn in ("eval/trajectory", "eval/frames", "ba/convergence", "gaussians/convergence"):
+        (folder / f"{only_drawn}.parquet").unlink()
     return folder
 
 
