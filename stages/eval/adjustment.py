@@ -71,7 +71,7 @@ STATISTICS: Mapping[str, tuple[str, str, str]] = {
     "focal_sigma_percent": (
         "predicted focal error",
         "%",
-        "Small: the focal length is estimated; larger: weakly observed; beyond that it is held at the prior.",
+        "If the camera moves: small, the focal length is estimated; larger, weakly observed; beyond that, held.",
     ),
     "static_percent": (
         "static area",
