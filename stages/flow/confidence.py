@@ -3,6 +3,7 @@
 import cv2
 import numpy as np
 
+from stages.flow.noise import flow_variance
 from stages.shared.warp import is_inside, warp
 
 NOISE_PX = 0.3
@@ -14,9 +15,6 @@ ROUGH_PX = 0.35
 PHOTOMETRIC_LIMIT = 2.0
 """A photometric residual of this many times the frame's median is a mismatch."""
 
-BLUR_PX, TEXTURE_WINDOW_PX = 1.5, 15
-MIN_NOISE = 0.29
-"""Noise of 8-bit rounding, in grey levels."""
 TEXTURELESS = 0.45
 """Without texture above the noise, flow is a guess from its surroundings: its confidence stays below one half."""
 
@@ -30,20 +28,20 @@ def flow_confidence(
     photometric residual between the grey frames source and target [h, w] uint8, and texture above the noise (that of
     the source is `textured` where it is known). Zero where the flow leaves the frame.
     Above 0.5 the true error is under 1 px for more than nine pixels in ten (benchmarks/flow_accuracy.py measures it),
-    but not in dense fog at night, where few pixels are above it.
+    to a frame or two on even in dense fog at night, where few pixels are above it.
     """
     disagreement = cv2.magnitude(*cv2.split(flow + warp(back, flow)))
     expected = NOISE_PX + NOISE_PER_PX * np.minimum(cv2.magnitude(*cv2.split(flow)), FAST_PX)
     consistent = 1 / (1 + (disagreement / expected) ** 2) ** 2
     smooth = 1 / (1 + _local_variance(flow) / ROUGH_PX**2)
     similar = 1 / (1 + (_photometric_ratio(flow, source, target) / PHOTOMETRIC_LIMIT) ** 4)
-    textured = texture_confidence(source) if textured is None else textured
+    textured = texture_confidence(flow_variance(source)) if textured is None else textured
     return np.asarray(consistent * smooth * similar * textured * is_inside(flow), np.float32)
 
 
-def texture_confidence(source: np.ndarray) -> np.ndarray:
-    """The term [h, w] of a grey frame [h, w] uint8 that tells texture from noise, TEXTURELESS..1."""
-    return np.asarray(TEXTURELESS + (1 - TEXTURELESS) / (1 + _expected_variance(source)))
+def texture_confidence(variance: np.ndarray) -> np.ndarray:
+    """The term [h, w] that tells texture from noise, TEXTURELESS..1, for a variance [h, w] px^2 of flow by noise."""
+    return np.asarray(TEXTURELESS + (1 - TEXTURELESS) / (1 + variance))
 
 
 def _local_variance(flow: np.ndarray) -> np.ndarray:
@@ -59,25 +57,3 @@ def _photometric_ratio(flow: np.ndarray, source: np.ndarray, target: np.ndarray)
     residual = cv2.blur(np.abs(difference - np.median(difference[::2, ::2])), (5, 5))
     # One grey level is the least that 8-bit frames resolve: textureless frames have no smaller residual.
     return np.asarray(residual / max(float(np.median(residual[::2, ::2])), 1.0))
-
-
-def _expected_variance(source: np.ndarray) -> np.ndarray:
-    """Variance [h, w] px^2 that noise causes in flow along the worst direction of a window (Cramer-Rao bound).
-
-    The noise of two frames over the smaller eigenvalue of the structure tensor, less what noise itself adds to that.
-    """
-    noise = _noise_variance(source)
-    smooth = cv2.GaussianBlur(source.astype(np.float32), (0, 0), BLUR_PX)
-    gx, gy = (cv2.Sobel(smooth, -1, *order, ksize=3, scale=1 / 8) for order in ((1, 0), (0, 1)))
-    window = (TEXTURE_WINDOW_PX, TEXTURE_WINDOW_PX)
-    xx, yy, xy = (cv2.blur(product, window) for product in (gx * gx, gy * gy, gx * gy))
-    eigenvalue = (xx + yy) / 2 - np.sqrt((xx - yy) ** 2 / 4 + xy**2) - noise / (8 * np.pi * BLUR_PX**4)
-    # Of two flat directions any is as bad as the other: 1e-9 keeps the quotient finite.
-    return np.asarray(2 * noise / (np.maximum(eigenvalue, 1e-9) * TEXTURE_WINDOW_PX**2))
-
-
-def _noise_variance(image: np.ndarray) -> float:
-    """Variance of the noise of a grey frame (Immerkaer, CVIU 1996; by the median, which edges disturb less)."""
-    kernel = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)
-    response = np.abs(cv2.filter2D(image, cv2.CV_32F, kernel))
-    return max(float(np.median(response)) / 0.6745 / 6, MIN_NOISE) ** 2

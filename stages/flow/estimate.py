@@ -6,6 +6,7 @@ from typing import Annotated, Any
 import cv2
 import numpy as np
 
+from stages.flow import noise
 from stages.flow.confidence import flow_confidence, texture_confidence
 from stages.flow.dis import estimate_flow
 from stages.flow.edges import Edge, edge_list, long_edges
@@ -76,6 +77,11 @@ def _match(rgb: np.ndarray, options: FlowOptions) -> tuple[Flows, Flows, dict[st
     short = edge_list(len(rgb), options.offsets)
     threads, scale = cv2.getNumThreads(), options.finest_scale
     cv2.setNumThreads(1)
+    variances = threaded(noise.flow_variance, grey)
+    noisy = noise.hides_texture(grey, variances)
+    if noisy:
+        grey, variances, left = _averaged(rgb, scale, threads)
+        scale = max(scale, int(left > noise.COARSE_PX**2))
     flow = estimate_flow(grey, [edge for pair in nearest for edge in (pair, pair[::-1])], scale, threads)
     anew: Flows = {}
     for found in threaded(lambda pair: restarted_pair(rgb, grey, flow, pair, scale), nearest):
@@ -84,7 +90,7 @@ def _match(rgb: np.ndarray, options: FlowOptions) -> tuple[Flows, Flows, dict[st
     flow |= estimate_flow(grey, [edge for edge in short if edge not in flow], scale, threads, flow)
     flow |= estimate_flow(grey, long_edges(flow, len(rgb), options.long_edges), scale, threads, flow)
 
-    textured = threaded(texture_confidence, grey)
+    textured = threaded(texture_confidence, variances)
 
     def confidence(edge: Edge) -> np.ndarray:
         i, j = edge
@@ -92,7 +98,21 @@ def _match(rgb: np.ndarray, options: FlowOptions) -> tuple[Flows, Flows, dict[st
 
     confidences = dict(zip(flow, threaded(confidence, flow), strict=True))
     cv2.setNumThreads(threads)
-    return flow, confidences, {"started_from_matches": len(anew)}
+    return flow, confidences, {"started_from_matches": len(anew), "frames_averaged": noisy}
+
+
+def _averaged(rgb: np.ndarray, finest_scale: int, threads: int) -> tuple[np.ndarray, list[np.ndarray], float]:
+    """Grey frames [T, h, w] uint8 with less noise than those of rgb, and how far that still makes their flow err.
+
+    Returns:
+        frames, the variance [h, w] px^2 of the flow of each, and that by the noise left, at the median pixel.
+    """
+    loud = noise.quiet_grey(rgb)
+    level = float(np.mean([noise.noise_variance(frame) for frame in loud]))
+    flow = estimate_flow(np.rint(loud).astype(np.uint8), edge_list(len(loud), noise.REACH), finest_scale, threads)
+    frames, left = zip(*threaded(lambda i: noise.averaged(loud, flow, i, level), range(len(loud))), strict=True)
+    typical = noise.typical_variance(threaded(noise.flow_variance, frames, left))
+    return np.stack(frames), threaded(noise.averaged_variance, frames, left), typical
 
 
 def _take(truth: Truth, T: int, options: FlowOptions) -> tuple[Flows, Flows]:

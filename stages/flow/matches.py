@@ -41,8 +41,8 @@ def restarted_pair(
     inliers = trusted(sparse_matches(grey[i], grey[j]))
     if inliers is None:
         return {}
-    ahead = restarted(flow[i, j], rgb[i], rgb[j], inliers, finest_scale)
-    back = restarted(flow[j, i], rgb[j], rgb[i], inliers[:, ::-1], finest_scale)
+    ahead = restarted(flow[i, j], (rgb[i], rgb[j]), (grey[i], grey[j]), inliers, finest_scale)
+    back = restarted(flow[j, i], (rgb[j], rgb[i]), (grey[j], grey[i]), inliers[:, ::-1], finest_scale)
     return {} if ahead is None or back is None else {(i, j): ahead, (j, i): back}
 
 
@@ -82,14 +82,18 @@ def trusted(matches: np.ndarray) -> np.ndarray | None:
 
 
 def restarted(
-    flow: np.ndarray, source: np.ndarray, target: np.ndarray, matches: np.ndarray, finest_scale: int
+    flow: np.ndarray,
+    rgb: tuple[np.ndarray, np.ndarray],
+    grey: tuple[np.ndarray, np.ndarray],
+    matches: np.ndarray,
+    finest_scale: int,
 ) -> np.ndarray | None:
     """Flow [h, w, 2] px searched anew from densified matches, wherever that explains the target better than `flow`.
 
     The same bytes in every call and thread, if OpenCV itself runs single-threaded.
 
     Args:
-        source, target: [h, w, 3] uint8 frames.
+        rgb, grey: source and target, [h, w, 3] and [h, w] uint8.
         matches: [n, 2, 2] (source, target) px.
 
     Returns:
@@ -99,10 +103,9 @@ def restarted(
     try:
         with _ONE_AT_A_TIME:
             cv2.setRNGSeed(0)
-            start = cv2.ximgproc.createRICInterpolator().interpolate(source, here, target, there)
+            start = cv2.ximgproc.createRICInterpolator().interpolate(rgb[0], here, rgb[1], there)
     except cv2.error:
         return None
-    grey = [cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY) for frame in (source, target)]
     other = solve_pair(grey[0], grey[1], start, finest_scale)
     better = _residual(other, grey[0], grey[1]) < _residual(flow, grey[0], grey[1])
     return np.where(better[..., None], other, flow)

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from conftest import write_frames
 
-from stages.flow import confidence, estimate, truth
+from stages.flow import estimate, truth
 from stages.flow.confidence import flow_confidence
 from stages.flow.dis import estimate_flow
 from stages.flow.edges import edge_list, long_edges
+from stages.flow.noise import flow_variance
 from stages.flow.options import FlowOptions
 from stages.shared.artifacts import read_dense, write_json
 from stages.shared.sequences import check_sequence, sequence_to_json
@@ -64,7 +65,7 @@ def test_equal_frames_have_no_flow_and_full_confidence() -> None:
 def test_texture_within_the_rounding_of_8_bits_has_a_finite_bound() -> None:
     """A noise of zero would call every gradient of one grey level exact."""
     ramp = np.repeat(np.arange(160, dtype=np.uint8)[None] // 40 + 100, 96, axis=0)
-    variance = confidence._expected_variance(ramp)
+    variance = flow_variance(ramp)
     assert np.isfinite(variance).all()
     assert variance.min() > 1
 
