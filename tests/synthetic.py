@@ -65,17 +65,18 @@ def make_scene(
     disc_radius: float = 0.0,
     scale: float = 1.0,
     focal: float = 0.9,
+    travel: float = 1.0,
 ) -> Scene:
     """A scene of (h, w) px.
 
     Args:
-        motion: "curve" (translation and rotation), "rotate", or "still" (3 % of the curve).
+        motion: "curve" (translation and rotation), "rotate", "still" (3 % of the curve), or "drift" (mostly turning).
         disc_radius: radius of the moving disc at depth 2.5; 0 for a static scene.
-        scale: unit of length of the world; focal: focal length in image widths.
+        scale: unit of length of the world; focal: focal length in image widths; travel: share of the translation.
     """
     h, w = size
     K = centred_intrinsics(focal * w, w, h)
-    cam_from_world = camera_path(T, motion)
+    cam_from_world = camera_path(T, motion, travel)
     velocity = np.array([0.12, 0.02, 0.0]) if disc_radius else np.zeros(3)
     depth, dynamic = np.zeros((T, h, w)), np.zeros((T, h, w), bool)
     for k in range(T):
@@ -89,17 +90,19 @@ def make_scene(
     return Scene(cam_from_world, K, depth * scale, dynamic, velocity * scale)
 
 
-def camera_path(T: int, motion: str) -> np.ndarray:
+def camera_path(T: int, motion: str, travel: float = 1.0) -> np.ndarray:
     """Poses [T, 4, 4]; the first is the identity."""
     time = np.arange(T)[:, None]
     if motion == "rotate":
         twists = time * np.array([0, 0, 0, 0.002, 0.02, 0.001]) + np.sin(time * 0.7) * [0, 0, 0, 0.01, 0, 0.002]
+    elif motion == "drift":
+        twists = time * np.array([-0.01, 0.0016, -0.0065, 0.0008, -0.016, 0.0005])
     else:
         size = 0.03 if motion == "still" else 1.0
         straight = time * np.array([-0.15, 0.03, -0.1, 0.003, -0.012, 0.002])
         bend = (1 - np.cos(time * 0.3)) * [0.1, 0.08, 0.05, 0.004, -0.02, -0.004]
         twists = size * (straight + bend)
-    return lie.exp_se3(twists)
+    return lie.exp_se3(twists * np.repeat([travel, 1.0], 3))
 
 
 def exact_flow(scene: Scene, i: int, j: int) -> tuple[np.ndarray, np.ndarray]:

@@ -6,12 +6,12 @@ from numpy.testing import assert_allclose
 from synthetic import PLANE, make_scene, observe, trajectory_error
 
 from stages.ba import planar
+from stages.ba.classify import longest_step
 from stages.ba.dba import FocalPrior, State, Unknowns
 from stages.ba.estimate import FINE, Problem, _adjust_twice, estimate
 from stages.ba.graph import build_graph, favour_distance, mask_graph, thin_graph
 from stages.ba.initialise import adjust, pair_chain
 from stages.ba.options import BAOptions
-from stages.ba.start import longest_step
 
 OPTIONS = BAOptions()
 

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 
 from stages.ba import twoview
-from stages.ba.graph import MIN_MATCHES, FlowGraph
+from stages.ba.graph import MIN_MATCHES, MIN_WEIGHT, FlowGraph
 
 ROTATION_PX = 0.5
 """Below this median residual over a long baseline, a rotation explains the flow (measured: 0.2 against 2.5-13 px)."""
@@ -22,6 +22,10 @@ MOST = 80
 RESIDUAL_RATIO = 3.0
 """Residuals that many times larger than others are of another kind."""
 PAIRS = 8
+BASELINE = 5
+"""Frames of the long baseline, unless told otherwise."""
+MATCHED = 0.5
+"""Distant frames are related as long as they share this part of the matches that neighbours share."""
 
 
 @dataclass(frozen=True)
@@ -65,9 +69,16 @@ class Statistics:
         return self.camera == "moving" and self.most_homography_px < limit
 
 
-def measure(graph: FlowGraph, focals_px: Sequence[float], seed: int) -> Statistics:
+def longest_step(graph: FlowGraph) -> int:
+    """The largest distance of frames that are still matched well."""
+    length, confident = np.abs(graph.target - graph.source), (graph.weights > MIN_WEIGHT).sum(axis=1)
+    usual = {step: float(np.median(confident[length == step])) for step in np.unique(length).tolist()}
+    return max(step for step, count in usual.items() if count >= MATCHED * usual[min(usual)])
+
+
+def measure(graph: FlowGraph, focals_px: Sequence[float], seed: int, baseline: int = BASELINE) -> Statistics:
     """Statistics of the matches; residuals of a rotation at the focal length that explains them best."""
-    offset = max(int(step) for step in np.unique(graph.target - graph.source) if step <= 5)
+    offset = max(int(step) for step in np.unique(graph.target - graph.source) if step <= baseline)
     near, far = _pairs(graph, 1), _pairs(graph, offset)
     flow = [np.median(np.linalg.norm(x - y, axis=1)) for x, y, _ in (_rays(graph, pair, 1.0) for pair in near)]
     rotation = {f: _median([_rotation(graph, pair, f) for pair in far]) for f in focals_px}

@@ -109,7 +109,12 @@ def _estimate(problem: Problem, options: BAOptions) -> Estimate:
         return _failure(graph, problem.known_focal_px or prior.focal_px)
     statistics = classify.measure(graph, focals, options.seed)
     if statistics.camera == "rotating":
-        return _estimate_rotations(problem, statistics, prior)
+        rotations = _estimate_rotations(problem, statistics, prior)
+        if rotations.doubts:
+            focals_px = [rotations.state.focal_px]
+            statistics = classify.measure(graph, focals_px, options.seed, classify.longest_step(graph))
+        if statistics.camera == "rotating":
+            return rotations
     start = _start(problem, statistics, prior, focals, options)
     graph = start.graph
     problem = replace(problem, graph=graph, masked=problem.masked or start.static is not None)
@@ -144,7 +149,8 @@ def _estimate_rotations(problem: Problem, statistics: Statistics, prior: FocalPr
     focal = Focal("weakly observed" if sigma > WEAK_FOCAL else "estimated", sigma)
     if problem.known_focal_px:
         focal = Focal("known", 0.0)
-    return _finish(problem, statistics, state, focal, [], steps)
+    against = doubts.of_rotations(problem.graph, dba.errors_px(problem.graph, state))
+    return _finish(problem, statistics, state, focal, against, steps)
 
 
 def _observed(graph: FlowGraph) -> bool:

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from stages.ba import dba, initialise, planar
-from stages.ba.classify import Statistics
+from stages.ba.classify import Statistics, longest_step
 from stages.ba.dba import FocalPrior, Level, State, Unknowns
 from stages.ba.graph import MIN_WEIGHT, FlowGraph, mask_graph, thin_graph
 from stages.ba.initialise import Candidate, Hypothesis
@@ -19,8 +19,6 @@ COARSE_PIXELS = 400
 """Guesses are compared on a grid of about this many pixels per frame."""
 MAX_PAIR_PX = 0.3
 """Movers win two-view fits with wide thresholds: tighter ones than the adjustment needs."""
-MATCHED = 0.5
-"""Distant frames are related as long as they share this part of the matches that neighbours share."""
 SMOOTHER = 0.5
 """Without masks the same matches are explained as well by a path this much smoother: then the masks are wrong."""
 FITTING_PX = (0.3, 1.0)
@@ -145,13 +143,6 @@ def adjust_guesses(
             narrow = adjust(first.state, Level(sigma_px, 8, ENOUGH), first.name)
             found.append(replace(narrow, steps=first.steps + narrow.steps))
     return found
-
-
-def longest_step(graph: FlowGraph) -> int:
-    """The largest distance of frames that are still matched well."""
-    length, confident = np.abs(graph.target - graph.source), (graph.weights > MIN_WEIGHT).sum(axis=1)
-    usual = {step: float(np.median(confident[length == step])) for step in np.unique(length).tolist()}
-    return max(step for step, count in usual.items() if count >= MATCHED * usual[min(usual)])
 
 
 def explained(graph: FlowGraph, state: State) -> np.ndarray:

@@ -100,6 +100,19 @@ def test_pure_rotation_takes_no_translation_from_noise(noise_px: float) -> None:
     assert np.all(solution.state.cam_from_world[:, :3, 3] == 0)
 
 
+@pytest.mark.parametrize(("slowness", "camera"), [(1.0, "moving"), (0.25, "rotating"), (0.0, "rotating")])
+def test_a_slow_dolly_while_panning_is_no_rotation(slowness: float, camera: str) -> None:
+    """Over five frames a rotation explains all but the noise; taken for one, the focal length absorbs the travel."""
+    scene = make_scene(T=16, motion="drift", travel=slowness)
+    graph = observe(scene, offsets=(1, 4, 15), stride=6, noise_px=0.03)
+    solution = estimate(Problem(graph, masked=False), OPTIONS)
+    assert solution.camera == camera
+    assert any("camera may travel" in flag for flag in solution.flags) == (slowness == 0.25)
+    assert solution.state.focal_px == pytest.approx(scene.focal_px, rel=0.01)
+    if camera == "moving":
+        assert trajectory_error(solution.state.cam_from_world, scene.cam_from_world) < 5e-3
+
+
 def test_a_planar_scene_is_named_and_solved() -> None:
     scene = make_scene(size=(96, 160), planes=PLANE)
     graph = observe(scene, noise_px=0.05)
