@@ -69,10 +69,49 @@ def tiny() -> tuple[FlowGraph, State]:
     return replace(graph, weights=weights), disturbed(true_state(scene, graph))
 
 
-def test_the_reduced_step_equals_a_dense_reference(tiny: tuple[FlowGraph, State]) -> None:
+def edge_derivatives(graph: FlowGraph, state: State, e: int) -> tuple[np.ndarray, ...]:
+    """Derivatives [P, 2, n] of the projections of one edge, in plain numpy.
+
+    By the left twists of the target and of the source (6 each), the log focal length and the inverse depth (1 each).
+    """
+    i, j = graph.source[e], graph.target[e]
+    relative = state.cam_from_world[j] @ np.linalg.inv(state.cam_from_world[i])
+    R, t, f, d = relative[:3, :3], relative[:3, 3], state.focal_px, state.inverse_depth[i]
+    rays = np.concatenate([(graph.pixels - graph.centre) / f, np.ones((len(d), 1))], axis=1)
+    points = rays @ R.T + d[:, None] * t
+    X, Y, Z = points.T
+    by_point = np.zeros((len(d), 2, 3))
+    by_point[:, 0, 0] = by_point[:, 1, 1] = f / Z
+    by_point[:, 0, 2], by_point[:, 1, 2] = -f * X / Z**2, -f * Y / Z**2
+    shift = d[:, None, None] * np.eye(3)
+    by_target = by_point @ np.concatenate([shift, -lie.skew(points)], axis=2)
+    by_source = by_point @ -R @ np.concatenate([shift, -lie.skew(rays)], axis=2)
+    by_focal = by_point @ (-(rays * [1, 1, 0]) @ R.T)[:, :, None]
+    by_focal[:, :, 0] += f * np.stack([X / Z, Y / Z], axis=1)
+    return by_target, by_source, by_focal, by_point @ np.broadcast_to(t[:, None], (len(d), 3, 1))
+
+
+def dense_jacobian(graph: FlowGraph, state: State) -> np.ndarray:
+    """Derivative [2 E P, 6 T + 1 + T P] of the projections by (twists, log focal, inverse depths)."""
+    T, P = state.inverse_depth.shape
+    J = np.zeros((len(graph.source), P, 2, 6 * T + 1 + T * P))
+    for e, (i, j) in enumerate(zip(graph.source, graph.target, strict=True)):
+        by_target, by_source, by_focal, by_depth = edge_derivatives(graph, state, e)
+        J[e, :, :, 6 * j : 6 * j + 6], J[e, :, :, 6 * i : 6 * i + 6] = by_target, by_source
+        J[e, :, :, 6 * T : 6 * T + 1] = by_focal
+        J[e, np.arange(P), :, 6 * T + 1 + P * i + np.arange(P)] = by_depth[:, :, 0]
+    return J.reshape(-1, J.shape[-1])
+
+
+def test_derivatives_are_those_of_finite_differences(tiny: tuple[FlowGraph, State]) -> None:
+    numeric = numeric_jacobian(*tiny)
+    assert_allclose(dense_jacobian(*tiny), numeric, atol=1e-7 * np.abs(numeric).max())
+
+
+def test_the_reduced_system_and_its_depths_equal_a_dense_reference_to_1e_9(tiny: tuple[FlowGraph, State]) -> None:
     graph, state = tiny
     sigma, damping = 1.5, 1e-2
-    J, r = numeric_jacobian(graph, state, 1e-5), residuals(graph, state)
+    J, r = dense_jacobian(graph, state), residuals(graph, state)
     robust = graph.weights / (1 + (r**2).sum(-1) / sigma**2) ** 2
     W = np.repeat(robust.ravel(), 2)
     H, g = J.T @ (J * W[:, None]), J.T @ (W * r.ravel())
@@ -88,36 +127,13 @@ def test_the_reduced_step_equals_a_dense_reference(tiny: tuple[FlowGraph, State]
     hessians, schur, curvatures, gradients = kernel.normal_equations(data, at, sigma, damping, dba.DEPTH_PRIOR)
     relative = reduced.relative_motions(graph, state.cam_from_world)
     S_ours, rhs_ours = reduced.assemble(graph, relative, hessians, schur)
-
-    # 1e-7 is what central differences leave; the analytic reference below goes to 1e-9.
-    assert_allclose(S_ours, S, atol=1e-7 * np.abs(S).max())
-    assert_allclose(rhs_ours, rhs, atol=1e-7 * np.abs(rhs).max())
+    assert_allclose(S_ours, S, atol=1e-9 * np.abs(S).max())
+    assert_allclose(rhs_ours, rhs, atol=1e-9 * np.abs(rhs).max())
     step = np.random.default_rng(2).standard_normal(n)
     local = reduced.edge_steps(graph, relative, step)
     depth_step = kernel.depth_steps(data, at, sigma, curvatures, gradients, local)
     expected = np.linalg.solve(H[depths, depths], g[depths] - H[depths, :n] @ step).reshape(depth_step.shape)
-    assert_allclose(depth_step, expected, atol=1e-6 * np.abs(expected).max())
-
-
-def analytic_local_system(graph: FlowGraph, state: State, e: int, sigma: float) -> np.ndarray:
-    """The 8 x 8 normal matrix of one edge over (twist, log focal, residual), in plain numpy."""
-    i, j = graph.source[e], graph.target[e]
-    relative = state.cam_from_world[j] @ lie.inverse(state.cam_from_world[i])
-    f, d = state.focal_px, state.inverse_depth[i]
-    rays = np.concatenate([(graph.pixels - graph.centre) / f, np.ones((len(d), 1))], axis=1)
-    X, Y, Z = (rays @ relative[:3, :3].T + d[:, None] * relative[:3, 3]).T
-    by_point = np.zeros((len(d), 2, 3))
-    by_point[:, 0, 0] = by_point[:, 1, 1] = f / Z
-    by_point[:, 0, 2], by_point[:, 1, 2] = -f * X / Z**2, -f * Y / Z**2
-    by_twist = np.zeros((len(d), 3, 6))
-    by_twist[:, :, :3] = d[:, None, None] * np.eye(3)
-    by_twist[:, :, 3:] = -lie.skew(np.stack([X, Y, Z], axis=1))
-    by_focal = by_point @ (-(rays * [1, 1, 0]) @ relative[:3, :3].T)[:, :, None]
-    by_focal[:, :, 0] += f * np.stack([X / Z, Y / Z], axis=1)
-    r = residuals(graph, state)[e]
-    J = np.concatenate([by_point @ by_twist, by_focal, r[:, :, None]], axis=2)
-    robust = graph.weights[e] / (1 + (r**2).sum(-1) / sigma**2) ** 2
-    return np.einsum("pca,p,pcb->ab", J, robust, J)
+    assert_allclose(depth_step, expected, atol=1e-9 * np.abs(expected).max())
 
 
 def test_local_systems_equal_a_plain_numpy_reference_to_1e_9() -> None:
@@ -128,7 +144,11 @@ def test_local_systems_equal_a_plain_numpy_reference_to_1e_9() -> None:
     graph, state = replace(graph, weights=weights), disturbed(true_state(scene, graph))
     hessians, *_ = kernel.normal_equations(dba.observations(graph), dba.geometry(graph, state), 0.7, 0.0, 0.0)
     for e in range(len(graph.source)):
-        expected = analytic_local_system(graph, state, e, 0.7)
+        by_target, _, by_focal, _ = edge_derivatives(graph, state, e)
+        r = residuals(graph, state)[e]
+        J = np.concatenate([by_target, by_focal, r[:, :, None]], axis=2)
+        robust = graph.weights[e] / (1 + (r**2).sum(-1) / 0.7**2) ** 2
+        expected = np.einsum("pca,p,pcb->ab", J, robust, J)
         assert_allclose(hessians[e], expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
 
 
