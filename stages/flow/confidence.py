@@ -28,7 +28,7 @@ def flow_confidence(
     photometric residual between the grey frames source and target [h, w] uint8, and texture above the noise (that of
     the source is `textured` where it is known). Zero where the flow leaves the frame.
     Above 0.5 the true error is under 1 px for more than nine pixels in ten (benchmarks/flow_accuracy.py measures it),
-    to a frame or two on even in dense fog at night, where few pixels are above it.
+    in fog at night, where few pixels are above it, about nine in ten from frame to frame and fewer further on.
     """
     disagreement = cv2.magnitude(*cv2.split(flow + warp(back, flow)))
     expected = NOISE_PX + NOISE_PER_PX * np.minimum(cv2.magnitude(*cv2.split(flow)), FAST_PX)
