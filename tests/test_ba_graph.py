@@ -9,7 +9,7 @@ from synthetic import make_scene, observe
 
 from stages.ba.dba import State, normalise
 from stages.ba.depth import depth_maps
-from stages.ba.graph import FlowGraph, build_graph
+from stages.ba.graph import FlowGraph, build_graph, mask_graph
 
 SIZE = 220, 100
 """4 divides this height, 8 does not: two grids of cells that cover different areas."""
@@ -41,6 +41,17 @@ def test_areas_of_cells_are_those_that_they_were_sampled_from() -> None:
     u, v = np.rint(graph.pixels).astype(int).T
     assert_array_equal(spread[0, v, u], values.ravel())
     assert_array_equal(spread[0, 216:], spread[0, 212:216])
+
+
+def test_a_match_counts_where_both_of_its_ends_are_static() -> None:
+    flow, confidence = np.zeros((2, 32, 48, 2), np.float32), np.ones((2, 32, 48), np.float32)
+    flow[0, ..., 0], flow[1, ..., 0] = 16, -16
+    graph = build_graph(np.array([0, 1]), np.array([1, 0]), flow, confidence, 2, 8)
+    static = np.ones((2, 32, 48), np.float32)
+    static[1, :, 16:24] = 0  # the third column of cells of the second frame, where the first column comes to lie
+    weights = mask_graph(graph, static).weights.reshape(2, 4, 6)
+    assert_array_equal(weights[0], np.broadcast_to([0, 1, 1, 1, 1, 1], (4, 6)))
+    assert_array_equal(weights[1], np.broadcast_to([1, 1, 0, 1, 1, 1], (4, 6)))
 
 
 def test_depth_is_filled_in_the_masked_cells_alone() -> None:

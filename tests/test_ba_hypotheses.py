@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 from synthetic import PLANE, make_scene, observe, trajectory_error
 
-from stages.ba import planar
+from stages.ba import dba, planar
 from stages.ba.classify import longest_step
 from stages.ba.dba import FocalPrior, State, Unknowns
 from stages.ba.estimate import FINE, Problem, _adjust_twice, estimate
@@ -95,6 +95,18 @@ def test_a_kernel_as_narrow_as_the_noise_cuts_off_biased_flow() -> None:
     sharp = _adjust_twice(graph, start, unknowns, prior).state
     errors = [trajectory_error(state.cam_from_world, scene.cam_from_world) for state in (wide, sharp)]
     assert errors[1] < 0.5 * errors[0]
+
+
+def test_errors_that_short_edges_share_give_way_to_distant_frames() -> None:
+    """Each edge between neighbours takes the camera as much too far; what distant frames see contradicts it."""
+    scene = make_scene(T=6)
+    graph = observe(scene, offsets=(1, 5), noise_px=0.02)
+    near = np.abs(graph.target - graph.source) == 1
+    graph.matches[near, :, 0] += 0.1 * np.sign(graph.target - graph.source)[near, None]
+    start = State(scene.cam_from_world, graph.resample(1 / scene.depth, 1), scene.focal_px)
+    found = _adjust_twice(graph, start, Unknowns(), FocalPrior(scene.focal_px)).state
+    errors = dba.errors_px(graph, found)
+    assert np.median(errors[~near][graph.weights[~near] > 0]) < 0.5 * np.median(errors[near])
 
 
 def test_distant_frames_weigh_more_and_all_together_the_same() -> None:

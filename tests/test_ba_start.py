@@ -1,5 +1,7 @@
 """Where bundle adjustment starts and what it measures: two-view motion, chains, special cameras, depth."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -7,13 +9,14 @@ from numpy.testing import assert_allclose
 from synthetic import Scene, make_scene, observe, rotation_error_deg, trajectory_error
 
 from stages.ba import dba, twoview
-from stages.ba.dba import State
+from stages.ba.dba import FocalPrior, Level, State, Unknowns
 from stages.ba.depth import contact_inverse_depth, depth_maps, fill
 from stages.ba.estimate import Problem, estimate
 from stages.ba.graph import FlowGraph, static_areas
 from stages.ba.initialise import Hypothesis, chain, initial_state
 from stages.ba.options import BAOptions
 from stages.ba.start import PoseGuess
+from stages.ba.uncertainty import focal_sigma
 from stages.shared import lie
 
 OPTIONS = BAOptions()
@@ -94,6 +97,32 @@ def test_a_nearly_still_camera_keeps_the_focal_length_of_the_prior() -> None:
     assert solution.focal["decision"] == "held at prior"
     assert solution.state.focal_px == pytest.approx(1.1 * 160)
     assert trajectory_error(solution.state.cam_from_world, scene.cam_from_world) < 0.05
+
+
+@pytest.mark.parametrize(("T", "noise_px", "decision"), [(4, 0.1, "weakly observed"), (3, 0.3, "held at prior")])
+def test_a_short_path_does_not_decide_the_focal_length(T: int, noise_px: float, decision: str) -> None:
+    scene = make_scene(T=T)
+    solution = estimate(Problem(observe(scene, noise_px=noise_px), masked=True), OPTIONS)
+    assert (solution.camera, solution.focal["decision"]) == ("moving", decision)
+    assert [flag for flag in solution.flags if f"focal length {decision}" in flag]
+    held = solution.state.focal_px == pytest.approx(1.1 * 96)
+    assert held == (decision == "held at prior")
+
+
+def test_the_predicted_focal_error_covers_errors_that_neighbouring_matches_share() -> None:
+    """Flow errs alike over many pixels and all edges of a frame: as independent errors they would average out."""
+    scene, ratios = make_scene(T=6), []
+    start = true_state(scene, observe(scene))
+    for seed in range(4):
+        graph, rng = observe(scene), np.random.default_rng(seed)
+        noise = rng.standard_normal((6, graph.rows, graph.columns, 2)).astype(np.float32)
+        smooth = np.stack([cv2.GaussianBlur(frame, (0, 0), 3) for frame in noise])
+        shared = (0.1 * smooth / smooth.std()).reshape(6, -1, 2)[graph.source]
+        graph = replace(graph, matches=graph.matches + shared)
+        prior = FocalPrior(scene.focal_px, 1e3)
+        found, _ = dba.solve(graph, start, (Level(1.0, 15),), Unknowns(focal=True), prior, "test")
+        ratios.append(np.log(found.focal_px / scene.focal_px) / focal_sigma(graph, found))
+    assert 0.1 < np.sqrt(np.mean(np.square(ratios))) < 2
 
 
 def test_measured_depth_is_true_and_its_variance_covers_the_error() -> None:

@@ -3,12 +3,15 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from synthetic import Scene, make_scene, observe, trajectory_error
 
 from stages.ba import initialise, trim
 from stages.ba.dba import FocalPrior, Level, Unknowns
-from stages.ba.graph import FlowGraph
+from stages.ba.estimate import Problem, estimate
+from stages.ba.graph import FlowGraph, mask_graph
 from stages.ba.initialise import Candidate
+from stages.ba.options import BAOptions
 
 SIGMA_PX = 0.08
 FREE = Unknowns(focal=True)
@@ -45,6 +48,16 @@ def test_trimming_frees_the_cameras_from_a_mover_that_is_partly_masked() -> None
     assert after < 0.001
     assert abs(start.state.focal_px / scene.focal_px - 1) > 0.05
     assert abs(found.state.focal_px / scene.focal_px - 1) < 0.01
+
+
+@pytest.mark.parametrize("masked", [0.1, 0.4])
+def test_large_masks_alone_set_off_trimming(masked: float) -> None:
+    graph = observe(make_scene(T=6), stride=4, noise_px=0.05)
+    static = np.ones((6, 64, 96), np.float32)
+    static[:, :, : round(96 * masked)] = 0
+    problem = Problem(mask_graph(graph, static), masked=True, unmasked=graph)
+    phases = {step.phase for step in estimate(problem, BAOptions(start_focals=(1.0,))).steps}
+    assert ("refinement, trimmed" in phases) == (masked > trim.LARGE)
 
 
 def test_trimming_keeps_what_it_cannot_better() -> None:
