@@ -1,6 +1,7 @@
 """The reduced pose system: what is left of bundle adjustment after the inverse depths are eliminated."""
 
 import numpy as np
+from scipy.linalg import cho_factor, cho_solve
 
 from stages.ba.graph import FlowGraph
 from stages.shared import lie
@@ -56,9 +57,8 @@ def solve_damped(S: np.ndarray, rhs: np.ndarray, free: np.ndarray, damping: floa
     """
     A = S[np.ix_(free, free)]
     A = A + np.diag(damping * np.diag(A) + 1e-9 * np.trace(A) / len(A) + 1e-300)
-    np.linalg.cholesky(A)  # to refuse what is not positive definite
     step = np.zeros(len(rhs))
-    step[free] = np.linalg.solve(A, rhs[free])
+    step[free] = cho_solve(cho_factor(A, check_finite=False), rhs[free], check_finite=False)
     return step
 
 
