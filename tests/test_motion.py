@@ -219,6 +219,20 @@ def test_script_uses_cameras_when_there_are_any(tmp_path: Path) -> None:
     assert overlap(probability > 0.5, scene.dynamic) > 0.7
 
 
+def test_nothing_is_told_of_frames_without_a_pose(tmp_path: Path) -> None:
+    """Under poses that are not theirs all of them would seem to move, and the noise of the others too high."""
+    scene = make_scene(disc_radius=0.5)
+    inputs, (poses, depth) = write_inputs(tmp_path, scene), write_round(tmp_path, scene)
+    cam_from_world, status = scene.cam_from_world.copy(), np.array(["estimated"] * 5 + ["unobserved"] * 3, object)
+    cam_from_world[5:] = cam_from_world[4]
+    write_cameras(poses, make_cameras(cam_from_world, scene.K, np.arange(1, 9), status=status))
+    output = tmp_path / "prior.arrow"
+    motion.main(*inputs, output, tmp_path / "motion.png", motion.MotionOptions(), poses, depth)
+    probability = read_dense(output)["probability"]
+    assert (probability[5:] > 0.5)[~scene.dynamic[5:]].mean() < 0.05
+    assert overlap(probability[:5] > 0.5, scene.dynamic[:5]) > 0.7
+
+
 def test_script_falls_back_to_flow_when_the_cameras_failed(tmp_path: Path) -> None:
     scene = make_scene(T=4, disc_radius=0.5)
     inputs, poses = write_inputs(tmp_path, scene), write_round(tmp_path, scene, "failed")

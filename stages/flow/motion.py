@@ -105,9 +105,12 @@ def _from_cameras(
     h, w = pairs["confidence"].shape[1:]
     start = resweep.resample(depth["inverse_depth"], stride_px * scale, h, w)
     seen = cameras.cam_from_world, scale_intrinsics(cameras.Ks, scale)
+    unobserved = cameras.status == "unobserved"  # without a pose of their own, so that nothing can be told of them
+    known = ~(unobserved[pairs["source"]] | unobserved[pairs["target"]])
+    pairs = pairs | {"weights": pairs["weights"] * known[:, None, None]}
     evidence, inverse_depth, sigma_px = resweep.camera_evidence(pairs, *seen, start)
     evidence = photometric.corroborate(evidence, rgb, pairs, resweep.projections(pairs, *seen), inverse_depth)
-    rotating = set(cameras.status) == {"rotation-only"}
+    rotating = set(cameras.status[~unobserved]) == {"rotation-only"}
     model = "rotations: the camera does not translate" if rotating else "depth re-sweep"
     return evidence, {"source": "cameras", "model": model, "sigma_px": sigma_px}
 

@@ -36,7 +36,7 @@ def main(
     content = read_sequence(sequence)
     seen = _observe(content, flow, masks, poses, depth, options)
     status = read_cameras(poses).status
-    decisions = _decide(seen, float((status == "rotation-only").mean()), options)
+    decisions = _decide(seen, float((status[status != "unobserved"] == "rotation-only").mean()), options)
     for name, decision in decisions.items():
         logger.info("%s: %s (%s): %s", name, decision["needed"], decision["source"], decision["why"])
     write_json(output, {"sequence": content.name, **decisions})
