@@ -7,8 +7,8 @@ from synthetic import PLANE, make_scene, observe, trajectory_error
 
 from stages.ba import dba, planar
 from stages.ba.classify import longest_step
-from stages.ba.dba import FocalPrior, State, Unknowns
-from stages.ba.estimate import FINE, Problem, _adjust_twice, estimate
+from stages.ba.dba import FocalPrior, Level, State, Unknowns
+from stages.ba.estimate import FINE_PX, Problem, _adjust_twice, estimate
 from stages.ba.graph import build_graph, favour_distance, mask_graph, thin_graph
 from stages.ba.initialise import adjust, pair_chain
 from stages.ba.options import BAOptions
@@ -91,8 +91,8 @@ def test_a_kernel_as_narrow_as_the_noise_cuts_off_biased_flow() -> None:
     graph.matches[:, biased, 1] += 0.3
     start = State(scene.cam_from_world, graph.resample(1 / scene.depth, 1), scene.focal_px)
     prior, unknowns = FocalPrior(1.1 * graph.width), Unknowns(focal=True)
-    wide = adjust(graph, start, FINE, unknowns, prior, "wide").state
-    sharp = _adjust_twice(graph, start, unknowns, prior).state
+    wide = adjust(graph, start, [Level(scale, 15) for scale in FINE_PX], unknowns, prior, "wide").state
+    sharp = _adjust_twice(Problem(graph, True), start, unknowns, prior).state
     errors = [trajectory_error(state.cam_from_world, scene.cam_from_world) for state in (wide, sharp)]
     assert errors[1] < 0.5 * errors[0]
 
@@ -104,7 +104,7 @@ def test_errors_that_short_edges_share_give_way_to_distant_frames() -> None:
     near = np.abs(graph.target - graph.source) == 1
     graph.matches[near, :, 0] += 0.1 * np.sign(graph.target - graph.source)[near, None]
     start = State(scene.cam_from_world, graph.resample(1 / scene.depth, 1), scene.focal_px)
-    found = _adjust_twice(graph, start, Unknowns(), FocalPrior(scene.focal_px)).state
+    found = _adjust_twice(Problem(graph, True), start, Unknowns(), FocalPrior(scene.focal_px)).state
     errors = dba.errors_px(graph, found)
     assert np.median(errors[~near][graph.weights[~near] > 0]) < 0.5 * np.median(errors[near])
 
@@ -116,3 +116,12 @@ def test_distant_frames_weigh_more_and_all_together_the_same() -> None:
     factor = favoured.weights.max(axis=1) / graph.weights.max(axis=1)
     assert_allclose(factor[far], 3 * factor[near].mean(), rtol=1e-5)
     assert factor.mean() == pytest.approx(1.0, rel=1e-5)
+
+
+def test_the_limit_of_iterations_bounds_every_level() -> None:
+    scene = make_scene(T=5, size=(64, 96))
+    graph = observe(scene, stride=8)
+    steps = estimate(Problem(graph, True, iterations=2), BAOptions()).steps
+    refined = [step.phase for step in steps if step.phase.startswith("refinement")]
+    assert 0 < refined.count("refinement") <= 2 * len(FINE_PX)
+    assert 0 < refined.count("refinement, sharp") <= 2

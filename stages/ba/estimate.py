@@ -22,9 +22,10 @@ WEAK_FOCAL, BLIND_FOCAL = 0.05, 0.15
 """Predicted relative error of the focal length above which it is called weak, and not estimated at all."""
 CONSISTENT_SHARE = 0.85
 """Share of confident matches within 1 px of the static model from which on a scene needs no masks to free the focal."""
-FINE = (Level(1.0, 12), Level(0.5, 15))
-SHARP, SHARP_PX, SHARP_ITERATIONS = 2.0, (0.05, 0.5), 15
-"""The last robust scale in median residuals, its limits in px, and its iterations."""
+FINE_PX = (1.0, 0.5)
+"""Robust scales of the refinement before the last one."""
+SHARP, SHARP_PX = 2.0, (0.05, 0.5)
+"""The last robust scale in median residuals, and its limits in px."""
 
 
 @dataclass(frozen=True)
@@ -37,6 +38,7 @@ class Problem:
         known_focal_px: the true focal length on the flow grid, if it is to be used.
         previous: the solution of the round before.
         unmasked: the same observations without masks, to fall back on.
+        iterations: of the refinement at each robust scale, at most.
     """
 
     graph: FlowGraph
@@ -44,6 +46,7 @@ class Problem:
     known_focal_px: float | None = None
     previous: PoseGuess | None = None
     unmasked: FlowGraph | None = None
+    iterations: int = 15
 
 
 @dataclass(frozen=True)
@@ -119,7 +122,7 @@ def _estimate(problem: Problem, options: BAOptions) -> Estimate:
     graph = start.graph
     problem = replace(problem, graph=graph, masked=problem.masked or start.static is not None)
     found = start.candidate
-    state = initialise.initial_state(graph, found.state.cam_from_world, found.state.focal_px, FINE[0].sigma_px)
+    state = initialise.initial_state(graph, found.state.cam_from_world, found.state.focal_px, FINE_PX[0])
     refined, focal = _refine(problem, statistics, replace(found, state=state), prior)
     residual_px = median_residual(graph, refined.state)
     against = doubts.of_solution(replace(found, state=refined.state), start.others, statistics, residual_px)
@@ -209,23 +212,24 @@ def _reason_to_drop(problem: Problem, ratio: float, sigma: float) -> str:
 
 def _adjust(problem: Problem, state: State, unknowns: Unknowns, prior: FocalPrior) -> Candidate:
     """Adjusted, and freed from large movers that the masks miss in part."""
-    adjusted = _adjust_twice(problem.graph, state, unknowns, prior)
+    adjusted = _adjust_twice(problem, state, unknowns, prior)
     unmasked = problem.unmasked or problem.graph
     masked_share = float(1 - problem.graph.weights.sum() / unmasked.weights.sum())
     sigma_px = float(np.clip(SHARP * median_residual(problem.graph, adjusted.state), *SHARP_PX))
     return trim.concentrate(problem.graph, masked_share, adjusted, sigma_px, unknowns, prior)
 
 
-def _adjust_twice(graph: FlowGraph, state: State, unknowns: Unknowns, prior: FocalPrior) -> Candidate:
+def _adjust_twice(problem: Problem, state: State, unknowns: Unknowns, prior: FocalPrior) -> Candidate:
     """Adjusted, then once more for the noise found, with the depths searched anew: some were caught at a wrong one.
 
     A kernel as narrow as the noise cuts off the biased flow along edges and repeated texture. Distant frames count for
     more: errors hardly grow with the distance, and what all edges have in common adds up along a chain of short ones.
     """
-    first = initialise.adjust(graph, state, FINE, unknowns, prior, "refinement")
-    searched = initialise.search_depth(graph, first.state, FINE[-1].sigma_px)
+    graph, fine = problem.graph, [Level(sigma_px, problem.iterations) for sigma_px in FINE_PX]
+    first = initialise.adjust(graph, state, fine, unknowns, prior, "refinement")
+    searched = initialise.search_depth(graph, first.state, FINE_PX[-1])
     sigma_px = float(np.clip(SHARP * median_residual(graph, first.state), *SHARP_PX))
-    sharp = (Level(sigma_px, SHARP_ITERATIONS),)
+    sharp = (Level(sigma_px, problem.iterations),)
     again = initialise.adjust(favour_distance(graph), searched, sharp, unknowns, prior, "refinement, sharp")
     return replace(again, steps=first.steps + again.steps)
 

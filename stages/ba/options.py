@@ -28,4 +28,10 @@ class BAOptions(Options):
     depth_stride_px: int = Field(
         4, ge=1, le=32, description="one inverse depth per this many pixels of the flow, each way, in the depth written"
     )
+    iterations: int = Field(
+        15,
+        ge=1,
+        le=200,
+        description="steps of the final adjustment at each of its robust scales, at most: it ends where it converges",
+    )
     seed: int = Field(0, ge=0, description="seed of the robust two-view fits")

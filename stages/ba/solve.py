@@ -70,7 +70,8 @@ def main(
     previous = _previous(previous_poses, matches.scale)
     unmasked = everything if (static < 1).any() else None
     masked = unmasked is not None or previous is not None
-    solution = _solve(Problem(graph, masked, known_focal_px, previous, unmasked), matches.shot, frames, options)
+    problem = Problem(graph, masked, known_focal_px, previous, unmasked, options.iterations)
+    solution = _solve(problem, matches.shot, frames, options)
     flags = shots.doubts(matches.shot, frames.numbers) + solution.flags
     flags += _round_doubts(solution, static[matches.shot], ignored[matches.shot], previous_poses)
     _log(frames.name, solution, flags)
