@@ -19,6 +19,8 @@ REFINEMENTS = 12
 """Gauss-Newton steps of a two-view motion."""
 ROTATION_SIGMA_PX = 0.5
 """The last robust scale of a rotation."""
+GENERATORS = np.stack([lie.skew(axis) for axis in np.eye(3)])
+"""Skew matrices [3, 3, 3] of the three axes."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +74,12 @@ def estimate_motion(
 
 def _refine_motion(R: np.ndarray, t: np.ndarray, x: np.ndarray, y: np.ndarray, w: np.ndarray, sigma: float) -> TwoView:
     """Minimise the weighted Sampson error over (R, direction of t), the robust scale falling from 3 sigma to it."""
-    R, t = _minimise(np.ascontiguousarray(R), t, x, y, w, np.geomspace(3 * sigma, sigma, REFINEMENTS))
+    for scale in np.geomspace(3 * sigma, sigma, REFINEMENTS):
+        across = _tangent_basis(t)
+        normal, gradient = _sampson_system(R, t, across, x, y, w, scale)
+        step = np.linalg.solve(normal + 1e-9 * np.trace(normal) * np.eye(5), -gradient)
+        R, t = lie.exp_so3(step[:3]) @ R, t + step[3:] @ across
+        t = t / np.linalg.norm(t)
     d, parallax = triangulate(R, t, x, y)
     fits = np.abs(sampson_errors(R, t, x, y)) < 2 * sigma
     if (d[fits] * parallax[fits]).sum() < 0:
@@ -133,56 +140,13 @@ def _decompose(E: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray,
     return max(candidates, key=share_ahead)
 
 
-@njit(cache=True, error_model="numpy")
-def _minimise(
-    R: np.ndarray, t: np.ndarray, x: np.ndarray, y: np.ndarray, w: np.ndarray, sigmas: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """(R, t) after one Gauss-Newton step per robust scale: one kernel, since calls of numpy would cost most of it."""
-    for sigma in sigmas:
-        across = _tangent_basis(t)
-        normal, gradient = _sampson_system(R, t, across, x, y, w, sigma)
-        step = np.linalg.solve(normal + 1e-9 * np.trace(normal) * np.eye(5), -gradient)
-        R = _rotation(step[:3]) @ R
-        t = t + step[3] * across[0] + step[4] * across[1]
-        t = t / np.linalg.norm(t)
-    return R, t
-
-
-@njit(cache=True, error_model="numpy")
 def _sampson_system(
     R: np.ndarray, t: np.ndarray, across: np.ndarray, x: np.ndarray, y: np.ndarray, w: np.ndarray, sigma: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Normal matrix [5, 5] and gradient [5] of the Sampson errors by the left rotation vector and two tangents of t."""
-    directions = np.empty((5, 3, 3))
-    for k in range(3):
-        directions[k] = _skew(t) @ _skew(np.eye(3)[k]) @ R
-    for k in range(2):
-        directions[3 + k] = _skew(across[k]) @ R
-    return _sum_normal(_skew(t) @ R, directions.reshape(5, 9), x, y, w, sigma)
-
-
-@njit(cache=True)
-def _skew(v: np.ndarray) -> np.ndarray:
-    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
-
-
-@njit(cache=True)
-def _rotation(omega: np.ndarray) -> np.ndarray:
-    """exp([omega]x) as I + 2 s c [a]x + 2 s^2 [a]x^2 of the half angle, which is stable at zero."""
-    angle = np.linalg.norm(omega)
-    A = _skew(omega / max(angle, 1e-300))
-    s, c = np.sin(angle / 2), np.cos(angle / 2)
-    return np.eye(3) + 2 * s * c * A + 2 * s * s * (A @ A)
-
-
-@njit(cache=True)
-def _tangent_basis(t: np.ndarray) -> np.ndarray:
-    """Two unit vectors [2, 3] across the unit vector t, from the axis furthest from it."""
-    across = np.empty((2, 3))
-    first = _skew(np.eye(3)[np.argmin(np.abs(t))]) @ t
-    across[0] = first / np.linalg.norm(first)
-    across[1] = _skew(t) @ across[0]
-    return across
+    T = lie.skew(t)
+    directions = np.concatenate([T @ GENERATORS, lie.skew(across)]) @ R
+    return _sum_normal(T @ R, directions.reshape(5, 9), x, y, w, sigma)
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
@@ -215,6 +179,13 @@ def _sum_normal(
             for other in range(5):
                 normal[k, other] += robust * J[k] * J[other]
     return normal, gradient
+
+
+def _tangent_basis(t: np.ndarray) -> np.ndarray:
+    """Two unit vectors [2, 3] across the unit vector t, from the axis furthest from it."""
+    first = GENERATORS[np.argmin(np.abs(t))] @ t
+    first = first / np.linalg.norm(first)
+    return np.stack([first, lie.skew(t) @ first])
 
 
 def _homogeneous(x: np.ndarray) -> np.ndarray:
