@@ -5,13 +5,14 @@ import pytest
 from numpy.testing import assert_allclose
 from synthetic import PLANE, make_scene, observe, trajectory_error
 
-from stages.ba import dba, planar
-from stages.ba.classify import longest_step
+from stages.ba import dba, planar, start
+from stages.ba.classify import longest_step, measure
 from stages.ba.dba import FocalPrior, Level, State, Unknowns
 from stages.ba.estimate import FINE_PX, Problem, _adjust_twice, estimate
 from stages.ba.graph import build_graph, favour_distance, mask_graph, thin_graph
-from stages.ba.initialise import adjust, pair_chain
+from stages.ba.initialise import Candidate, adjust, initial_state, pair_chain
 from stages.ba.options import BAOptions
+from stages.ba.start import Observed
 
 OPTIONS = BAOptions()
 
@@ -125,3 +126,22 @@ def test_the_limit_of_iterations_bounds_every_level() -> None:
     refined = [step.phase for step in steps if step.phase.startswith("refinement")]
     assert 0 < refined.count("refinement") <= 2 * len(FINE_PX)
     assert 0 < refined.count("refinement, sharp") <= 2
+
+
+@pytest.mark.parametrize(("roughness", "ignored"), [(0.03, False), (0.5, True)])
+def test_masks_are_ignored_only_where_they_leave_a_rough_path(
+    roughness: float, ignored: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Good masks were given up for a path that was smoother still, and wrong: that of a scene in which half moves."""
+    scene = make_scene(disc_radius=0.5)
+    masked, unmasked = observe(scene, stride=8), observe(scene, stride=8, masked=False)
+    state = initial_state(unmasked, scene.cam_from_world, scene.focal_px)
+    with_masks = Candidate("with masks", state, 1.0, roughness, [])
+    without = Candidate("without", state, 1.0, roughness / 4, [])
+    monkeypatch.setattr(start, "guess", lambda _, graph: [with_masks if graph.weights.sum() < most else without])
+    most = thin_graph(unmasked, 1).weights.sum()
+    statistics = measure(masked, [scene.focal_px], 0)
+    observed = Observed(masked, unmasked, None, [scene.focal_px], statistics, FocalPrior(scene.focal_px), 0)
+    found = start.find_start(observed)
+    assert found.candidate is (without if ignored else with_masks)
+    assert any("masks ignored" in flag for flag in found.flags) == ignored

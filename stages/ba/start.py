@@ -12,6 +12,7 @@ import numpy as np
 from stages.ba import dba, initialise, planar
 from stages.ba.classify import Statistics, longest_step
 from stages.ba.dba import FocalPrior, Level, State, Unknowns
+from stages.ba.doubts import ROUGH_PATH
 from stages.ba.graph import MIN_WEIGHT, FlowGraph, mask_graph, thin_graph
 from stages.ba.initialise import Candidate, Hypothesis
 
@@ -20,7 +21,7 @@ COARSE_PIXELS = 400
 MAX_PAIR_PX = 0.3
 """Movers win two-view fits with wide thresholds: tighter ones than the adjustment needs."""
 SMOOTHER = 0.5
-"""Without masks the same matches are explained as well by a path this much smoother: then the masks are wrong."""
+"""Masks that leave a rough path are wrong if a path this much smoother explains the matches as well without them."""
 FITTING_PX = (0.3, 1.0)
 """Limits of the scale up to which a match fits."""
 ENOUGH = 1e-3
@@ -84,12 +85,12 @@ class Start:
 
 
 def find_start(observed: Observed) -> Start:
-    """Adjust guesses with masks and without, and look for a second motion in what the best does not explain."""
+    """Adjust guesses, without masks too where these leave a rough path, and look for a second motion in the rest."""
     factor = max(1, int(np.sqrt(len(observed.graph.pixels) / COARSE_PIXELS)))
     plain = thin_graph(observed.unmasked, factor)
     candidates = guess(observed, thin_graph(observed.graph, factor))
     best, ignored = initialise.choose(candidates), ""
-    if observed.unmasked is not observed.graph:
+    if observed.unmasked is not observed.graph and best.roughness > ROUGH_PATH:
         unmasked = guess(replace(observed, focals_px=[best.state.focal_px]), plain)
         rival = initialise.choose(unmasked)
         if _costs_no_more(plain, rival, best, observed.threshold_px) and rival.roughness < SMOOTHER * best.roughness:
