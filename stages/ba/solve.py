@@ -35,9 +35,10 @@ from stages.shared.cameras import (
 )
 from stages.shared.cli import In, Out
 from stages.shared.errors import InputError
-from stages.shared.images import read_mask, read_rgb
+from stages.shared.images import read_mask, read_reduced
 from stages.shared.log import logger
 from stages.shared.sequences import Sequence, read_sequence
+from stages.shared.threads import threaded
 
 STATUS = {"moving": "estimated", "near-still": "near-still", "rotating": "rotation-only", "failed": "failed"}
 GAUGE = "the first camera is the world; the median inverse depth of the solver's pixels is 1"
@@ -145,8 +146,8 @@ def _log(name: str, solution: Estimate, flags: list[str]) -> None:
 
 def _read_texture(frames: Sequence, size: tuple[int, int]) -> np.ndarray:
     """Texture weights [T, height, width] of the frames on the flow grid."""
-    small = (cv2.resize(read_rgb(path), size, interpolation=cv2.INTER_AREA) for path in frames.frames)
-    return np.stack([texture_weights(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)) for rgb in small])
+    grey = (cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY) for rgb in read_reduced(frames.frames, size))
+    return np.stack(threaded(texture_weights, grey))
 
 
 def _read_masks(folder: Path | None, frames: Sequence) -> np.ndarray:

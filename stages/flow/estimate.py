@@ -16,9 +16,9 @@ from stages.flow.truth import Truth, read_truth, true_flow
 from stages.shared import cli, figures
 from stages.shared.artifacts import write_dense
 from stages.shared.cli import In, Out
-from stages.shared.images import read_rgb, write_figure
+from stages.shared.images import read_reduced, write_figure
 from stages.shared.log import logger
-from stages.shared.sequences import Sequence, read_sequence
+from stages.shared.sequences import read_sequence
 from stages.shared.threads import threaded
 
 Flows = dict[Edge, np.ndarray]
@@ -38,7 +38,7 @@ def main(
     """
     frames = read_sequence(sequence)
     scale = min(1.0, options.max_width_px / frames.width)
-    rgb = _read_reduced(frames, scale)
+    rgb = read_reduced(frames.frames, (round(frames.width * scale), round(frames.height * scale)))
     T, h, w = rgb.shape[:3]
     if options.source == "truth":
         flows, confidences = _take(read_truth(frames, w, h), T, options)
@@ -62,12 +62,6 @@ def main(
     source, target = np.array(edges, np.int64).reshape(-1, 2).T
     write_dense(output, {"source": source, "target": target, "flow": flow, "confidence": confidence}, metadata)
     write_figure(figure, _picture(rgb, edges, flow, confidence))
-
-
-def _read_reduced(frames: Sequence, scale: float) -> np.ndarray:
-    """All frames [T, h, w, 3] uint8, reduced by `scale`."""
-    size = round(frames.width * scale), round(frames.height * scale)
-    return np.stack([cv2.resize(read_rgb(path), size, interpolation=cv2.INTER_AREA) for path in frames.frames])
 
 
 def _match(rgb: np.ndarray, options: FlowOptions) -> tuple[Flows, Flows, dict[str, Any]]:

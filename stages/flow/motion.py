@@ -3,7 +3,6 @@
 from pathlib import Path
 from typing import Annotated, Any
 
-import cv2
 import numpy as np
 
 from stages.flow import epipolar, photometric, resweep
@@ -15,9 +14,9 @@ from stages.shared.artifacts import read_dense, read_metadata, write_dense
 from stages.shared.cameras import Cameras, pixel_grid, read_cameras, scale_intrinsics
 from stages.shared.cli import In, Out
 from stages.shared.errors import InputError
-from stages.shared.images import read_rgb, write_figure
+from stages.shared.images import read_reduced, write_figure
 from stages.shared.log import logger
-from stages.shared.sequences import Sequence, read_sequence
+from stages.shared.sequences import read_sequence
 
 FLOW_CURVE = (0.17, 0.04)
 CAMERA_CURVE = (0.37, 0.1)
@@ -48,7 +47,7 @@ def main(
     pairs["flow"] = pairs["flow"].astype(np.float32)
     pairs["weights"] = evidence_weights(pairs["flow"], pairs["confidence"])
     edges = {(int(i), int(j)): e for e, (i, j) in enumerate(zip(pairs["source"], pairs["target"], strict=True))}
-    rgb = _read_reduced(frames, *pairs["confidence"].shape[1:])
+    rgb = read_reduced(frames.frames, pairs["confidence"].shape[:0:-1])
     cameras = _usable_cameras(previous_poses, previous_depth)
     if cameras is None or previous_depth is None:
         evidence, facts = _from_flow(pairs, edges, len(frames.numbers), options.seed)
@@ -113,11 +112,6 @@ def _from_cameras(
     rotating = set(cameras.status[~unobserved]) == {"rotation-only"}
     model = "rotations: the camera does not translate" if rotating else "depth re-sweep"
     return evidence, {"source": "cameras", "model": model, "sigma_px": sigma_px}
-
-
-def _read_reduced(frames: Sequence, h: int, w: int) -> np.ndarray:
-    """All frames on the flow grid, [T, h, w, 3] uint8."""
-    return np.stack([cv2.resize(read_rgb(path), (w, h), interpolation=cv2.INTER_AREA) for path in frames.frames])
 
 
 def _picture(rgb: np.ndarray, probability: np.ndarray) -> np.ndarray:

@@ -1,6 +1,7 @@
 """Image files as RGB arrays; OpenCV's BGR order stays inside this module."""
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
@@ -9,6 +10,7 @@ from PIL import Image
 
 from stages.shared.artifacts import atomic
 from stages.shared.errors import InputError
+from stages.shared.threads import threaded
 
 cv2.setNumThreads(int(os.environ["OMP_NUM_THREADS"]))
 
@@ -27,6 +29,15 @@ def read_rgb(path: Path) -> np.ndarray:
     if image.ndim == 2:
         image = np.repeat(image[..., None], 3, axis=2)
     return np.ascontiguousarray(image[..., 2::-1])
+
+
+def read_reduced(paths: Sequence[Path], size: tuple[int, int]) -> np.ndarray:
+    """Frames [T, h, w, 3] uint8 brought to size (w, h), each pixel the mean of those that it covers.
+
+    Raises:
+        InputError: as `read_rgb`.
+    """
+    return np.stack(threaded(lambda path: cv2.resize(read_rgb(path), size, interpolation=cv2.INTER_AREA), paths))
 
 
 def read_mask(path: Path) -> np.ndarray:
