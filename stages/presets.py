@@ -28,11 +28,11 @@ PRESETS: dict[Preset, Overrides] = {
 }
 """Balanced is the defaults themselves.
 
-Fast takes a third of the CPU time of balanced from flow to poses (13 against 40 s for 30 frames, 512 x 218 px; flow alone 5
-against 17). Its path error is 0.02 to 0.11 % where that of balanced is 0.02 to 0.06 (six sequences), 0.38 against 0.22 in a
-fast and blurred one; thin movers lose half of their masks. Smaller frames cost less than stopping at a coarser scale. Its
-first poses do without masks, at no loss but where movers fill near half of the view: there 0.8 against 0.05 %, flagged.
-It keeps two rounds: one leaves masks of a large mover at an IoU of 0.11 instead of 0.98.
+Fast takes a third of the CPU time of balanced from flow to poses (13 against 40 s for 30 frames, 512 x 218 px; flow
+alone 5 against 17). Its path error is 0.02 to 0.11 % where that of balanced is 0.02 to 0.06 (six sequences), 0.38
+against 0.22 in a fast and blurred one; thin movers lose half of their masks. Smaller frames cost less than stopping at
+a coarser scale. Its first poses do without masks, at no loss but where movers fill near half of the view: there 0.75
+against 0.05 %, flagged. It keeps two rounds: one leaves masks of a large mover at an IoU of 0.11 instead of 0.98.
 
 Accurate: half the stride of the adjustment doubles its time and lowers the path error by a tenth at best (four
 sequences); the third round brings masks of a scene that moves by half from 0.65 to 0.97.
