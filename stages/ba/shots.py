@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+from scipy.sparse.csgraph import connected_components
 
 from stages.ba.estimate import Estimate, Problem, estimate
 from stages.ba.graph import MIN_MATCHES, FlowGraph, shared_matches
@@ -24,10 +25,7 @@ def linked_frames(source: np.ndarray, target: np.ndarray, weights: np.ndarray, T
     Returns:
         [T] bool; all true where no MIN_FRAMES frames are linked, so that the whole sequence is judged.
     """
-    linked = (shared_matches(source, target, weights, T) >= MIN_MATCHES) | np.eye(T, dtype=bool)
-    label = np.arange(T)
-    while (lowest := np.where(linked, label, T).min(axis=1)).tolist() != label.tolist():
-        label = lowest
+    _, label = connected_components(shared_matches(source, target, weights, T) >= MIN_MATCHES, directed=False)
     sizes = np.bincount(label)
     return label == sizes.argmax() if sizes.max() >= MIN_FRAMES else np.ones(T, bool)
 

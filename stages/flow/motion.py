@@ -106,7 +106,8 @@ def _from_cameras(
     seen = cameras.cam_from_world, scale_intrinsics(cameras.Ks, scale)
     unobserved = cameras.status == "unobserved"  # without a pose of their own, so that nothing can be told of them
     known = ~(unobserved[pairs["source"]] | unobserved[pairs["target"]])
-    pairs = pairs | {"weights": pairs["weights"] * known[:, None, None]}
+    if unobserved.any():  # else the copy would cost memory for nothing
+        pairs = pairs | {"weights": pairs["weights"] * known[:, None, None]}
     evidence, inverse_depth, sigma_px = resweep.camera_evidence(pairs, *seen, start)
     evidence = photometric.corroborate(evidence, rgb, pairs, resweep.projections(pairs, *seen), inverse_depth)
     rotating = set(cameras.status[~unobserved]) == {"rotation-only"}
