@@ -10,14 +10,14 @@ install: $(INSTALLED)
 
 $(INSTALLED): requirements.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python >= 3.11 is needed; try make PYTHON=python3.12")'
+	@echo "Installing the pinned packages into $(VENV): a few minutes, once."
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/pip install --quiet --disable-pip-version-check --requirement requirements.lock
 	$(BIN)/pip install --quiet --disable-pip-version-check --no-deps --editable .
 	touch $@
 
 demo: $(INSTALLED)
-	$(BIN)/snakemake --quiet rules
-	@echo "The report: $(CURDIR)/results/simulated/report/index.html"
+	$(BIN)/snakemake
 
 test: lint
 	$(BIN)/pytest

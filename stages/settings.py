@@ -114,7 +114,7 @@ def _setting(
 ) -> Setting:
     where = f"config.yaml, setting '{name}' of '{group}'"
     for option in overrides:
-        _refuse_data(option, where)
+        _refuse_data(option, where, is_knob=knob is not None)
     chosen = override(mine or {}, {name: value for name, value in overrides.items() if name != "preset"})
     config = configuration.load(override(raw, overrides), chosen, where)
     words = name if knob else f"{group}-{name}"
@@ -123,12 +123,12 @@ def _setting(
     )
 
 
-def _refuse_data(option: str, where: str) -> None:
-    """A setting changes how we process a sequence: neither which sequences there are, nor the baseline beside them."""
+def _refuse_data(option: str, where: str, is_knob: bool) -> None:
+    """A setting changes how a sequence is processed, not which sequences there are; COLMAP is no knob of ours."""
     section, _, _ = option.partition(".")
-    ours = [stage for stage in UPSTREAM if stage != "colmap"]
-    if section not in (*ours, *SHARED_KEYS, "rounds", "first_masks", "preset"):
-        expected = f"an option of {', '.join(ours)}, or one of {', '.join(SHARED_KEYS)}, rounds, first_masks"
+    stages = [stage for stage in UPSTREAM if not (is_knob and stage == "colmap")]
+    if section not in (*stages, *SHARED_KEYS, "rounds", "first_masks", "preset"):
+        expected = f"an option of {', '.join(stages)}, or one of {', '.join(SHARED_KEYS)}, rounds, first_masks"
         raise InputError(where, expected, f"'{option}'", "write it as section.option")
 
 
@@ -146,6 +146,17 @@ def choose_sequences(options: SweepOptions | ScalingOptions, names: Iterable[str
             advice = "name sequences that `sequences:` chooses"
             raise InputError("config.yaml: sweep, scaling", f"one of {', '.join(known)}", f"'{name}'", advice)
     return options.sequences
+
+
+def is_baseline(overrides: Iterable[str]) -> bool:
+    """Whether a setting is about COLMAP, not about our own stages."""
+    return any(option.startswith("colmap.") for option in overrides)
+
+
+def runs_masked_baseline(setting: Setting) -> bool:
+    """Whether COLMAP with our masks belongs to a setting: not to those that vary our own stages."""
+    chosen = not setting.folder or is_baseline(setting.overrides)
+    return bool(chosen and setting.config.colmap.upsample_masked)
 
 
 def lacks_truth(setting: Setting, sequence: ImageSequence) -> bool:
@@ -200,6 +211,8 @@ def find_home(settings: Sequence[Setting], setting: Setting, stage: str, number:
 def identity(setting: Setting, stage: str, number: int) -> tuple[Any, ...]:
     """All flags that the results of a stage depend on: its own and those of every stage before it."""
     flags = configuration.flags(setting.config, stage)
+    if stage == "evaluate" and is_baseline(setting.overrides):  # the one stage that reads what COLMAP made
+        flags += configuration.flags(setting.config, "colmap")
     before = "ba" if stage == "motion" and number > 1 else UPSTREAM[stage]
     if before == "segment" and number not in rounds_of(setting, before):
         before = "flow"

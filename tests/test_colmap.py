@@ -23,6 +23,8 @@ from stages.shared.cameras import centred_intrinsics
 from stages.shared.images import write_image
 from stages.shared.sequences import read_sequence
 
+BOTH = ("global", "incremental")
+
 
 def _inspect(frames: Path, folder: Path) -> Path:
     check.main(frames, folder / "sequence.json", folder / "inspect.png", InspectOptions())
@@ -42,7 +44,7 @@ def sequence(rendered: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_both_mappers_find_the_cameras_and_repeat_themselves(sequence: Path, tmp_path: Path) -> None:
-    options = ColmapOptions(window=5, upsample=(1,))
+    options = ColmapOptions(window=5, mappers=BOTH)
     first, second = tmp_path / "first.parquet", tmp_path / "second.parquet"
     colmap.main(sequence, first, options)
     frames = read_sequence(sequence)
@@ -102,13 +104,15 @@ def test_masked_variants_have_no_features_on_dynamic_pixels(tmp_path: Path, monk
         write_image(tmp_path / f"clip/frame_{number:04d}.png", noise)
         write_image(tmp_path / f"masks/frame_{number:04d}.png", np.arange(160) < np.full((120, 1), 80))
     sequence, output = _inspect(tmp_path / "clip", tmp_path), tmp_path / "poses.parquet"
-    colmap.main(sequence, output, ColmapOptions(window=1), masks=tmp_path / "masks")
+    colmap.main(
+        sequence, output, ColmapOptions(window=1, mappers=BOTH, upsample_masked=(1, 2)), masks=tmp_path / "masks"
+    )
     assert all(len(seen[factor]) > 30 for factor in (1, 2))
     assert all(seen[factor].min() >= 80 * factor - 1 for factor in (1, 2))
     methods = [candidate.method for candidate in colmap_candidates(output)]
     assert methods[0] == "COLMAP global, masked"
     assert methods[-1] == "COLMAP incremental, x2, masked"
-    colmap.main(sequence, output, ColmapOptions(window=1, upsample=(1,)))
+    colmap.main(sequence, output, ColmapOptions(window=1))
     assert seen[3].min() < 70
 
 
@@ -118,7 +122,7 @@ def test_frames_without_texture_are_a_failed_row_with_a_reason(tmp_path: Path) -
     for number in range(1, 5):
         cv2.imwrite(str(frames / f"frame_{number:04d}.png"), np.full((60, 80, 3), 128, np.uint8))
     output = tmp_path / "poses.parquet"
-    colmap.main(_inspect(frames, tmp_path), output, ColmapOptions(upsample=(1,)))
+    colmap.main(_inspect(frames, tmp_path), output, ColmapOptions(mappers=BOTH))
     outcomes = read_metadata(output)["variants"]
     assert [outcome["method"] for outcome in outcomes] == ["COLMAP global", "COLMAP incremental"]
     assert all(outcome["registered"] == 0 and outcome["failure"] for outcome in outcomes)
@@ -127,9 +131,9 @@ def test_frames_without_texture_are_a_failed_row_with_a_reason(tmp_path: Path) -
 
 def test_a_variant_that_hangs_is_stopped(sequence: Path, tmp_path: Path) -> None:
     output = tmp_path / "poses.parquet"
-    colmap.main(sequence, output, ColmapOptions(time_limit_s=1, upsample=(1,)))
+    colmap.main(sequence, output, ColmapOptions(time_limit_s=1, mappers=BOTH))
     for outcome in read_metadata(output)["variants"]:
-        assert "stopped after 1 s" in outcome["failure"]
+        assert "stopped after 1 s of CPU" in outcome["failure"]
     assert not list(tmp_path.glob(".colmap-*"))
 
 
@@ -139,14 +143,22 @@ def test_a_step_that_raises_or_crashes_gives_its_reason() -> None:
     with pytest.raises(baseline.StepFailed, match="exit code 7"):
         baseline.run_limited(_exit, (7,), 30)
     start = time.perf_counter()
-    with pytest.raises(baseline.StepFailed, match="stopped after 1 s"):
-        baseline.run_limited(time.sleep, (60,), 1.0)
+    with pytest.raises(baseline.StepFailed, match="stopped after 1 s of CPU"):
+        baseline.run_limited(_spin, (60,), 1.0)
+    with pytest.raises(baseline.StepFailed, match="stopped after 2 s"):
+        baseline.run_limited(time.sleep, (60,), 1.0, patience=2.0)
     assert time.perf_counter() - start < 30
     assert baseline.run_limited(_add, (2, 3), 30) == 5
 
 
 def _raise(message: str) -> None:
     raise ValueError(message)
+
+
+def _spin(seconds: float) -> None:
+    end = time.perf_counter() + seconds
+    while time.perf_counter() < end:
+        pass
 
 
 def _exit(code: int) -> None:

@@ -124,3 +124,15 @@ def test_a_limit_of_frames_cuts_the_sequence_and_its_truth(tmp_path: Path) -> No
     assert sorted(sequence.truth["motion_mask"]) == [1, 2, 3, 4]
     check.main(folder, tmp_path / "all.json", tmp_path / "figure.png", InspectOptions(max_frames=99))
     assert read_sequence(tmp_path / "all.json").numbers == [1, 2, 3, 4, 5, 6]
+
+
+def test_a_run_about_colmap_is_a_row_per_variant_with_its_seconds(tmp_path: Path) -> None:
+    write_scores(tmp_path / "a/both/eval", 0.5, {"whole": 25.0})
+    rows = read_rows(tmp_path / "a/both/eval/poses.parquet")
+    for row, (name, seconds) in zip(rows, (("COLMAP global", 8.0), ("ours", 3.0)), strict=True):
+        row |= {"method": name, "wall_s": seconds, "cpu_s": seconds}
+    write_rows(tmp_path / "a/both/eval/poses.parquet", rows, list(rows[0]), {})
+    write_json(tmp_path / "sweep/runs.json", {"runs": [swept("both", overrides={"colmap.upsample": [1]})]})
+    sweep.main(tmp_path / "sweep/runs.json", tmp_path / "sweep/costs.parquet")
+    (row,) = read_rows(tmp_path / "sweep/costs.parquet")
+    assert (row["setting"], row["ate_percent"], row["poses_cpu_s"], row["psnr_db"]) == ("COLMAP global", 9.0, 8.0, None)

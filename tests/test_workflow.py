@@ -12,11 +12,15 @@ from conftest import copy_sources, run_snakemake, write_frames
 
 EVERY_RULE = {
     *("simulate", "inspect", "flow", "motion", "segment", "ba", "scene", "control", "train", "render"),
-    *("colmap", "colmap_masked", "evaluate", "report", "all"),
+    *("colmap", "evaluate", "report", "all"),
 }
 AFTER_FLOW = EVERY_RULE - {"simulate", "inspect", "flow", "colmap"}
-AFTER_SCENE = AFTER_FLOW - {"motion", "segment", "ba", "scene", "colmap_masked"}
-SWEEP = {"presets": ["fast"], "knobs": {"rounds": [1]}, "runs": {"claims": {"static": {"scene.dynamic": "no"}}}}
+AFTER_SCENE = AFTER_FLOW - {"motion", "segment", "ba", "scene"}
+SWEEP = {
+    "presets": ["fast"],
+    "knobs": {"rounds": [1]},
+    "runs": {"claims": {"static": {"scene.dynamic": "no"}}, "baselines": {"both": {"colmap.upsample_masked": [1]}}},
+}
 SCALING = {"axes": {"control points": {"control.control_points": [8]}}}
 COLLECTED = {"collect_sweep", "report", "sweep"}
 
@@ -75,7 +79,8 @@ def test_plain_snakemake_plans_every_stage(repo_copy: Path) -> None:
         ("gaussians: {steps: 33}", AFTER_SCENE - {"control"}),
         ("holdout_every: 7", AFTER_SCENE | {"scene"}),
         ("simulate: {seed: 5}", EVERY_RULE),
-        ("colmap: {seed: 5}", {"colmap", "colmap_masked", "evaluate", "report", "all"}),
+        ("colmap: {seed: 5}", {"colmap", "evaluate", "report", "all"}),
+        ("colmap: {upsample_masked: [1]}", {"colmap", "colmap_masked", "evaluate", "report", "all"}),
         ("report: {title: Mine}", {"report", "all"}),
         ("flow: {}", set()),
     ],
@@ -144,10 +149,10 @@ def test_sequences_of_a_folder_with_memory_by_pixels(repo_copy: Path) -> None:
 def test_names_with_spaces_stay_one_word(repo_copy: Path) -> None:
     """Or worse: a folder called `a; b` would run b."""
     write_frames(repo_copy / "my clips" / "take 1; two", 4, (48, 64))
-    options = with_options(repo_copy, 'dataset: "my clips"\ncolmap: {upsample_masked: []}')
+    options = with_options(repo_copy, 'dataset: "my clips"')
     plan = run_snakemake(repo_copy, "-p", *options)
     commands = [shlex.split(line) for line in plan.stdout.splitlines() if "python -m stages" in line]
-    assert len(commands) == len(EVERY_RULE - {"simulate", "colmap_masked", "all"}) + len(("motion", "segment", "ba"))
+    assert len(commands) == len(EVERY_RULE - {"simulate", "all"}) + len(("motion", "segment", "ba"))
     for words in commands:
         assert "" not in words
         assert any("my clips/take 1; two" in word for word in words)
@@ -165,10 +170,10 @@ def test_scenes_all_means_the_whole_scene_library(repo_copy: Path) -> None:
 def test_a_sweep_runs_only_what_differs(repo_copy: Path) -> None:
     result = run_snakemake(with_comparisons(repo_copy), "-n", "sweep")
     counts = dict(re.findall(r"^(\w+) +(\d+)$", result.stdout, re.MULTILINE))
-    # Configured, fast, one round, static. The one round is the first of the configured run; fast has flow of its
-    # own, and no masks in its first round.
-    expected = {"simulate": 1, "inspect": 1, "colmap": 1, "flow": 2, "motion": 3, "segment": 3, "ba": 4}
-    expected |= {"scene": 4, "control": 4, "train": 4, "render": 4, "evaluate": 4, "collect_sweep": 1, "report": 1}
+    # Configured, fast, one round, static, other COLMAPs. The one round is the first of the configured run; fast has
+    # flow of its own, and no masks in its first round; other COLMAPs are evaluated apart and share all else.
+    expected = {"simulate": 1, "inspect": 1, "colmap": 2, "colmap_masked": 1, "flow": 2, "motion": 3, "segment": 3}
+    expected |= {"ba": 4, "scene": 4, "control": 4, "train": 4, "render": 4, "evaluate": 5, "collect_sweep": 1}
     assert {name: int(counts[name]) for name in expected} == expected
     assert "collect_scaling" not in counts
 

@@ -27,6 +27,7 @@ from stages.shared.artifacts import read_dense, read_metadata, write_dense, writ
 from stages.shared.cameras import (
     Cameras,
     centred_intrinsics,
+    has_pose,
     make_cameras,
     read_cameras,
     scale_intrinsics,
@@ -55,7 +56,7 @@ def main(
     options: BAOptions,
     masks: Annotated[Path | None, In("folder of dynamic masks, 255 = dynamic")] = None,
     previous_poses: Annotated[Path | None, In("poses.parquet of the round before")] = None,
-) -> None:
+) -> str:
     """Estimate camera poses, one shared focal length and depth from flow and masks.
 
     A camera that only rotates, or hardly moves, is recognised and solved in the model that fits. Doubts about the
@@ -89,6 +90,9 @@ def main(
     _write_depth(depth, maps, frames, stride_px)
     _write_convergence(convergence, solution)
     _draw(figure, frames.name, solution, graph, cameras, maps)
+    return f"{has_pose(cameras).sum()} of {len(frames.numbers)} frames, camera {solution.camera}, " + (
+        f"focal length {cameras.Ks[0, 0, 0]:.0f} px ({solution.focal['decision']})"
+    )
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,7 @@ def main(
     deformation: Annotated[Path, Out("motion model and its residuals, safetensors")],
     figure: Annotated[Path, Out("picture for the report")],
     options: ControlOptions,
-) -> None:
+) -> str:
     """Fit dynamic control points to tracks of dynamic pixels (stage 1).
 
     Dynamic pixels are followed by flow through the training frames only and lifted by depth. The canonical frame is
@@ -53,6 +53,9 @@ def main(
     save_points(points, model, {"status": metadata["status"]})
     save_deformation(deformation, model, metadata)
     images.write_image(figure, picture.trajectories(content, cameras, model))
+    if model is None:
+        return f"no control points: {metadata['status']}"
+    return f"{len(model.points)} control points, residual {metadata['median_px']:.2f} px"
 
 
 def _sightings(

@@ -1,6 +1,9 @@
 """Structure from motion by COLMAP (pycolmap), each step in a process of its own that can be stopped."""
 
+import math
 import multiprocessing
+import resource
+import signal
 from collections.abc import Callable
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -14,6 +17,7 @@ from stages.shared.cameras import intrinsics
 
 MIN_MODEL_FRAMES = 3
 THREADS = 1  # with two, images are numbered and samples drawn in another order every time, whatever the seed
+PATIENCE = 20.0  # it runs beside our stages, at the lowest priority, and may have to wait for a core
 MIN_TRIANGULATION_DEG = 4.0  # of the first pair; COLMAP's 16 can retry for minutes on the short baselines of video
 
 
@@ -21,23 +25,28 @@ class StepFailed(Exception):
     """A step ended without a result; the message is the reason for the table."""
 
 
-def run_limited(step: Callable[..., Any], arguments: tuple[Any, ...], seconds: float) -> Any:
-    """The value of `step(*arguments)`, computed in a fresh process that is killed after `seconds`.
+def run_limited(step: Callable[..., Any], arguments: tuple[Any, ...], cpu_s: float, patience: float = PATIENCE) -> Any:
+    """The value of `step(*arguments)`, computed in a fresh process that is killed after `cpu_s` seconds of CPU.
+
+    Args:
+        patience: wall seconds per CPU second of the limit after which a step that waits for ever is killed too.
 
     Raises:
         StepFailed: if it raises, crashes or runs out of time.
     """
     context = multiprocessing.get_context("spawn")
     receiver, sender = context.Pipe(duplex=False)
-    process = context.Process(target=_send_result, args=(sender, step, arguments))
+    process = context.Process(target=_send_result, args=(sender, step, arguments, math.ceil(cpu_s)))
     process.start()
     sender.close()
     try:
-        if not receiver.poll(seconds):
-            raise StepFailed(f"stopped after {seconds:.0f} s")
+        if not receiver.poll(patience * cpu_s):
+            raise StepFailed(f"stopped after {patience * cpu_s:.0f} s")
         failure, value = receiver.recv()
     except EOFError:
         process.join()
+        if process.exitcode == -signal.SIGXCPU:
+            raise StepFailed(f"stopped after {math.ceil(cpu_s)} s of CPU") from None
         raise StepFailed(f"crashed with exit code {process.exitcode}") from None
     finally:
         process.kill()
@@ -47,7 +56,8 @@ def run_limited(step: Callable[..., Any], arguments: tuple[Any, ...], seconds: f
     return value
 
 
-def _send_result(sender: Connection, step: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
+def _send_result(sender: Connection, step: Callable[..., Any], arguments: tuple[Any, ...], cpu_s: int) -> None:
+    resource.setrlimit(resource.RLIMIT_CPU, (cpu_s, cpu_s + 1))
     try:
         sender.send((None, step(*arguments)))
     except Exception as error:

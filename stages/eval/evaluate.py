@@ -23,7 +23,7 @@ from stages.eval import (
 from stages.eval.options import EvaluateOptions
 from stages.eval.paths import path_rows
 from stages.eval.plots import draw_trajectories
-from stages.eval.tables import Row, write_rows
+from stages.eval.tables import Row, read_rows, write_rows
 from stages.eval.truth import true_cameras, true_masks
 from stages.shared import cli
 from stages.shared.artifacts import atomic, read_dense, read_metadata
@@ -71,7 +71,7 @@ def main(
     frames_table: Annotated[Path, Out("image and mask scores of single frames")],
     figure: Annotated[Path, Out("picture of the trajectories")],
     options: EvaluateOptions,
-) -> None:
+) -> str:
     """Write one row per method and protocol; what cannot be scored is a row that says why."""
     frames = read_sequence(sequence)
     times = costs.time_rows(frames.name, stage_stats)
@@ -93,6 +93,20 @@ def main(
     checks += score_models.model_rows(frames.name, len(frames.frames), motion, model, half)
     _log_rows("checks", checks)
     write_rows(checks_table, checks, CHECKS, {})
+    return _result(poses_table, masks_table, images_table)
+
+
+def _result(poses_table: Path, masks_table: Path, images_table: Path) -> str:
+    """The scores of the sequence in a few words; what has no truth is left out."""
+    last = {row["method"]: row for row in [*read_rows(poses_table), *read_rows(masks_table)]}
+    images = [row for row in read_rows(images_table) if (row["split"], row["region"]) == ("test", "whole")]
+    whole = {row["method"]: row["psnr_db"] for row in images}
+    figures = {
+        "ATE {:.3f} % of path": last.get("ours", {}).get("ate_percent"),
+        "mask IoU {:.2f}": last.get("refined masks", {}).get("iou"),
+        "held-out PSNR {:.1f} dB": whole.get("ours"),
+    }
+    return ", ".join(words.format(value) for words, value in figures.items() if value is not None)
 
 
 def _write_poses(

@@ -34,13 +34,13 @@ def main(
     manifests: Annotated[Path | None, In("folder with what the simulator drew, <sequence>.json")] = None,
     sweep: Annotated[Path | None, In("table of the sweep: accuracy and cost of every setting")] = None,
     growth: Annotated[Path | None, In("table of the scaling: cost of every stage over sizes")] = None,
-) -> None:
+) -> str:
     """Write the report. It needs no network, no other file, and only the results that are there."""
     rows, protocols = gather(sequences, manifests)
     names = [folder.name for folder in sequences]
     rows["settings"] = [row for row in read_rows(sweep) if row["sequence"] in names] if sweep else []
-    compared = comparison_groups(rows["settings"], growth, rows["poses"])
     rows["poses"] = with_settings(rows["poses"], rows["settings"], names)
+    compared = comparison_groups(rows["settings"], growth, rows["poses"])
     groups = overview.build_groups(rows, protocols, yaml.safe_load(published_numbers.read_text()))
     groups[-1:-1] = compared
     every = {table.name: table for group in groups for table in [*group.tables, *group.more]}
@@ -61,6 +61,7 @@ def main(
     with atomic(output) as partial:
         partial.write_text(page, encoding="utf-8")
     logger.info("report: %s, %.1f MB", output, len(page.encode()) / 1e6)
+    return f"{len(names)} sequence{'s' if len(names) > 1 else ''}"
 
 
 def build_sections(folders: list[Path], tables: dict[str, Table]) -> list[Section]:
@@ -79,7 +80,7 @@ def build_sections(folders: list[Path], tables: dict[str, Table]) -> list[Sectio
 
 def with_settings(poses: list[Row], settings: list[Row], names: list[str]) -> list[Row]:
     """The pose rows and those of the sweep, in the order of `names`."""
-    rows = [*poses, *tradeoff_report.pose_rows(settings)]
+    rows = [*poses, *tradeoff_report.pose_rows(settings, poses)]
     return sorted(rows, key=lambda row: names.index(row["sequence"]))
 
 

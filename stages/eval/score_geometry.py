@@ -7,9 +7,8 @@ import numpy as np
 
 from stages.eval import truthfree
 from stages.eval.flow_error import flow_rows, has_some_true_flow
-from stages.eval.score_poses import has_pose
 from stages.shared import sintel
-from stages.shared.cameras import Cameras
+from stages.shared.cameras import Cameras, has_pose
 from stages.shared.sequences import Sequence
 
 FAR = 10.0  # true depths beyond this many medians (sky) are left out

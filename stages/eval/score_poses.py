@@ -11,11 +11,9 @@ from stages.eval import adjustment, trajectory
 from stages.shared import lie
 from stages.shared.alignment import DegenerateError, extent
 from stages.shared.artifacts import read_metadata, read_table
-from stages.shared.cameras import Cameras, intrinsics, make_cameras, read_cameras
+from stages.shared.cameras import Cameras, has_pose, intrinsics, make_cameras, read_cameras
 
 CAMERA_NAMES = {"point": "static", "line": "straight"}
-WITHOUT_POSE = ("failed", "unobserved")
-"""Status of frames whose pose is no estimate."""
 
 
 @dataclass(frozen=True)
@@ -25,7 +23,7 @@ class Candidate:
     Attributes:
         cameras: the k <= total registered frames, ascending; None if there is none.
         failure: why there is none.
-        wall_s, cpu_s: seconds of the whole method.
+        wall_s, cpu_s: seconds of the whole method; COLMAP's are both CPU seconds of its one thread.
         decided: what our adjustment decided, the columns adjustment.DECISIONS; a baseline says nothing of it.
     """
 
@@ -60,11 +58,6 @@ def own_candidates(tables: Sequence[Path], seconds: Sequence[tuple[float, float]
     return candidates
 
 
-def has_pose(cameras: Cameras) -> np.ndarray:
-    """Which frames [T] have an estimated pose, by their status."""
-    return ~np.isin(cameras.status.astype(str), WITHOUT_POSE)
-
-
 def colmap_candidates(*tables: Path) -> list[Candidate]:
     """Every variant of the baseline in these tables, failed ones too."""
     return [candidate for table in tables for candidate in _variants(table)]
@@ -81,7 +74,7 @@ def _variants(table: Path) -> Iterator[Candidate]:
             Ks = intrinsics(chosen["fx"], chosen["fy"], chosen["cx"], chosen["cy"])
             cameras = make_cameras(lie.from_parts(R, t), Ks, chosen["frame"])
         names = variant["method"], variant["protocol"], variant["total"]
-        yield Candidate(*names, cameras, variant["failure"], variant["wall_s"], variant["cpu_s"])
+        yield Candidate(*names, cameras, variant["failure"], variant["cpu_s"], variant["cpu_s"])
 
 
 def score(name: str, candidate: Candidate, truth: Cameras | None) -> dict[str, Any]:

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 from stages.eval.costs import is_ours
 from stages.eval.tables import Row, read_rows, write_rows
 from stages.eval.training_speed import compare_training
+from stages.settings import is_baseline
 from stages.shared import cli
 from stages.shared.artifacts import read_json, read_table
 from stages.shared.cli import In, Out
@@ -35,9 +36,13 @@ def main(
     runs: Annotated[Path, In("runs.json: sequence, setting, and where its scores lie, from the dataset's folder")],
     output: Annotated[Path, Out("costs.parquet: a row per sequence and setting")],
 ) -> None:
-    """Write one row per sequence and setting; what was not scored is null."""
+    """Write one row per sequence and setting, and per variant of COLMAP; what was not scored is null."""
     folder = runs.parents[1]
-    rows = [run_row(folder, run) for run in read_json(runs)["runs"]]
+    rows = [
+        row
+        for run in read_json(runs)["runs"]
+        for row in (baseline_rows(folder, run) if is_baseline(run["overrides"]) else [run_row(folder, run)])
+    ]
     units = {"ate_percent": "% of path", "focal_error_percent": "%", "peak_mb": "MB", "model_mb": "MB", "wall_s": "s"}
     write_rows(output, rows, COLUMNS, {"protocol": PROTOCOL, "units": units})
 
@@ -66,6 +71,21 @@ def run_row(folder: Path, run: Row) -> Row:
         "model_mb": model_mb,
         **compare_training(*trainings),
     }
+
+
+def baseline_rows(folder: Path, run: Row) -> list[Row]:
+    """A row per variant of COLMAP in a run that is about COLMAP, called by its method; arguments as of `run_row`."""
+    about = {name: run[name] for name in ("sequence", "group", "knob", "is_default")}
+    about |= {"overrides": json.dumps(run["overrides"])}
+    unknown = dict.fromkeys(COLUMNS)
+    return [
+        unknown
+        | about
+        | {name: row[name] for name in POSE_SCORES}
+        | {"setting": row["method"], "poses_wall_s": row["wall_s"], "poses_cpu_s": row["cpu_s"]}
+        for row in read_rows(folder / run["scores"] / "poses.parquet")
+        if str(row["method"]).startswith("COLMAP")
+    ]
 
 
 def pose_scores(rows: Iterable[Row]) -> Row:

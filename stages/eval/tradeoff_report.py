@@ -18,11 +18,12 @@ TITLES = {
     "knobs": "Single knobs",
     "inputs": "What each input costs",
     "masks": "Effect of masks on pose error",
+    "baselines": "COLMAP, every variant",
     "claims": "Claims of the paper",
 }
 CHOICES = ("presets", "knobs")
 """The groups that a user chooses among: the front is theirs. The others show what an input or a part is worth."""
-BESIDE = ("presets", "inputs")
+BESIDE = ("presets", "inputs", "baselines")
 """The groups whose runs stand in the pose table too."""
 NO_EFFECT = 1e-3
 """A knob that changes an error by less than this share has no chart of it."""
@@ -115,16 +116,19 @@ def sequence_tables(costs: Sequence[Row]) -> list[Table]:
     return [Table("sweep_masks_sequences", f"{TITLES['masks']}, every sequence", note, columns, rows)]
 
 
-def pose_rows(costs: Sequence[Row]) -> list[Row]:
-    """Rows of the pose table for the presets and inputs of the sweep that differ from the configured run."""
+def pose_rows(costs: Sequence[Row], poses: Sequence[Row]) -> list[Row]:
+    """Rows of the pose table for presets, inputs and COLMAP of the sweep that do not stand in `poses` already."""
     seconds = {"wall_s": "poses_wall_s", "cpu_s": "poses_cpu_s"}
-    return [
+    there = {(row["sequence"], row["method"]) for row in poses}
+    rows = [
         row
-        | {"method": f"ours, {row['setting']}", "protocol": f"run again by the sweep ({row['group']})"}
+        | {"method": row["setting"] if row["group"] == "baselines" else f"ours, {row['setting']}"}
+        | {"protocol": f"run by the sweep ({row['group']})"}
         | {key: row[source] for key, source in seconds.items()}
         for row in costs
         if row["group"] in BESIDE and not row["is_default"]
     ]
+    return [row for row in rows if (row["sequence"], row["method"]) not in there]
 
 
 def _point(row: Row, measure: Measure) -> Point | None:

@@ -29,7 +29,7 @@ def main(
     output: Annotated[Path, Out("pairs.arrow: flow and confidence of every directed edge")],
     figure: Annotated[Path, Out("picture for the report: frames, flow, confidence")],
     options: FlowOptions,
-) -> None:
+) -> str:
     """Estimate dense optical flow between frames by dense inverse search, longer edges started by chaining.
 
     Fast pairs are started anew from sparse matches where that explains the frames better. Far frames are matched where
@@ -62,6 +62,7 @@ def main(
     source, target = np.array(edges, np.int64).reshape(-1, 2).T
     write_dense(output, {"source": source, "target": target, "flow": flow, "confidence": confidence}, metadata)
     write_figure(figure, _picture(rgb, edges, flow, confidence))
+    return f"{len(edges)} pairs, {facts['confident_share']:.0%} of the pixels confident"
 
 
 def _match(rgb: np.ndarray, options: FlowOptions) -> tuple[Flows, Flows, dict[str, Any]]:

@@ -34,7 +34,7 @@ def main(
     options: MotionOptions,
     previous_poses: Annotated[Path | None, In("poses.parquet of the round before")] = None,
     previous_depth: Annotated[Path | None, In("depth.arrow of the round before")] = None,
-) -> None:
+) -> str:
     """Estimate the probability that a pixel moves in the world, from geometry alone.
 
     Without cameras: misfit of the flow to the epipolar geometry of many frame pairs (to homographies where nothing
@@ -61,6 +61,7 @@ def main(
     columns = {"frame": np.array(frames.numbers), "probability": probability.astype(np.float16)}
     write_dense(output, columns, {"units": "probability", **facts, "options": options.model_dump(mode="json")})
     write_figure(figure, _picture(rgb, probability))
+    return f"{facts['moving_share']:.1%} of the pixels seem to move"
 
 
 def to_probability(misfit: np.ndarray, midway: float, spread: float) -> np.ndarray:

@@ -14,6 +14,7 @@ from stages.gaussians.model import GaussianScene
 from stages.gaussians.observations import Observations
 from stages.gaussians.options import GaussiansOptions
 from stages.gaussians.ssim import Target, ssim
+from stages.shared.log import progress
 from stages.shared.psnr import psnr_db
 
 LEARNING_RATES = {
@@ -70,7 +71,7 @@ class Trainer:
     def run(self, after_step: Callable[["Trainer"], None]) -> None:
         """Train to the last step."""
         start = time.perf_counter() - (self.history.seconds[-1] if self.history.seconds else 0.0)
-        while self.step < self.options.steps:
+        for _ in progress(range(self.step, self.options.steps), "training"):
             loss, psnr = self._train_step()
             self.step += 1
             row = (self.step, loss, psnr, len(self.scene.anchors), time.perf_counter() - start)

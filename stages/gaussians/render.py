@@ -22,7 +22,7 @@ def main(
     output: Annotated[Path, Out("folder of renders: train, test, novel, right; and splats, if export_frames says so")],
     video: Annotated[Path, Out("fly-through as GIF")],
     options: RenderOptions,
-) -> None:
+) -> str:
     """Render every frame at its estimated pose and time, a fly-through, and the right eye where its truth is known.
 
     During the fly-through time runs from 0 to 1 while the camera circles around the estimated path.
@@ -46,6 +46,7 @@ def main(
             elif shot.split != "right" and options.exports(shot.number):
                 write_splats(folder / "splats" / f"frame_{shot.number:04d}.ply", scene, shot.time)
     write_gif(video, novel, SECONDS_PER_FRAME * len(novel))
+    return f"{len(shots)} views"
 
 
 if __name__ == "__main__":

@@ -36,7 +36,7 @@ def main(
     convergence: Annotated[Path, Out("table of step, loss, PSNR, Gaussians, seconds")],
     figure: Annotated[Path, Out("picture for the report: renders beside frames, PSNR over steps")],
     options: GaussiansOptions,
-) -> None:
+) -> str:
     """Train the 4D Gaussian scene on all frames but the held-out ones.
 
     Gaussians start from the depth of several frames and are labelled static or dynamic once, by a vote of the masks.
@@ -64,6 +64,8 @@ def main(
     status = {"status": "poses failed" if failed else "trained", "options": options.model_dump()}
     _write_models((ply, model, half), gaussians, seen, status)
     checkpoint.remove()
+    psnr_db = float(np.mean(trainer.history.psnr[-len(seen.images) :])) if trainer.history.psnr else float("nan")
+    return f"{len(gaussians.anchors)} Gaussians, {psnr_db:.1f} dB on training frames"
 
 
 def _write_models(

@@ -24,7 +24,7 @@ def main(
     output: Annotated[Path, Out("sequence.json: frames, size, conversions, truth and its gaps")],
     figure: Annotated[Path, Out("picture for the report")],
     options: InspectOptions,
-) -> None:
+) -> str:
     """Check one sequence completely, so that no later stage stumbles over its files."""
     sequence = first_frames(check_sequence(folder_name(frames), frames), options)
     digest = frames_digest(sequence)
@@ -33,6 +33,7 @@ def main(
         logger.warning("%s: %s", frames, warning)
     write_figure(figure, draw(sequence))
     write_json(output, sequence_to_json(sequence) | {"frames_sha256": digest, "missing_truth": missing_truth(sequence)})
+    return f"{len(sequence.frames)} frames of {sequence.width} x {sequence.height} px"
 
 
 def first_frames(sequence: Sequence, options: InspectOptions) -> Sequence:

@@ -27,7 +27,7 @@ def main(
     output: Annotated[Path, Out("scene.json: each effect with needed, evidence, why, source")],
     figure: Annotated[Path, Out("picture for the report")],
     options: SceneOptions,
-) -> None:
+) -> str:
     """Decide from evidence which effects the reconstruction has to model, and write why.
 
     Moving parts, a camera that only turns, exposure change, view-dependent colour and bending movers: each is looked
@@ -44,6 +44,8 @@ def main(
     from stages.scene.picture import decision_table
 
     images.write_image(figure, decision_table(decisions))
+    found = [name.replace("_", " ") for name, decision in decisions.items() if decision["needed"]]
+    return f"to model: {', '.join(found) or 'a static scene'}"
 
 
 def _decide(seen: Observed, rotation_only_share: float, options: SceneOptions) -> dict[str, dict[str, Any]]:

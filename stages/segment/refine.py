@@ -30,7 +30,7 @@ def main(
     output: Annotated[Path, Out("folder of masks frame_0001.png, 255 = dynamic, full resolution, and masks.json")],
     figure: Annotated[Path, Out("picture for the report: frames with their masks")],
     options: SegmentOptions,
-) -> None:
+) -> str:
     """Refine the motion prior to binary dynamic masks.
 
     The prior is voted on along the flow, spread up to the colour edges of the frame, and cut by hysteresis. A mask may
@@ -54,6 +54,7 @@ def main(
         )
     _tell(frames, shares, guarded, options)
     write_figure(figure, figures.contact_sheet(overlays, columns=3))
+    return f"{np.mean(list(shares.values())):.1%} of the pixels dynamic"
 
 
 def _masks(options: SegmentOptions, frames: Sequence, flow: Path, prior: Path) -> Masks:

@@ -10,6 +10,9 @@ from stages.shared import lie
 from stages.shared.artifacts import atomic, read_table, write_table
 from stages.shared.errors import complete
 
+WITHOUT_POSE = ("failed", "unobserved")
+"""Status of frames whose pose is no estimate."""
+
 
 @dataclass(frozen=True)
 class Cameras:
@@ -79,6 +82,11 @@ def read_cameras(path: Path) -> Cameras:
         Ks = intrinsics(table["fx"], table["fy"], table["cx"], table["cy"])
         covariance = table["covariance"].reshape(-1, 6, 6)
         return Cameras(lie.from_parts(R, t), Ks, table["frame"], covariance, table["status"])
+
+
+def has_pose(cameras: Cameras) -> np.ndarray:
+    """Which frames [T] have an estimated pose, by their status."""
+    return ~np.isin(cameras.status.astype(str), WITHOUT_POSE)
 
 
 def write_tum(path: Path, cameras: Cameras) -> None:

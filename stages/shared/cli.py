@@ -44,11 +44,12 @@ class _PathFlag:
     required: bool
 
 
-def run(main: Callable[..., None], argv: Sequence[str] | None = None) -> NoReturn:
+def run(main: Callable[..., str | None], argv: Sequence[str] | None = None) -> NoReturn:
     """Parse flags, call `main(paths..., options)`, write the time spent, and exit.
 
     Path parameters are annotated `Annotated[Path, In("...")]` or `Out("...")`; one parameter may be an
-    `Options` model. Exit codes: 0 done, 2 bad input (one line), 130 interrupted, 1 a bug of ours.
+    `Options` model. What `main` returns is its result in a few words: with its warnings it stands in the time file,
+    from where the terminal shows it. Exit codes: 0 done, 2 bad input (one line), 130 interrupted, 1 a bug of ours.
     """
     stage = _module_name(main).removeprefix("stages.")
     flags, model = _signature(main)
@@ -64,21 +65,22 @@ def run(main: Callable[..., None], argv: Sequence[str] | None = None) -> NoRetur
             given = {name: _typed(value) for name, value in arguments.items() if value is not None}
             call["options"] = validate(model, given, stage)
             log.logger.info("options: %s", call["options"].model_dump_json())
-        main(**call)
+        summary = main(**call)
+        log.logger.info("done: %s", summary)
         if stats_file is not None:
             outputs = [paths[flag.name] for flag in flags if isinstance(flag.mark, Out)]
-            _write_stats(stats_file, stage, outputs, call.get("options"))
+            _write_stats(stats_file, stage, summary, outputs, call.get("options"))
     except BaseException as error:  # the one place where every failure becomes an exit code
         sys.exit(_report_failure(stage, error, log_file))
     sys.exit(0)
 
 
-def _module_name(main: Callable[..., None]) -> str:
+def _module_name(main: Callable[..., str | None]) -> str:
     spec = sys.modules[main.__module__].__spec__
     return spec.name if spec else main.__module__
 
 
-def _signature(main: Callable[..., None]) -> tuple[list[_PathFlag], type[Options] | None]:
+def _signature(main: Callable[..., str | None]) -> tuple[list[_PathFlag], type[Options] | None]:
     flags, model = [], None
     hints = get_type_hints(main, include_extras=True)
     for name, parameter in inspect.signature(main).parameters.items():
@@ -97,7 +99,9 @@ class _OneLineParser(argparse.ArgumentParser):
         self.exit(2, f"{self.prog}: {message}; see --help\n")
 
 
-def _parser(main: Callable[..., None], flags: list[_PathFlag], model: type[Options] | None) -> argparse.ArgumentParser:
+def _parser(
+    main: Callable[..., str | None], flags: list[_PathFlag], model: type[Options] | None
+) -> argparse.ArgumentParser:
     parser = _OneLineParser(
         prog=f"python -m {_module_name(main)}",
         description=inspect.getdoc(main),
@@ -122,7 +126,7 @@ def _parser(main: Callable[..., None], flags: list[_PathFlag], model: type[Optio
             nargs = "*" if _is_sequence(field.annotation) else None
             parser.add_argument(_dashed(name), nargs=nargs, metavar=name.upper(), help=text)
     parser.add_argument("--log", type=Path, help="file for the log (default: none)")
-    parser.add_argument("--stats", type=Path, help="file for seconds, memory and output size, as JSON (default: none)")
+    parser.add_argument("--stats", type=Path, help="file for cost, result and warnings, as JSON (default: none)")
     return parser
 
 
@@ -174,7 +178,9 @@ def ensure_writable_parent(path: Path) -> None:
         raise InputError(path.parent, "a folder that can be written", "no write permission", advice)
 
 
-def _write_stats(stats_file: Path, stage: str, outputs: list[Any], options: Options | None) -> None:
+def _write_stats(
+    stats_file: Path, stage: str, summary: str | None, outputs: list[Any], options: Options | None
+) -> None:
     from stages.shared.artifacts import write_json
 
     own, children = resource.getrusage(resource.RUSAGE_SELF), resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -184,6 +190,8 @@ def _write_stats(stats_file: Path, stage: str, outputs: list[Any], options: Opti
         stats_file,
         {
             "stage": stage,
+            "summary": summary,
+            "warnings": log.warnings(),
             "wall_s": time.perf_counter() - stages.START_S,
             "cpu_s": own.ru_utime + own.ru_stime + children.ru_utime + children.ru_stime,
             "peak_mb": max(own.ru_maxrss, children.ru_maxrss) / 1024,

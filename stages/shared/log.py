@@ -1,6 +1,7 @@
 """Logging and progress: bars on a terminal, sparse lines in the log file, stdout left empty."""
 
 import logging
+import os
 import sys
 from collections.abc import Collection, Iterator
 from pathlib import Path
@@ -12,22 +13,47 @@ ItemT = TypeVar("ItemT")
 logger = logging.getLogger("motionsplat")
 
 
+class _Kept(logging.Handler):
+    """Keeps the warnings, for the time file."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.WARNING)
+        self.lines: list[str] = []
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self.lines.append(record.getMessage())
+
+
 def setup(log: Path | None) -> None:
-    """Send everything to `log` (if given) and warnings to stderr."""
+    """Send everything to `log` (if given) and warnings to stderr, unless stderr is that log, as in the workflow."""
     logger.setLevel(logging.INFO)
     logger.propagate = False
     for old in logger.handlers[:]:
         logger.removeHandler(old)
         old.close()
+    logger.addHandler(_Kept())
+    if log is not None:
+        log.parent.mkdir(parents=True, exist_ok=True)
+        log.write_bytes(b"")
+        file = logging.FileHandler(log, mode="a", encoding="utf-8")  # stderr may be appended to the same file
+        file.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
+        logger.addHandler(file)
+        if _is_stderr(log):
+            return
     terminal = logging.StreamHandler(sys.stderr)
     terminal.setLevel(logging.WARNING)
     terminal.setFormatter(logging.Formatter("%(message)s"))
     logger.addHandler(terminal)
-    if log is not None:
-        log.parent.mkdir(parents=True, exist_ok=True)
-        file = logging.FileHandler(log, mode="w", encoding="utf-8")
-        file.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
-        logger.addHandler(file)
+
+
+def _is_stderr(log: Path) -> bool:
+    """Whether standard error goes to this file already."""
+    return sys.__stderr__ is not None and os.path.samestat(log.stat(), os.fstat(sys.__stderr__.fileno()))
+
+
+def warnings() -> list[str]:
+    """The warnings since `setup`, in order."""
+    return [line for handler in logger.handlers if isinstance(handler, _Kept) for line in handler.lines]
 
 
 def progress(items: Collection[ItemT], title: str) -> Iterator[ItemT]:

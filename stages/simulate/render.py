@@ -49,7 +49,7 @@ def main(
     scene: Annotated[Path, In("scene file, e.g. stages/simulate/scenes/demo.yaml")],
     output: Annotated[Path, Out("folder that receives training/<kind>/<scene>/ and <scene>.json")],
     options: RenderOptions,
-) -> None:
+) -> str:
     """Draw a scene: clean and final pass, flow, depth, cameras, occlusions, invalid, motion mask, right eye."""
     drawn, name = load_scene(scene), scene.stem
     manifest = output / f"{name}.json"
@@ -69,6 +69,7 @@ def main(
     logger.info("simulated: %s", content)
     if options.explain:
         print(explain(content))
+    return f"{drawn.frames} frames of {drawn.width} x {drawn.height} px"
 
 
 def refuse_blocked_camera(stage: Stage, now: Moment, frame: int, scene: Path) -> None:

@@ -26,4 +26,4 @@ rule ba:
         "python -m stages.ba.solve --sequence {input.sequence:q} --flow {input.flow:q}"
         " {params.optional} --poses {output.poses:q} --trajectory {output.trajectory:q} --depth {output.depth:q}"
         " --convergence {output.convergence:q} --figure {output.figure:q} {params.flags}"
-        " --log {log:q} --stats {output.stats:q}"
+        " --log {log:q} --stats {output.stats:q} 2>> {log:q}"

@@ -37,11 +37,13 @@ def comparison_flags(wildcards, input):
 
 
 def masked_baseline(name):
-    """What COLMAP with our masks makes for the configured run; nothing for others, or where it is switched off."""
+    """What COLMAP with our masks makes, where a setting asks for it: the configured run, or a setting about COLMAP."""
 
     def of_job(wildcards):
-        wanted = CONFIG.colmap.upsample_masked and not wildcards.setting
-        folder = f"<results>/{wildcards.dataset}/{wildcards.seq}"
-        return [f"{folder}/{name}"] if wanted else []
+        if not settings.runs_masked_baseline(setting_of(wildcards)):
+            return []
+        return [
+            f"<results>/{wildcards.dataset}/{wildcards.seq}/{wildcards.setting}{name}"
+        ]
 
     return of_job

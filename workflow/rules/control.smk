@@ -25,4 +25,4 @@ rule control:
         "python -m stages.control.fit --sequence {input.sequence:q} --flow {input.flow:q} --masks {input.masks:q}"
         " --poses {input.poses:q} --depth {input.depth:q} --scene {input.scene:q} --points {output.points:q}"
         " --deformation {output.deformation:q} --figure {output.figure:q} {params.flags}"
-        " --log {log:q} --stats {output.stats:q}"
+        " --log {log:q} --stats {output.stats:q} 2>> {log:q}"

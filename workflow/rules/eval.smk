@@ -6,31 +6,32 @@ rule colmap:
         stats="<results>/{dataset}/{seq}/{setting}stats/colmap.json",
     log:
         "<logs>/{dataset}/{seq}/{setting}colmap.log",
-    # On one thread it would hold back every stage that wants all cores: it waits for them instead.
-    priority: -1
     conda:
         "../envs/motionsplat.yaml"
+    # No core is kept for it: at the lowest priority it takes what our own stages leave idle, and never delays them.
+    threads: 0
     resources:
         mem_mb=megabytes(800, 60),
+        colmap=1,
     params:
         code=code_digest("stages.eval.colmap"),
         flags=flags("colmap"),
         masks="",
     shell:
-        "python -m stages.eval.colmap --sequence {input.sequence:q} --output {output.poses:q}"
-        " {params.masks} {params.flags} --log {log:q} --stats {output.stats:q}"
+        "nice -n 19 python -m stages.eval.colmap --sequence {input.sequence:q} --output {output.poses:q}"
+        " {params.masks} {params.flags} --log {log:q} --stats {output.stats:q} 2>> {log:q}"
 
 
-# Apart from the rule above, which need not wait for the masks; for the configured run alone.
+# Apart from the rule above, which need not wait for the masks.
 use rule colmap as colmap_masked with:
     input:
         sequence=artifact("inspect", "sequence.json"),
         masks=artifact("segment", "masks"),
     output:
-        poses="<results>/{dataset}/{seq}/colmap_masked/poses.parquet",
-        stats="<results>/{dataset}/{seq}/stats/colmap_masked.json",
+        poses="<results>/{dataset}/{seq}/{setting}colmap_masked/poses.parquet",
+        stats="<results>/{dataset}/{seq}/{setting}stats/colmap_masked.json",
     log:
-        "<logs>/{dataset}/{seq}/colmap_masked.log",
+        "<logs>/{dataset}/{seq}/{setting}colmap_masked.log",
     params:
         code=code_digest("stages.eval.colmap"),
         flags=flags("colmap"),
@@ -85,7 +86,7 @@ rule evaluate:
         " --poses-table {output.poses:q} --images-table {output.images:q} --masks-table {output.masks:q}"
         " --checks-table {output.checks:q} --time-table {output.time:q} --trajectory-table {output.trajectory:q}"
         " --frames-table {output.frames:q} --figure {output.figure:q} {params.flags}"
-        " --log {log:q} --stats {output.stats:q}"
+        " --log {log:q} --stats {output.stats:q} 2>> {log:q}"
 
 
 rule report:
@@ -123,4 +124,4 @@ rule report:
     shell:
         "python -m stages.eval.report --sequences {params.sequences:q} --published-numbers {input.published:q}"
         " {params.manifests} {params.comparisons} --output {output.html:q} --tables {output.tables:q} {params.flags}"
-        " --log {log:q}"
+        " --log {log:q} 2>> {log:q}"

@@ -17,7 +17,7 @@ rule flow:
         flags=flags("flow"),
     shell:
         "python -m stages.flow.estimate --sequence {input.sequence:q} --output {output.flow:q}"
-        " --figure {output.figure:q} {params.flags} --log {log:q} --stats {output.stats:q}"
+        " --figure {output.figure:q} {params.flags} --log {log:q} --stats {output.stats:q} 2>> {log:q}"
 
 
 rule motion:
@@ -43,4 +43,4 @@ rule motion:
         previous=optional_flags("previous_poses", "previous_depth"),
     shell:
         "python -m stages.flow.motion --sequence {input.sequence:q} --flow {input.flow:q} {params.previous}"
-        " --output {output.prior:q} --figure {output.figure:q} {params.flags} --log {log:q} --stats {output.stats:q}"
+        " --output {output.prior:q} --figure {output.figure:q} {params.flags} --log {log:q} --stats {output.stats:q} 2>> {log:q}"

@@ -30,7 +30,7 @@ rule train:
         " --depth {input.depth:q} --scene {input.scene:q} --points {input.points:q}"
         " --deformation {input.deformation:q} --ply {output.ply:q} --model {output.model:q} --half {output.half:q}"
         " --convergence {output.convergence:q} --figure {output.figure:q} {params.flags}"
-        " --log {log:q} --stats {output.stats:q}"
+        " --log {log:q} --stats {output.stats:q} 2>> {log:q}"
 
 
 rule render:
@@ -61,4 +61,4 @@ rule render:
     shell:
         "python -m stages.gaussians.render --sequence {input.sequence:q} --poses {input.poses:q}"
         " --model {input.model:q} --output {output.renders:q} --video {output.video:q} {params.flags}"
-        " --log {log:q} --stats {output.stats:q}"
+        " --log {log:q} --stats {output.stats:q} 2>> {log:q}"

@@ -22,4 +22,4 @@ rule inspect:
         flags=flags("inspect"),
     shell:
         "python -m stages.inspect.check --frames {params.folder:q} --output {output.sequence:q}"
-        " --figure {output.figure:q} {params.flags} --log {log:q} --stats {output.stats:q}"
+        " --figure {output.figure:q} {params.flags} --log {log:q} --stats {output.stats:q} 2>> {log:q}"

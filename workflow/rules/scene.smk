@@ -21,4 +21,4 @@ rule scene:
     shell:
         "python -m stages.scene.decide --sequence {input.sequence:q} --flow {input.flow:q} --masks {input.masks:q}"
         " --poses {input.poses:q} --depth {input.depth:q} --output {output.scene:q} --figure {output.figure:q}"
-        " {params.flags} --log {log:q} --stats {output.stats:q}"
+        " {params.flags} --log {log:q} --stats {output.stats:q} 2>> {log:q}"

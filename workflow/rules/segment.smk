@@ -19,4 +19,4 @@ rule segment:
         flags=flags("segment"),
     shell:
         "python -m stages.segment.refine --sequence {input.sequence:q} --flow {input.flow:q} --prior {input.prior:q}"
-        " --output {output.masks:q} --figure {output.figure:q} {params.flags} --log {log:q} --stats {output.stats:q}"
+        " --output {output.masks:q} --figure {output.figure:q} {params.flags} --log {log:q} --stats {output.stats:q} 2>> {log:q}"

@@ -3,6 +3,7 @@ rule simulate:
         scene=scene_file,
     output:
         manifest="simulated/{seq}.json",
+        stats="<results>/simulated/{seq}/stats/simulate.json",
     log:
         "<logs>/simulated/{seq}/simulate.log",
     conda:
@@ -14,4 +15,5 @@ rule simulate:
         code=code_digest("stages.simulate.render"),
         flags=flags("simulate"),
     shell:
-        "python -m stages.simulate.render --scene {input.scene:q} --output simulated {params.flags} --log {log:q}"
+        "python -m stages.simulate.render --scene {input.scene:q} --output simulated {params.flags}"
+        " --log {log:q} --stats {output.stats:q} 2>> {log:q}"

@@ -1,0 +1,193 @@
+"""What a run shows: a line per finished stage, a bar over all jobs, warnings and the report's path last.
+
+Snakemake finds logger plugins by the name of the package; profiles/default chooses this one. The stages say what they
+found in their time files (`summary` and `warnings` of stats/<stage>.json) and write all else to their logs.
+"""
+
+import json
+import logging
+import re
+import sys
+import threading
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, TextIO
+
+from snakemake.logging import DefaultFilter
+from snakemake_interface_logger_plugins.base import LogHandlerBase
+from snakemake_interface_logger_plugins.common import LogEvent
+from tqdm import tqdm
+
+REFRESH_S = 0.5
+BAR = "{percentage:3.0f} % |{bar:20}| {n_fmt} of {total_fmt} jobs, {elapsed}{postfix}"
+PROGRESS = re.compile(r": (\d+) of (\d+)$", re.MULTILINE)
+"""The lines that `stages.shared.log.progress` writes to the log of a job."""
+TAIL_BYTES = 4096
+SILENT = frozenset(
+    (
+        *(LogEvent.WORKFLOW_STARTED, LogEvent.RESOURCES_INFO, LogEvent.JOB_STARTED, LogEvent.GROUP_INFO),
+        *(LogEvent.RULEGRAPH, LogEvent.DEBUG_DAG),
+    )
+)
+NOISE = re.compile(
+    r"Building DAG|Select jobs|Execute \d+ job|Using shell|Assuming unrestricted|Provided|Rules claiming|host: |"
+    r"Using workflow specific profile|Config file .* is extended|Conda environments|Complete log|Shutting down|"
+    r"Storing output|Submitted|Job stats|Trying to restart|Elapsed time|Exiting because|"
+    r"(WorkflowError:\s*)?At least one job|RuleException:\s*CalledProcessError"
+)
+"""Messages that say nothing to someone who runs the pipeline, or what a line of ours says; Snakemake's own log file
+keeps them."""
+
+
+@dataclass
+class Job:
+    """A job that Snakemake has started."""
+
+    rule: str
+    about: str
+    log: Path | None
+    stats: Path | None
+    page: Path | None
+    started_s: float = field(default_factory=time.monotonic)
+
+
+class LogHandler(LogHandlerBase):
+    """Prints events of a run; a dry run and --verbose print what Snakemake prints by itself."""
+
+    def __post_init__(self) -> None:
+        self.stream: TextIO = sys.stdout if self.common_settings.stdout else sys.stderr
+        self.plain = self.common_settings.dryrun or self.common_settings.verbose
+        self.default = DefaultFilter(
+            self.common_settings.quiet,
+            self.common_settings.debug_dag,
+            self.common_settings.verbose,
+            self.common_settings.dryrun,
+            self.common_settings.printshellcmds,
+        )
+        self.running: dict[int, Job] = {}
+        self.last_words: dict[str, list[str]] = {"failed": [], "warning": []}
+        self.page: Path | None = None
+        self.bar: tqdm | None = None
+        self.stopped = threading.Event()
+
+    writes_to_stream, writes_to_file = True, False
+    has_filter, has_formatter, needs_rulegraph = True, False, False
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Print what the record says to a reader, if anything."""
+        event = getattr(record, "event", None)
+        if self.plain:
+            self._pass_on(record)
+        elif event == LogEvent.RUN_INFO:
+            self._start(int(vars(record).get("stats", {}).get("total", 0)))
+        elif event == LogEvent.JOB_INFO:
+            self.running[vars(record)["jobid"]] = _job(vars(record))
+        elif event == LogEvent.JOB_FINISHED:
+            self._finish(vars(record)["job_id"])
+        elif event == LogEvent.JOB_ERROR:
+            self._fail(vars(record)["jobid"])
+        elif event == LogEvent.PROGRESS:
+            self._advance(vars(record)["done"], vars(record)["total"])
+        elif event not in SILENT and not NOISE.match(record.getMessage().strip()):
+            self._pass_on(record)
+
+    def close(self) -> None:
+        """Print what a reader must know in the end. Snakemake closes its handlers more than once."""
+        self.stopped.set()
+        if self.bar is not None:
+            self.bar.close()
+            self.bar = None
+        for kind, lines in self.last_words.items():
+            for line in dict.fromkeys(lines):
+                self._print(f"{kind}: {line}")
+            lines.clear()
+        if self.page is not None:
+            self._print(f"The report: {self.page.resolve()}")
+            self.page = None
+        super().close()
+
+    def _pass_on(self, record: logging.LogRecord) -> None:
+        if self.default.filter(record) and (text := self.format(record).strip("\n")):
+            self._print(text)
+
+    def _print(self, line: str) -> None:
+        tqdm.write(line, file=self.stream)
+        self.stream.flush()
+
+    def _start(self, total: int) -> None:
+        """Show the bar, where there is a terminal to show it on."""
+        if self.bar is not None or not total or not self.stream.isatty():
+            return
+        self.bar = tqdm(total=total, file=self.stream, bar_format=BAR, leave=False, disable=False)
+        threading.Thread(target=self._refresh, daemon=True).start()
+
+    def _refresh(self) -> None:
+        """Keep the bar alive, with how far the running jobs are by their own logs."""
+        while not self.stopped.wait(REFRESH_S):
+            self.acquire()
+            try:
+                if self.bar is not None:
+                    running = [f"{job.rule} {job.about}{_share_done(job)}" for job in self.running.values()]
+                    self.bar.set_postfix_str(", ".join(running), refresh=True)
+            finally:
+                self.release()
+
+    def _finish(self, jobid: int) -> None:
+        job = self.running.pop(jobid, None)
+        if job is None or job.log is None:
+            return  # a target such as `all`
+        stats = _read(job.stats)
+        seconds = stats.get("wall_s", time.monotonic() - job.started_s)
+        self._print(f"{job.rule:<10} {job.about:<16} {seconds:7.1f} s  {stats.get('summary') or ''}".rstrip())
+        self.last_words["warning"] += [f"{job.about}: {line}" for line in stats.get("warnings", [])]
+        self.page = job.page or self.page
+
+    def _fail(self, jobid: int) -> None:
+        job = self.running.pop(jobid, None)
+        if job is None:
+            return
+        words = _tail(job.log).strip().splitlines()
+        reason = f"{words[-1] if words else 'no word in its log'} (log: {job.log})"
+        self._print(f"{job.rule:<10} {job.about:<16}  FAILED  {reason}")
+        self.last_words["failed"].append(f"{job.rule} {job.about}: {reason}")
+
+    def _advance(self, done: int, total: int) -> None:
+        if self.bar is not None:
+            self.bar.total, self.bar.n = total, done
+            self.bar.refresh()
+
+
+def _job(said: dict[str, Any]) -> Job:
+    """What a job-info record says of a job that the terminal shows."""
+    outputs = [Path(str(path)) for path in said.get("output") or []]
+    wildcards = said.get("wildcards") or {}
+    parts = [wildcards.get("seq"), *(str(wildcards.get(key, "")).rstrip("/") for key in ("setting", "round"))]
+    return Job(
+        rule=said["rule_name"],
+        about=" ".join(part.removeprefix("settings/") for part in parts if part),
+        log=Path(str(said["log"][0])) if said.get("log") else None,
+        stats=next((path for path in outputs if path.parent.name == "stats" and path.suffix == ".json"), None),
+        page=next((path for path in outputs if path.name == "index.html"), None),
+    )
+
+
+def _read(stats: Path | None) -> dict[str, Any]:
+    """The time file of a job; nothing where there is none, as for the report."""
+    try:
+        return dict(json.loads(stats.read_text(encoding="utf-8"))) if stats else {}
+    except (OSError, ValueError):  # on a cluster it may arrive later than the news of it
+        return {}
+
+
+def _tail(log: Path | None) -> str:
+    try:
+        return log.read_bytes()[-TAIL_BYTES:].decode("utf-8", errors="replace") if log else ""
+    except OSError:
+        return ""
+
+
+def _share_done(job: Job) -> str:
+    """How far a job is, by the last line of progress in its log: " 40 %"."""
+    found = PROGRESS.findall(_tail(job.log))
+    return f" {100 * int(found[-1][0]) // max(int(found[-1][1]), 1)} %" if found else ""

@@ -1,0 +1,131 @@
+"""What a run shows on a terminal and in a pipe, from the events that Snakemake logs."""
+
+import io
+import json
+import logging
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from snakemake.settings.types import OutputSettings
+from snakemake_interface_logger_plugins.common import LogEvent
+
+from snakemake_logger_plugin_motionsplat import LogHandler
+from stages.shared import log
+
+
+class Terminal(io.StringIO):
+    """A stream that takes itself for a terminal."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+def handler(stream: io.StringIO, monkeypatch: pytest.MonkeyPatch) -> LogHandler:
+    """The handler of a run whose standard error is `stream`."""
+    monkeypatch.setattr(sys, "stderr", stream)
+    made = LogHandler(OutputSettings(), None)
+    made.setFormatter(logging.Formatter("%(message)s"))
+    return made
+
+
+def tell(to: LogHandler, event: LogEvent | None, message: str = "", **fields: Any) -> None:
+    record = logging.LogRecord("snakemake", logging.INFO, "", 0, message, None, None)
+    vars(record).update(fields | ({"event": event} if event else {}))
+    to.handle(record)
+
+
+def start(to: LogHandler, jobid: int, rule: str, folder: Path, **wildcards: str) -> None:
+    outputs = [str(folder / "x.arrow"), str(folder / f"stats/{rule}.json")]
+    words = {"rule_name": rule, "output": outputs, "log": [str(folder / f"{rule}.log")], "wildcards": wildcards}
+    tell(to, LogEvent.JOB_INFO, jobid=jobid, **words)
+
+
+def write_stats(folder: Path, rule: str, **content: Any) -> None:
+    (folder / "stats").mkdir(exist_ok=True)
+    (folder / f"stats/{rule}.json").write_text(json.dumps(content))
+
+
+def test_a_finished_stage_is_one_line_with_its_seconds_and_its_result(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stream = io.StringIO()
+    shown = handler(stream, monkeypatch)
+    tell(shown, LogEvent.WORKFLOW_STARTED, "SNAKEMAKE 9")
+    tell(shown, None, "Building DAG of jobs...")
+    tell(shown, LogEvent.RUN_INFO, "Job stats: 2", stats={"total": 2})
+    start(shown, 1, "ba", tmp_path, seq="demo", setting="settings/fast/", round="round1/")
+    write_stats(tmp_path, "ba", wall_s=4.42, summary="14 of 14 frames", warnings=["ba: demo: doubtful: rough path"])
+    tell(shown, LogEvent.JOB_FINISHED, job_id=1)
+    tell(shown, LogEvent.PROGRESS, done=1, total=2)
+    page = tmp_path / "report/index.html"
+    tell(shown, LogEvent.JOB_INFO, jobid=2, rule_name="report", output=[str(page)], log=["r.log"], wildcards={})
+    tell(shown, LogEvent.JOB_FINISHED, job_id=2)
+    shown.close()
+    shown.close()
+    lines = stream.getvalue().splitlines()
+    assert [" ".join(line.split()) for line in lines[:1]] == ["ba demo fast round1 4.4 s 14 of 14 frames"]
+    assert lines[1].startswith("report ")
+    assert lines[2:] == ["warning: demo fast round1: ba: demo: doubtful: rough path", f"The report: {page}"]
+
+
+def test_a_failed_stage_is_told_with_the_last_words_of_its_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    stream = io.StringIO()
+    shown = handler(stream, monkeypatch)
+    start(shown, 7, "flow", tmp_path, seq="demo")
+    (tmp_path / "flow.log").write_text("INFO options\nflow.estimate: a.png: expected a frame, found nothing\n")
+    tell(shown, LogEvent.JOB_ERROR, jobid=7)
+    tell(shown, LogEvent.ERROR, "WorkflowError:\nAt least one job did not complete successfully.")
+    tell(shown, LogEvent.ERROR, "MissingInputException: no such file")
+    shown.close()
+    first, other, last = stream.getvalue().splitlines()
+    assert "FAILED  flow.estimate: a.png: expected a frame, found nothing" in first
+    assert other == "MissingInputException: no such file"
+    assert last.startswith("failed: flow demo: flow.estimate: a.png")
+
+
+@pytest.mark.parametrize(("stream", "barred"), [(Terminal(), True), (io.StringIO(), False)])
+def test_the_bar_over_all_jobs_is_for_terminals_alone(
+    stream: io.StringIO, barred: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("snakemake_logger_plugin_motionsplat.REFRESH_S", 0.01)
+    monkeypatch.setenv("COLUMNS", "120")
+    monkeypatch.setenv("LINES", "40")
+    shown = handler(stream, monkeypatch)
+    tell(shown, LogEvent.RUN_INFO, stats={"total": 5})
+    start(shown, 1, "train", tmp_path, seq="demo")
+    (tmp_path / "train.log").write_text("INFO training: 100 of 1000\nINFO training: 400 of 1000\n")
+    tell(shown, LogEvent.PROGRESS, done=2, total=5)
+    for _ in range(200):
+        if not barred or "train demo 40 %" in stream.getvalue():
+            break
+        shown.stopped.wait(0.01)
+    shown.close()
+    said = stream.getvalue()
+    assert ("2 of 5 jobs" in said and "train demo 40 %" in said) if barred else said == ""
+
+
+def test_warnings_reach_the_log_once_where_standard_error_goes_there_too(tmp_path: Path) -> None:
+    """As in the workflow, so that the words of a crash are not lost."""
+    path = tmp_path / "a.log"
+    path.write_text("of an earlier run\n")
+    code = (
+        "import sys, pathlib; from stages.shared import log; log.setup(pathlib.Path(sys.argv[1])); "
+        "log.logger.warning('rough path'); print('crashed', file=sys.stderr, flush=True); "
+        "log.logger.info('after'); assert log.warnings() == ['rough path']"
+    )
+    with path.open("a") as stderr:
+        subprocess.run([sys.executable, "-c", code, str(path)], stderr=stderr, check=True)
+    assert [line.split(" ", 2)[-1] for line in path.read_text().splitlines()] == [
+        "WARNING rough path",
+        "crashed",
+        "INFO after",
+    ]
+
+
+def test_warnings_reach_standard_error_otherwise(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log.setup(tmp_path / "a.log")
+    log.logger.warning("rough path")
+    assert capsys.readouterr().err == "rough path\n"
