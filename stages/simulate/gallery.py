@@ -30,7 +30,7 @@ def main(
     output: Annotated[Path, Out("contact sheet, e.g. docs/scenes.jpg")],
     options: GalleryOptions,
 ) -> None:
-    """Draw the final pass of the middle frame of every scene, with its name and description."""
+    """Draw the final pass of the middle frame of every scene, with its name, split and description."""
     cells = [_cell(path, options.seed) for path in progress(sorted(scenes.glob("*.yaml")), "scenes")]
     write_image(output, contact_sheet(cells, options.columns, options.width_px))
 
@@ -45,7 +45,8 @@ def _cell(path: Path, seed: int) -> np.ndarray:
     clean = frames.develop(stage, now, seen, with_effects=False)
     final = frames.to_srgb(frames.final(stage, middle, now, seen, clean))
     caption = np.full((34, 512, 3), 255, np.uint8)
-    cv2.putText(caption, path.stem, (4, 14), cv2.FONT_HERSHEY_SIMPLEX, 0.48, (0, 0, 0), 1, cv2.LINE_AA)
+    name = f"{path.stem} ({scene.split})" if scene.split else path.stem
+    cv2.putText(caption, name, (4, 14), cv2.FONT_HERSHEY_SIMPLEX, 0.48, (0, 0, 0), 1, cv2.LINE_AA)
     cv2.putText(caption, scene.description, (4, 29), cv2.FONT_HERSHEY_SIMPLEX, 0.34, (90, 90, 90), 1, cv2.LINE_AA)
     return np.concatenate([final, caption])
 

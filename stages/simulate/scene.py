@@ -6,7 +6,7 @@ hertz at 24 frames per second.
 
 import itertools
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import yaml
 from pydantic import Field, model_validator
@@ -79,6 +79,9 @@ class Scene(Options):
     """One scene file."""
 
     description: str = Field(description="one line: what is difficult about the scene")
+    split: Literal["tuned", "test"] | None = Field(
+        None, description="tuned: thresholds were chosen on it; test: nobody tunes on it; null: not of the library"
+    )
     frames: int = Field(14, ge=2, le=1000, description="number of frames")
     width: int = Field(512, ge=16, le=1024, description="pixels")
     height: int = Field(218, ge=16, le=436, description="pixels")
