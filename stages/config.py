@@ -3,6 +3,7 @@
 `python -m stages.config` prints the JSON schema; workflow/schemas/config.schema.json is its committed copy.
 """
 
+import functools
 import json
 from collections.abc import Mapping
 from pathlib import Path
@@ -33,8 +34,8 @@ class Config(Options):
     """config.yaml. Keys that several stages share stand on top; a section may override them."""
 
     dataset: str = Field(SIMULATED, description="'simulated', or a folder: MPI-Sintel, frame folders, or frames")
-    scenes: Literal["all"] | list[str] = Field(
-        ["demo"], description="if simulated: library scenes or YAML files to render"
+    scenes: Literal["all", "tuned", "test"] | list[str] = Field(
+        ["demo"], description="if simulated: library scenes or YAML files to render; or all, tuned or test ones"
     )
     pass_: Literal["clean", "final"] = Field("final", alias="pass", description="which MPI-Sintel pass to read")
     sequences: Literal["all"] | list[str] = Field("all", description="'all' or a list of names within the dataset")
@@ -135,16 +136,26 @@ def frame_folders(config: Config) -> dict[str, str]:
 
 
 def scene_files(config: Config) -> dict[str, Path]:
-    """The scenes to render, by name: from the library, or paths of YAML files."""
+    """The scenes to render, by name: the whole library or one split of it, names from it, or paths of YAML files."""
     library = {path.stem: path for path in sorted(SCENES.glob("*.yaml"))}
     if config.scenes == "all":
         return library
+    if isinstance(config.scenes, str):
+        return {name: path for name, path in library.items() if _split(path) == config.scenes}
     own = {Path(name).stem: Path(name) for name in config.scenes if name.endswith((".yaml", ".yml"))}
     for path in own.values():
         if not path.is_file():
             raise InputError(path, "a scene file", "nothing there", f"library scenes: {', '.join(library)}")
     named = [name for name in config.scenes if not name.endswith((".yaml", ".yml"))]
     return choose(named, library, SCENES) | own
+
+
+@functools.cache
+def _split(scene: Path) -> str | None:
+    """Which part of the library a scene belongs to; remembered, as every job asks."""
+    from stages.simulate.scene import load_scene
+
+    return load_scene(scene).split
 
 
 def _promised(name: str, scene: Path) -> Sequence:

@@ -64,6 +64,15 @@ def test_a_section_overrides_a_shared_key() -> None:
     assert "--seed 3" in settings.flags(config, "control")
 
 
+def test_scenes_by_split() -> None:
+    """The two words part the library: what was tuned on, and what nobody tunes on."""
+    every, tuned, test = (settings.scene_files(settings.load({"scenes": word})) for word in ("all", "tuned", "test"))
+    assert "demo" in tuned
+    assert "ruin_walk" in test
+    assert not tuned.keys() & test.keys()
+    assert tuned | test == every
+
+
 def test_numbers_as_text_are_numbers() -> None:
     class Example(Options):
         """One number of each kind."""
