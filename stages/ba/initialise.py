@@ -76,7 +76,8 @@ def pair_chain(graph: FlowGraph, step: int) -> list[tuple[int, int]]:
 
 def initial_state(graph: FlowGraph, cam_from_world: np.ndarray, focal_px: float, sigma_px: float = 1.0) -> State:
     """State in the gauge from poses alone: the inverse depth of every pixel is searched with the poses fixed."""
-    reach = float(np.median(np.linalg.norm(np.diff(cam_from_world[:, :3, 3], axis=0), axis=1)))
+    centres = lie.inverse(cam_from_world)[:, :3, 3]
+    reach = float(np.median(np.linalg.norm(np.diff(centres, axis=0), axis=1)))
     flow_px = np.linalg.norm(graph.matches - graph.pixels, axis=2)
     steps = np.abs(graph.target - graph.source)
     usual_px = float(np.median(flow_px[steps == 1])) if (steps == 1).any() else 1.0
