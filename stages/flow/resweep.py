@@ -51,7 +51,9 @@ def camera_evidence(
     _, inverse_depth = sweep(pointer, A, b, *inputs, 1.0, COARSE)
     sigma_px = float(np.clip(NOISE_SCALE * _median_residual(A, b, pairs, inverse_depth), *SIGMA_RANGE_PX))
     misfit, inverse_depth = sweep(pointer, A, b, *inputs, sigma_px, 1)
-    weight = np.add.reduceat(weights, pointer[:-1], axis=0)
+    weight = np.zeros(start.shape, np.float32)
+    for of_edge, i in zip(weights, pairs["source"], strict=True):
+        weight[i] += of_edge
     return Evidence(misfit, weight), unit * inverse_depth, sigma_px
 
 

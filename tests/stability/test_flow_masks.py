@@ -221,3 +221,16 @@ def test_masks_of_rendered_sequences(rendered: Path, name: str, least_iou: float
         assert found.mean() < 0.01
     else:
         assert (found & truth).sum() / (found | truth).sum() >= least_iou
+
+
+@pytest.mark.parametrize("lonely", [0, 2, 4])
+def test_a_frame_without_edges_has_no_evidence(lonely: int) -> None:
+    """Summed by segments, an empty one takes what belongs to the next frame, and the last one none there is."""
+    scene = make_scene(T=5)
+    pairs, _, _ = observed(scene)
+    kept = pairs["source"] != lonely
+    pairs = {name: values[kept] for name, values in pairs.items()}
+    Ks, start = np.broadcast_to(scene.K, (scene.T, 3, 3)), np.ones(scene.depth.shape, np.float32)
+    evidence, _, _ = resweep.camera_evidence(pairs, scene.cam_from_world, Ks, start)
+    assert (evidence.weight[lonely] == 0).all()
+    assert (evidence.weight[[k for k in range(5) if k != lonely]].max(axis=(1, 2)) > 1).all()
