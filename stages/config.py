@@ -158,6 +158,13 @@ def _split(scene: Path) -> str | None:
     return load_scene(scene).split
 
 
+def zooms(config: Config, name: str) -> bool:
+    """Whether the camera of a simulated sequence changes its focal length."""
+    from stages.simulate.scene import load_scene
+
+    return len({key.zoom for key in load_scene(scene_files(config)[name]).camera.keys}) > 1
+
+
 def _promised(name: str, scene: Path) -> Sequence:
     from stages.simulate.scene import load_scene
 

@@ -10,6 +10,7 @@ from stages import config as configuration
 from stages.comparisons import Knobs, ScalingOptions, SweepOptions
 from stages.config import SHARED_KEYS, Config
 from stages.presets import Overrides, override, value_of
+from stages.shared import sintel
 from stages.shared.errors import InputError
 from stages.shared.sequences import Sequence as ImageSequence
 
@@ -39,6 +40,10 @@ TRUTH = {
     "ba.depth_from": ("depth",),
 }
 """The kinds of truth that an option set to "truth" needs."""
+
+
+ONE_CAMERA = ("intrinsics", "ba.poses_from")
+"""Options that, set to "truth", need a true camera with one focal length throughout."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,9 +165,24 @@ def runs_masked_baseline(setting: Setting) -> bool:
 
 
 def lacks_truth(setting: Setting, sequence: ImageSequence) -> bool:
-    """Whether a setting takes truth as input that the sequence has not got."""
+    """Whether a setting takes truth as input that the sequence has not got, or none that the adjustment can take."""
     wanted = [option for option, value in setting.overrides.items() if value == "truth"]
-    return not all(sequence.has_truth(kind) for option in wanted for kind in TRUTH.get(option, ()))
+    if not all(sequence.has_truth(kind) for option in wanted for kind in TRUTH.get(option, ())):
+        return True
+    return takes_one_camera(setting) and not _has_one_camera(sequence)
+
+
+def takes_one_camera(setting: Setting) -> bool:
+    """Whether a setting takes true cameras for the adjustment, which knows one focal length for all frames."""
+    return any(setting.overrides.get(option) == "truth" for option in ONE_CAMERA)
+
+
+def _has_one_camera(sequence: ImageSequence) -> bool:
+    try:
+        sintel.read_shared_intrinsics(sequence.truth_files("camdata_left"))
+    except InputError:
+        return False
+    return True
 
 
 def _refuse_equal_folders(settings: Sequence[Setting]) -> None:

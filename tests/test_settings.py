@@ -4,6 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import yaml
 from conftest import REPO
@@ -11,6 +12,8 @@ from conftest import REPO
 from stages import config as configuration
 from stages import settings
 from stages.presets import PRESETS, override, value_of
+from stages.shared import sintel
+from stages.shared.cameras import centred_intrinsics
 from stages.shared.errors import InputError
 from stages.shared.sequences import Sequence
 
@@ -168,3 +171,19 @@ def test_a_setting_that_takes_truth_needs_it() -> None:
     gap = replace(bare, truth={"motion_mask": {1: files[1]}})
     assert [settings.lacks_truth(masks, s) for s in (bare, full, gap)] == [True, False, True]
     assert not settings.lacks_truth(none, bare)
+
+
+def test_a_setting_that_takes_true_cameras_needs_one_focal_length(tmp_path: Path) -> None:
+    """The adjustment refuses them where it changes: one such run would cost the sweep its table."""
+    runs = {"inputs": {"focal": {"intrinsics": "truth"}, "poses": {"ba.poses_from": "truth"}}}
+    wanted = settings.compared({"sweep": {"runs": runs, "presets": [], "knobs": {}}})[0]
+    sequences = []
+    for name, zoom in (("still", 1.0), ("zooming", 1.02)):
+        files = {number: tmp_path / name / f"frame_{number:04d}.cam" for number in (1, 2, 3)}
+        for number, path in files.items():
+            path.parent.mkdir(exist_ok=True)
+            sintel.write_cam(path, centred_intrinsics(90 * zoom**number, 96, 64), np.eye(3, 4))
+        sequences.append(Sequence(name, list(files.values()), list(files), 96, 64, {"camdata_left": files}))
+    assert [[settings.lacks_truth(s, sequence) for s in wanted] for sequence in sequences] == [[False] * 2, [True] * 2]
+    simulated = configuration.load({"scenes": ["demo", "glossy_zoom"]})
+    assert [configuration.zooms(simulated, name) for name in simulated.scenes] == [False, True]

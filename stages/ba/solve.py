@@ -177,8 +177,7 @@ def _known_intrinsics(frames: Sequence, matches: _Matches, options: BAOptions) -
     if not frames.has_truth("camdata_left"):
         advice = "set `intrinsics: estimate` and `ba: {poses_from: estimate}`"
         raise InputError(frames.frames[0].parent, "camdata_left beside the frames for true cameras", "none", advice)
-    K, _ = sintel.read_cam(frames.truth["camdata_left"][frames.numbers[0]])
-    scaled = scale_intrinsics(K, matches.scale)
+    scaled = scale_intrinsics(sintel.read_shared_intrinsics(frames.truth_files("camdata_left")), matches.scale)
     return scaled[:2, 2], float(scaled[0, 0])
 
 

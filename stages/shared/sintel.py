@@ -1,6 +1,6 @@
 """MPI-Sintel files: .flo, .dpt and .cam, little-endian, each led by the float32 tag 202021.25."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +12,8 @@ from stages.shared.errors import InputError
 TAG = np.float32(202021.25)
 CAM_BYTES = 4 + 9 * 8 + 12 * 8
 ADVICE = "check that the file is complete and of this format"
+SAME_CAMERA = 1e-3
+"""Intrinsics that differ by less than this share of the focal length are the same: a quarter of a pixel at 512 px."""
 
 
 def read_flo(path: Path) -> np.ndarray:
@@ -47,6 +49,24 @@ def read_cams(paths: Iterable[Path]) -> tuple[np.ndarray, np.ndarray]:
     """Intrinsics [n, 3, 3] and cam_from_world [n, 4, 4] of n files, both float64."""
     Ks, extrinsics = (np.stack(parts) for parts in zip(*map(read_cam, paths), strict=True))
     return Ks, lie.from_parts(extrinsics[..., :3], extrinsics[..., 3])
+
+
+def read_shared_intrinsics(paths: Sequence[Path]) -> np.ndarray:
+    """The one K [3, 3] with square pixels of n files.
+
+    Raises:
+        InputError: names the first file whose camera is another one, or has pixels that are not square.
+    """
+    Ks = read_cams(paths)[0]
+    fx, cx, cy = Ks[0, 0, 0], *Ks[0, :2, 2]
+    shared = np.array([[fx, 0, cx], [0, fx, cy], [0, 0, 1]])
+    for path, K in zip(paths, Ks, strict=True):
+        if not np.abs(K - shared).max() < SAME_CAMERA * fx:
+            expected = f"fx = fy = {fx:.6g} px, centre ({cx:.6g}, {cy:.6g}), no skew, as one shared camera"
+            found = f"fx {K[0, 0]:.6g}, fy {K[1, 1]:.6g}, centre ({K[0, 2]:.6g}, {K[1, 2]:.6g}), skew {K[0, 1]:.6g}"
+            advice = "it cannot be taken as truth: set `intrinsics: estimate` and `ba: {poses_from: estimate}`"
+            raise InputError(path, expected, found, advice)
+    return Ks[0]
 
 
 def write_cam(path: Path, K: np.ndarray, cam_from_world: np.ndarray) -> None:

@@ -7,9 +7,11 @@ EVERY_SETTING = list(SETTINGS.values())
 
 
 def can_run(sequence, setting):
-    """Whether the sequence has the truth that the setting takes as input; simulated ones have all."""
+    """Whether the sequence has the truth that the setting takes as input; simulated ones have all, but may zoom."""
     if CONFIG.dataset == configuration.SIMULATED:
-        return True
+        return not (
+            settings.takes_one_camera(setting) and configuration.zooms(CONFIG, sequence)
+        )
     return not settings.lacks_truth(setting, SEQUENCES[sequence])
 
 
