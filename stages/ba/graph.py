@@ -5,6 +5,8 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
+from stages.shared.images import reduce
+
 MIN_STATIC_SHARE = 0.15
 """A frame with less static area than this cannot be trusted to be masked."""
 
@@ -159,7 +161,7 @@ def mask_graph(graph: FlowGraph, static: np.ndarray) -> FlowGraph:
 def static_areas(masks: np.ndarray, width: int, height: int, margin_px: int = 2) -> np.ndarray:
     """Static area [T, height, width] (1 static, 0 dynamic) on the flow grid of masks [T, H, W], grown by a margin."""
     kernel = np.ones((2 * margin_px + 1, 2 * margin_px + 1), np.uint8)
-    small = [cv2.resize(mask.astype(np.float32), (width, height), interpolation=cv2.INTER_AREA) for mask in masks]
+    small = [reduce(mask.astype(np.float32), (width, height)) for mask in masks]
     return np.stack([1 - cv2.dilate((frame > 0.25).astype(np.uint8), kernel) for frame in small]).astype(np.float32)
 
 

@@ -173,7 +173,7 @@ def _read_masks(folder: Path | None, frames: Sequence) -> np.ndarray:
 def _known_intrinsics(frames: Sequence, matches: _Matches, options: BAOptions) -> tuple[np.ndarray, float | None]:
     """Principal point [2] on the flow grid, and the focal length there if the truth is asked for."""
     if options.intrinsics == options.poses_from == "estimate":
-        return (np.array(matches.size) - 1) / 2, None
+        return scale_intrinsics(centred_intrinsics(1, frames.width, frames.height), matches.scale)[:2, 2], None
     if not frames.has_truth("camdata_left"):
         advice = "set `intrinsics: estimate` and `ba: {poses_from: estimate}`"
         raise InputError(frames.frames[0].parent, "camdata_left beside the frames for true cameras", "none", advice)

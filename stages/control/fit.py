@@ -80,10 +80,8 @@ def _sightings(
 
 def _mask(folder: Path, number: int, width: int, height: int) -> np.ndarray:
     """The dynamic mask of a frame on the flow grid, [height, width] bool."""
-    import cv2
-
     mask = images.read_mask(folder / f"frame_{number:04d}.png").astype(np.float32)
-    return np.asarray(cv2.resize(mask, (width, height), interpolation=cv2.INTER_AREA) > 0.5)
+    return np.asarray(images.reduce(mask, (width, height)) > 0.5)
 
 
 if __name__ == "__main__":

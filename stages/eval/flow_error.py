@@ -4,11 +4,10 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import cv2
 import numpy as np
 
 from stages.shared import sintel
-from stages.shared.images import read_mask
+from stages.shared.images import enlarge, read_mask
 from stages.shared.sequences import Sequence
 
 SPEEDS_PX = ((0.0, 10.0), (10.0, 40.0), (40.0, np.inf))
@@ -87,8 +86,8 @@ def _pair_errors(sequence: Sequence, flow: Mapping[str, np.ndarray], e: int, num
     size = (sequence.width, sequence.height)
     scale = flow["flow"].shape[2] / sequence.width
     true = sintel.read_flo(sequence.truth["flow"][number])
-    estimated = cv2.resize(flow["flow"][e].astype(np.float32), size, interpolation=cv2.INTER_LINEAR) / scale
-    confidence = cv2.resize(flow["confidence"][e].astype(np.float32), size, interpolation=cv2.INTER_LINEAR)
+    estimated = enlarge(flow["flow"][e].astype(np.float32), size) / scale
+    confidence = enlarge(flow["confidence"][e].astype(np.float32), size)
     hidden, invalid = (_mask(sequence, kind, number) for kind in ("occlusions", "invalid"))
     maps = (np.linalg.norm(estimated - true, axis=-1), np.linalg.norm(true, axis=-1), confidence, ~hidden)
     return tuple(values[~invalid] for values in maps)

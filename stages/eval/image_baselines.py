@@ -3,10 +3,9 @@
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
-from stages.shared.images import read_rgb
+from stages.shared.images import enlarge, read_rgb
 from stages.shared.sequences import Sequence
 from stages.shared.split import SplitOptions, held_out
 from stages.shared.warp import warp
@@ -62,7 +61,7 @@ def between(first: np.ndarray, last: np.ndarray, there: np.ndarray, back: np.nda
         there, back: flow [h, w, 2] in pixels of its own grid, from the first frame to the last and from last to first.
     """
     height, width = first.shape[:2]
-    enlarged = (cv2.resize(f.astype(np.float32), (width, height)) * (width / f.shape[1]) for f in (there, back))
+    enlarged = (enlarge(f.astype(np.float32), (width, height)) * (width / f.shape[1]) for f in (there, back))
     forward, backward = enlarged
     to_first = share * (share * backward - (1 - share) * forward)
     to_last = (1 - share) * ((1 - share) * forward - share * backward)

@@ -4,12 +4,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
 from stages.eval import mask_metrics
 from stages.shared.artifacts import read_dense
-from stages.shared.images import read_mask
+from stages.shared.images import enlarge, read_mask
 
 PRIOR_THRESHOLD = 0.5
 
@@ -23,7 +22,7 @@ def read_prior_masks(path: Path, width: int, height: int) -> dict[int, np.ndarra
     """The motion prior above one half, at full size [H, W], by frame number."""
     prior = read_dense(path)
     size = (width, height)
-    enlarged = (cv2.resize(p.astype(np.float32), size, interpolation=cv2.INTER_LINEAR) for p in prior["probability"])
+    enlarged = (enlarge(p.astype(np.float32), size) for p in prior["probability"])
     return {int(n): p > PRIOR_THRESHOLD for n, p in zip(prior["frame"], enlarged, strict=True)}
 
 

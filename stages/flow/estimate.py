@@ -16,7 +16,7 @@ from stages.flow.truth import Truth, read_truth, true_flow
 from stages.shared import cli, figures
 from stages.shared.artifacts import write_dense
 from stages.shared.cli import In, Out
-from stages.shared.images import read_reduced, write_figure
+from stages.shared.images import read_reduced, reduced_size, write_figure
 from stages.shared.log import logger
 from stages.shared.sequences import read_sequence
 from stages.shared.threads import threaded
@@ -37,8 +37,7 @@ def main(
     --max-width-px.
     """
     frames = read_sequence(sequence)
-    scale = min(1.0, options.max_width_px / frames.width)
-    rgb = read_reduced(frames.frames, (round(frames.width * scale), round(frames.height * scale)))
+    rgb = read_reduced(frames.frames, reduced_size(frames.width, frames.height, options.max_width_px))
     T, h, w = rgb.shape[:3]
     if options.source == "truth":
         flows, confidences = _take(read_truth(frames, w, h), T, options)

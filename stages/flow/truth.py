@@ -10,7 +10,7 @@ from stages.flow.edges import Edge
 from stages.shared import sequences, sintel
 from stages.shared.cameras import pixel_grid, project, scale_intrinsics, unproject
 from stages.shared.errors import InputError
-from stages.shared.images import read_mask
+from stages.shared.images import read_mask, reduce
 from stages.shared.warp import is_inside, matches, warp
 
 NEEDED = ("camdata_left", "depth", "flow")
@@ -145,15 +145,15 @@ def _is_smooth(flow: np.ndarray) -> np.ndarray:
 
 def _reduce(inverse_depth: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     """Inverse depth on the grid: linear between pixels of one surface, zero between two."""
-    nearest = cv2.resize(inverse_depth, size, interpolation=cv2.INTER_NEAREST_EXACT)
-    linear = cv2.resize(inverse_depth, size, interpolation=cv2.INTER_LINEAR)
+    nearest = reduce(inverse_depth, size, cv2.INTER_NEAREST_EXACT)
+    linear = reduce(inverse_depth, size, cv2.INTER_LINEAR)
     one_surface = np.abs(linear - nearest) < DEPTH_AGREEMENT * nearest
     return np.asarray(np.where(one_surface, linear, 0), np.float32)
 
 
 def _read_forward(frames: sequences.Sequence, number: int, size: tuple[int, int]) -> np.ndarray:
     flow = sintel.read_flo(frames.truth["flow"][number])
-    return np.asarray(cv2.resize(flow, size, interpolation=cv2.INTER_LINEAR)) * np.float32(size[0] / frames.width)
+    return reduce(flow, size, cv2.INTER_LINEAR) * np.float32(size[0] / frames.width)
 
 
 def _is_unoccluded(frames: sequences.Sequence, number: int, size: tuple[int, int]) -> np.ndarray:
@@ -162,12 +162,12 @@ def _is_unoccluded(frames: sequences.Sequence, number: int, size: tuple[int, int
     for kind in ("occlusions", "invalid"):
         if path := frames.truth.get(kind, {}).get(number):
             hidden |= read_mask(path)
-    return np.asarray(cv2.resize(hidden.astype(np.float32), size, interpolation=cv2.INTER_AREA) == 0)
+    return np.asarray(reduce(hidden.astype(np.float32), size) == 0)
 
 
 def _read_moving(frames: sequences.Sequence, size: tuple[int, int]) -> np.ndarray:
     masks = [read_mask(path).astype(np.uint8) for path in frames.truth_files("motion_mask")]
-    return np.stack([cv2.resize(mask, size, interpolation=cv2.INTER_NEAREST_EXACT) > 0 for mask in masks])
+    return np.stack([reduce(mask, size, cv2.INTER_NEAREST_EXACT) > 0 for mask in masks])
 
 
 def _derived_moving(still: Truth, forward: np.ndarray) -> np.ndarray:

@@ -3,7 +3,6 @@
 from pathlib import Path
 from typing import Annotated, Any
 
-import cv2
 import numpy as np
 
 from stages.scene import motion, photometry, rules
@@ -74,7 +73,7 @@ def _observe(sequence: Sequence, flow: Path, masks: Path, poses: Path, depth: Pa
     ends = np.stack([pairs["source"][rows], pairs["target"][rows]], axis=-1)
 
     def resized(image: np.ndarray) -> np.ndarray:
-        return np.asarray(cv2.resize(image.astype(np.float32), (w, h), interpolation=cv2.INTER_AREA))
+        return images.reduce(image.astype(np.float32), (w, h))
 
     names = [f"frame_{sequence.numbers[k]:04d}.png" for k in frames]
     return Observed(

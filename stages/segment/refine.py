@@ -4,7 +4,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
-import cv2
 import numpy as np
 
 from stages.segment.options import SegmentOptions
@@ -13,7 +12,7 @@ from stages.shared import cli, figures
 from stages.shared.artifacts import atomic_folder, read_dense, write_json
 from stages.shared.cli import In, Out
 from stages.shared.errors import InputError
-from stages.shared.images import read_mask, read_rgb, write_figure, write_image
+from stages.shared.images import enlarge, read_mask, read_rgb, write_figure, write_image
 from stages.shared.log import logger
 from stages.shared.sequences import Sequence, read_sequence
 
@@ -66,7 +65,7 @@ def _masks(options: SegmentOptions, frames: Sequence, flow: Path, prior: Path) -
     threshold = PRIOR_THRESHOLD if options.source == "prior" else np.inf
     probability = read_dense(prior)["probability"].astype(np.float32)
     size = frames.width, frames.height
-    return lambda k, _: (cv2.resize(probability[k], size, interpolation=cv2.INTER_LINEAR) > threshold, False)
+    return lambda k, _: (enlarge(probability[k], size) > threshold, False)
 
 
 def _refined(options: SegmentOptions, flow: Path, prior: Path) -> Masks:

@@ -3,6 +3,7 @@
 import cv2
 import numpy as np
 
+from stages.shared.images import enlarge
 from stages.shared.warp import warp
 
 REFERENCE_WIDTH = 512
@@ -17,7 +18,7 @@ def smooth_along_edges(probability: np.ndarray, rgb: np.ndarray, smoothness: flo
     scaling by the squared frame width.
     """
     H, W = rgb.shape[:2]
-    prior = cv2.resize(probability.astype(np.float32), (W, H), interpolation=cv2.INTER_LINEAR)
+    prior = enlarge(probability.astype(np.float32), (W, H))
     weight = smoothness * (W / REFERENCE_WIDTH) ** 2
     smoothed = cv2.ximgproc.fastGlobalSmootherFilter(rgb, prior, weight, colour_sigma)
     return np.asarray(np.clip(smoothed, 0, 1))

@@ -32,12 +32,38 @@ def read_rgb(path: Path) -> np.ndarray:
 
 
 def read_reduced(paths: Sequence[Path], size: tuple[int, int]) -> np.ndarray:
-    """Frames [T, h, w, 3] uint8 brought to size (w, h), each pixel the mean of those that it covers.
+    """Frames [T, h, w, 3] uint8 on a `reduced_size` (w, h), each pixel the mean of those that it covers.
 
     Raises:
         InputError: as `read_rgb`.
     """
-    return np.stack(threaded(lambda path: cv2.resize(read_rgb(path), size, interpolation=cv2.INTER_AREA), paths))
+    return np.stack(threaded(lambda path: reduce(read_rgb(path), size), paths))
+
+
+def reduced_size(width: int, height: int, max_width: int) -> tuple[int, int]:
+    """Size (w, h) of a frame reduced to at most `max_width`, of which rows that it fills in part are no part."""
+    w = min(width, max_width)
+    return w, max(1, height * w // width)
+
+
+def reduce(image: np.ndarray, size: tuple[int, int], interpolation: int = cv2.INTER_AREA) -> np.ndarray:
+    """An image [H, W, ...] on its `reduced_size` (w, h), pixel u at (u + 0.5) W / w - 0.5 of it, v alike.
+
+    Both axes have one scale, so that square pixels stay square: 854 x 480 px become 512 x 287, and the last 1.3 rows
+    are cut off. (Resized to 512 x 288, as OpenCV does, the lower edge would lie 0.4 px beside where the scale says.)
+    """
+    scale = size[0] / image.shape[1]
+    return np.asarray(cv2.resize(image, None, fx=scale, fy=scale, interpolation=interpolation)[: size[1]])
+
+
+def enlarge(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Values [h, w, ...] of a reduced frame, float, at the pixels of the whole one of size (W, H): linear between them.
+
+    The inverse of `reduce`; rows that it cut off repeat the last one.
+    """
+    scale = size[0] / image.shape[1]
+    grown = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_LINEAR)[: size[1]]
+    return np.asarray(cv2.copyMakeBorder(grown, 0, size[1] - len(grown), 0, 0, cv2.BORDER_REPLICATE))
 
 
 def read_mask(path: Path) -> np.ndarray:
