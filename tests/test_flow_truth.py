@@ -1,6 +1,7 @@
 """True flow as input, the start from sparse matches, and the errors that the evaluation reports."""
 
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -15,11 +16,12 @@ from stages.flow.dis import solve_pair
 from stages.flow.edges import Edge, edge_list
 from stages.flow.options import FlowOptions
 from stages.flow.truth import read_truth, true_flow
-from stages.shared import sintel
+from stages.shared import lie, sintel
 from stages.shared.artifacts import read_dense, read_metadata, write_json
 from stages.shared.errors import InputError
 from stages.shared.images import write_image
 from stages.shared.sequences import Sequence, check_sequence, sequence_to_json
+from stages.shared.warp import is_inside
 
 
 def written(scene: Scene, folder: Path, masks: bool = True) -> Sequence:
@@ -165,3 +167,26 @@ def test_the_gate_leaves_slow_and_textureless_pairs_alone() -> None:
     grey = np.full((2, 64, 96), 128, np.uint8)
     assert matches.sparse_matches(*grey).shape == (0, 2, 2)
     assert matches.trusted(np.zeros((10, 2, 2), np.float32)) is None
+
+
+def test_true_flow_of_points_beside_the_camera_is_finite_in_the_file(tmp_path: Path) -> None:
+    """The next camera stands in the wall: true flow of a million pixels is beyond half precision."""
+    room = make_scene(T=3, size=(48, 72))
+    ahead = lie.from_parts(np.tile(np.eye(3), (3, 1, 1)), np.arange(3)[:, None] * [0.0, 0.0, -1.0])
+    scene = replace(room, cam_from_world=ahead, depth=np.full_like(room.depth, 1.00001))
+    write_json(tmp_path / "sequence.json", sequence_to_json(written(scene, tmp_path)))
+    options = FlowOptions(source="truth", offsets=(1,))
+    estimate.main(tmp_path / "sequence.json", tmp_path / "pairs.arrow", tmp_path / "flow.png", options)
+    pairs = read_dense(tmp_path / "pairs.arrow")
+    assert np.isfinite(pairs["flow"]).all()
+    far = np.abs(exact_flow(scene, 0, 1)[0]).max(axis=-1) > 72
+    assert not is_inside(pairs["flow"][0])[far].any()
+
+
+def test_true_flow_that_is_no_number_is_named(tmp_path: Path) -> None:
+    frames = written(make_scene(T=3, size=(48, 72)), tmp_path)
+    flow = sintel.read_flo(path := frames.truth["flow"][2])
+    flow[5, 5] = np.nan
+    sintel.write_flo(path, flow)
+    with pytest.raises(InputError, match=r"frame_0002\.flo: expected finite flow"):
+        read_truth(frames, 72, 48)

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
+from stages.shared.finite import require_finite
 from stages.shared.images import reduce
 
 MIN_STATIC_SHARE = 0.15
@@ -115,6 +116,7 @@ def build_graph(
     pixels = np.stack([u.ravel(), v.ravel()], axis=1)
     matches = np.stack([_sample_cells(edge, stride).reshape(-1, 2) for edge in flow])
     weights = np.stack([_sample_cells(edge[..., None], stride).ravel() for edge in confidence])
+    require_finite(flow=matches, confidence=weights)
     matches += pixels.astype(np.float32)
     pointer = np.searchsorted(source, np.arange(T + 1))
     middle = np.array([(w - 1) / 2, (h - 1) / 2]) if principal_point is None else principal_point

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from stages.control import quaternions
 from stages.control.arap import arap_graph
-from stages.shared.artifacts import read_model, read_table, write_model, write_table
+from stages.shared.artifacts import read_model, read_table, refuse_infinite, write_model, write_table
 
 
 class Deformation(torch.nn.Module, abc.ABC):
@@ -178,6 +178,7 @@ def save_deformation(path: Path, deformation: Deformation | None, metadata: Mapp
 def load_deformation(path: Path, points_path: Path) -> Deformation | None:
     """Read what `save_deformation` and `save_points` wrote; None for a scene without moving parts."""
     table = read_table(points_path)
+    refuse_infinite(points_path, table)
     if len(table["x"]) == 0:
         return None
     points = np.stack([table[name] for name in "xyz"], axis=-1)

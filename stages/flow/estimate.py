@@ -45,7 +45,7 @@ def main(
     else:
         flows, confidences, facts = _match(rgb, options)
     edges = sorted(flows)
-    flow = np.stack(threaded(lambda edge: flows[edge].astype(np.float16), edges))
+    flow = np.stack(threaded(lambda edge: stored(flows[edge]), edges))
     confidence = np.stack([confidences[edge].astype(np.float16, copy=False) for edge in edges])
     facts |= {"source": options.source, "long_edges": sum(j - i > max(options.offsets) for i, j in edges)}
     facts |= {"confident_share": float(np.mean(confidence > 0.5))}
@@ -62,6 +62,16 @@ def main(
     write_dense(output, {"source": source, "target": target, "flow": flow, "confidence": confidence}, metadata)
     write_figure(figure, _picture(rgb, edges, flow, confidence))
     return f"{len(edges)} pairs, {facts['confident_share']:.0%} of the pixels confident"
+
+
+def stored(flow: np.ndarray) -> np.ndarray:
+    """Flow [h, w, 2] px as pairs.arrow holds it: float16, off by at most 1/2048 of itself, and never infinite.
+
+    That is 0.06 px at 128 px, yet rounding of many pixels cancels out: camera paths are as good as from float32. What
+    leads further than twice the length of the frame, as true flow of points beside the camera does, is cut to that.
+    """
+    longest = 2 * max(flow.shape[:2])
+    return np.clip(flow, -longest, longest).astype(np.float16)
 
 
 def _match(rgb: np.ndarray, options: FlowOptions) -> tuple[Flows, Flows, dict[str, Any]]:

@@ -14,6 +14,7 @@ import numpy as np
 from stages.flow.epipolar import Evidence
 from stages.shared import lie
 from stages.shared.cameras import pixel_grid
+from stages.shared.finite import require_finite
 
 D_MAX = 50.0
 """Largest inverse depth, in units of the scene's median."""
@@ -41,6 +42,7 @@ def camera_evidence(
         pairs: source, target [E], flow [E, h, w, 2] px, weights [E, h, w].
         cam_from_world: [T, 4, 4]; Ks: [T, 3, 3] on the flow grid; start: [T, h, w] inverse depth.
     """
+    require_finite(flow=pairs["flow"], weights=pairs["weights"], poses=cam_from_world, intrinsics=Ks, start=start)
     unit = float(np.median(start))
     A, b = projections(pairs, cam_from_world, Ks)
     b = unit * b

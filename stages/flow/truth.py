@@ -10,6 +10,7 @@ from stages.flow.edges import Edge
 from stages.shared import sequences, sintel
 from stages.shared.cameras import pixel_grid, project, scale_intrinsics, unproject
 from stages.shared.errors import InputError
+from stages.shared.finite import is_finite
 from stages.shared.images import read_mask, reduce
 from stages.shared.warp import is_inside, matches, warp
 
@@ -152,7 +153,9 @@ def _reduce(inverse_depth: np.ndarray, size: tuple[int, int]) -> np.ndarray:
 
 
 def _read_forward(frames: sequences.Sequence, number: int, size: tuple[int, int]) -> np.ndarray:
-    flow = sintel.read_flo(frames.truth["flow"][number])
+    flow = sintel.read_flo(path := frames.truth["flow"][number])
+    if not is_finite(flow):
+        raise InputError(path, "finite flow for `source: truth`", "NaN or infinity", "set `source: dis`")
     return reduce(flow, size, cv2.INTER_LINEAR) * np.float32(size[0] / frames.width)
 
 

@@ -19,6 +19,7 @@ import pyarrow.parquet as pq
 
 from stages.shared.digest import code_digest
 from stages.shared.errors import InputError
+from stages.shared.finite import is_finite
 
 FORMAT_VERSION = 1
 SNAKEMAKE_STAMP = ".snakemake_timestamp"
@@ -104,9 +105,27 @@ def write_dense(path: Path, columns: Mapping[str, np.ndarray], metadata: Mapping
 
 
 def read_dense(path: Path) -> dict[str, np.ndarray]:
-    """Memory-map an Arrow IPC file: read-only arrays [n] and [n, ...] without a copy."""
+    """Memory-map an Arrow IPC file: read-only arrays [n] and [n, ...] without a copy.
+
+    Raises:
+        InputError: if it is no such file, or holds NaN or infinity.
+    """
     table = _checked(path, "an Arrow IPC file", lambda: pa.ipc.open_file(pa.memory_map(str(path))).read_all())
-    return {name: _to_numpy(table[name]) for name in table.column_names}
+    columns = {name: _to_numpy(table[name]) for name in table.column_names}
+    refuse_infinite(path, columns)
+    return columns
+
+
+def refuse_infinite(path: Path, columns: Mapping[str, np.ndarray]) -> None:
+    """Refuse what was read from a file if any of it is not finite: kernels would make garbage of it.
+
+    Raises:
+        InputError: names the file and the column.
+    """
+    for name, values in columns.items():
+        if not is_finite(values):
+            advice = "run the stage that writes it again"
+            raise InputError(path, f"finite numbers in '{name}'", "NaN or infinity", advice)
 
 
 def read_metadata(path: Path) -> dict[str, Any]:
@@ -132,10 +151,16 @@ def write_model(path: Path, tensors: Mapping[str, np.ndarray], metadata: Mapping
 
 
 def read_model(path: Path) -> dict[str, np.ndarray]:
-    """Read the arrays of a safetensors file."""
+    """Read the arrays of a safetensors file.
+
+    Raises:
+        InputError: if it is no such file, or holds NaN or infinity.
+    """
     from safetensors.numpy import load_file
 
-    return dict(_checked(path, "a safetensors file", lambda: load_file(path)))
+    tensors = dict(_checked(path, "a safetensors file", lambda: load_file(path)))
+    refuse_infinite(path, tensors)
+    return tensors
 
 
 def _model_metadata(path: Path) -> dict[bytes, bytes]:

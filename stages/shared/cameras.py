@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from stages.shared import lie
-from stages.shared.artifacts import atomic, read_table, write_table
+from stages.shared.artifacts import atomic, read_table, refuse_infinite, write_table
 from stages.shared.errors import complete
 
 WITHOUT_POSE = ("failed", "unobserved")
@@ -73,9 +73,10 @@ def read_cameras(path: Path) -> Cameras:
     """Read what `write_cameras` wrote.
 
     Raises:
-        InputError: if a column is missing.
+        InputError: if a column is missing, or holds NaN or infinity.
     """
     table = read_table(path)
+    refuse_infinite(path, table)
     with complete(path, "cameras laid out as ba/poses.parquet", "add the column"):
         R = lie.matrix_from_quat(np.stack([table[name] for name in ("qw", "qx", "qy", "qz")], axis=-1))
         t = np.stack([table[name] for name in ("tx", "ty", "tz")], axis=-1)

@@ -15,6 +15,7 @@ from stages.flow.noise import flow_variance
 from stages.flow.options import FlowOptions
 from stages.shared.artifacts import read_dense, write_json
 from stages.shared.sequences import check_sequence, sequence_to_json
+from stages.shared.warp import is_inside
 
 
 def textured(h: int = 96, w: int = 160) -> np.ndarray:
@@ -94,3 +95,14 @@ def test_inverting_flow_that_tears_leaves_the_gap_unknown() -> None:
     np.testing.assert_allclose(back[:, 38:58, 0], -6, atol=1e-4)
     np.testing.assert_allclose(back[:, :28], 0, atol=1e-4)
     assert known[:, 38:58].all()
+
+
+def test_long_flow_is_stored_to_a_2048th_and_what_leaves_the_frame_still_leaves_it() -> None:
+    rng = np.random.default_rng(0)
+    flow = rng.uniform(-160, 160, (96, 160, 2)).astype(np.float32)
+    flow[0, 0], flow[-1, -1] = (1e6, -1e9), (-3e5, 160)
+    kept = estimate.stored(flow).astype(np.float32)
+    error = np.abs(kept - flow)[1:-1]
+    assert (error <= np.maximum(np.abs(flow[1:-1]) / 2048, 1e-7)).all()
+    assert abs(np.mean(kept[1:-1] - flow[1:-1])) < 1e-3  # no bias: of many pixels, nothing is left of the rounding
+    assert not is_inside(kept)[[0, -1], [0, -1]].any()
