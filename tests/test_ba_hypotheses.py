@@ -140,7 +140,7 @@ def test_masks_are_ignored_only_where_they_leave_a_rough_path(
     without = Candidate("without", state, 1.0, roughness / 4, [])
     monkeypatch.setattr(start, "guess", lambda _, graph: [with_masks if graph.weights.sum() < most else without])
     most = thin_graph(unmasked, 1).weights.sum()
-    statistics = measure(masked, [scene.focal_px], 0)
+    statistics = measure(masked, scene.focal_px, 0)
     observed = Observed(masked, unmasked, None, [scene.focal_px], statistics, FocalPrior(scene.focal_px), 0)
     found = start.find_start(observed)
     assert found.candidate is (without if ignored else with_masks)

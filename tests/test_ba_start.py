@@ -8,7 +8,7 @@ import pytest
 from numpy.testing import assert_allclose
 from synthetic import Scene, make_scene, observe, rotation_error_deg, trajectory_error
 
-from stages.ba import dba, twoview
+from stages.ba import classify, dba, twoview
 from stages.ba.dba import FocalPrior, Level, State, Unknowns
 from stages.ba.depth import contact_inverse_depth, depth_maps, fill
 from stages.ba.estimate import Problem, estimate
@@ -88,6 +88,36 @@ def test_a_rotating_camera_is_recognised_and_solved_without_translation() -> Non
     assert rotation_error_deg(solution.state.cam_from_world, scene.cam_from_world) < 0.01
     assert solution.state.focal_px == pytest.approx(scene.focal_px, rel=0.01)
     assert np.all(solution.state.cam_from_world[:, :3, 3] == 0)
+
+
+@pytest.mark.parametrize(("focal", "noise_px"), [(0.72, 0.02), (1.22, 0.02), (1.9, 0.02), (1.05, 1.2)])
+def test_a_pan_is_recognised_at_any_focal_length_and_noise(focal: float, noise_px: float) -> None:
+    """No focal length of a list explains a wide pan to the noise, and noise alone may leave half a pixel."""
+    scene = make_scene(motion="rotate", size=(160, 400), focal=focal)
+    graph = observe(scene, offsets=(1, 5), stride=10, noise_px=noise_px)
+    statistics = classify.measure(graph, None, 0)
+    assert statistics.camera == "rotating"
+    assert statistics.rotation_px == pytest.approx(classify.NOISE_RATIO * statistics.sampson_px, rel=0.25)
+
+
+@pytest.mark.parametrize("motion", ["curve", "drift"])
+def test_noise_does_not_hide_that_a_camera_travels(motion: str) -> None:
+    scene = make_scene(motion=motion, size=(160, 400), T=10)
+    graph = observe(scene, offsets=(1, 5), stride=10, noise_px=0.3)
+    assert classify.measure(graph, None, 0).camera == "moving"
+
+
+def test_a_pan_is_not_taken_for_a_mover_that_it_follows() -> None:
+    """Four matches in ten rest in the picture, where a fit that starts from no rotation stays."""
+    rng, focal_px = np.random.default_rng(0), 400.0
+    R = lie.exp_so3(np.array([0.01, -0.25, 0.0]))
+    x = rng.uniform(-0.3, 0.3, (500, 2))
+    turned = np.concatenate([x, np.ones((500, 1))], axis=1) @ R.T
+    y = turned[:, :2] / turned[:, 2:]
+    y[:200] = x[:200] + rng.normal(0, 0.1, 2) / focal_px
+    found, residuals = twoview.fit_rotation(x, y, np.ones(500), focal_px)
+    assert np.degrees(np.linalg.norm(lie.log_so3(found.T @ R))) < 0.01
+    assert np.median(residuals[200:]) < 0.05
 
 
 def test_a_nearly_still_camera_keeps_the_focal_length_of_the_prior() -> None:

@@ -5,14 +5,23 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from stages.ba import twoview
 from stages.ba.graph import MIN_MATCHES, MIN_WEIGHT, FlowGraph
+from stages.ba.rotation import FOCALS
 
-ROTATION_PX = 0.5
-"""Below this median residual over a long baseline, a rotation explains the flow (measured: 0.2 against 2.5-13 px)."""
-ROTATION_RATIO = 8.0
-"""... and the epipolar geometry explains it hardly better (measured: 3-4 against 13-59)."""
+NOISE_RATIO = 2.47
+"""What noise alone leaves of a rotation over what it leaves of epipolar geometry, both medians of lengths.
+
+A rotation fits neither component of the noise, of deviation s: the median length of both is s sqrt(2 ln 2) = 1.177 s.
+Depth takes up the component along the epipolar line; of the other, shared between both ends of the match, the Sampson
+distance is s / sqrt(2), its median 0.477 s. (Measured on pans of 8 to 58 px a frame: 2.5 to 3.3; blurred ones to 4.2.)
+"""
+TWO_VIEW_PX = 0.5
+"""Scale of the inliers of a two-view fit."""
+FOCAL_TOLERANCE = 0.003
+"""Of the logarithm of the focal length that explains a rotation best."""
 STILL_PX = 1.0
 """A camera whose rotation-like flow is below this per frame stands nearly still."""
 FLOOR_PX = 0.05
@@ -35,7 +44,8 @@ class Statistics:
     Attributes:
         offset: frame distance of the long baseline.
         flow_px: length of the flow between neighbours.
-        rotation_1_px, rotation_px: what a rotation leaves unexplained, between neighbours and over the long baseline.
+        rotation_1_px, rotation_px: what a rotation leaves unexplained, between neighbours and over the long baseline,
+            at the focal length that explains all pairs best.
         sampson_px, homography_px: the same for epipolar geometry and for a homography, over the long baseline.
         most_sampson_px, most_homography_px: what these leave of four matches in five, at most.
     """
@@ -51,9 +61,12 @@ class Statistics:
 
     @property
     def camera(self) -> str:
-        """Class of the camera motion: "moving", "rotating" or "near-still"."""
-        explained = self.rotation_px < min(ROTATION_PX, ROTATION_RATIO * max(self.sampson_px, FLOOR_PX))
-        if not explained:
+        """Class of the camera motion: "moving", "rotating" or "near-still".
+
+        It is moving if what a rotation leaves is of another kind than the noise of the flow. The noise is what epipolar
+        geometry leaves of the same matches, and so grows with the length of the flow as theirs does.
+        """
+        if self.rotation_px >= RESIDUAL_RATIO * NOISE_RATIO * max(self.sampson_px, FLOOR_PX):
             return "moving"
         return "rotating" if self.flow_px > STILL_PX else "near-still"
 
@@ -76,20 +89,22 @@ def longest_step(graph: FlowGraph) -> int:
     return max(step for step, count in usual.items() if count >= MATCHED * usual[min(usual)])
 
 
-def measure(graph: FlowGraph, focals_px: Sequence[float], seed: int, baseline: int = BASELINE) -> Statistics:
-    """Statistics of the matches; residuals of a rotation at the focal length that explains them best."""
+def measure(graph: FlowGraph, focal_px: float | None, seed: int, baseline: int = BASELINE) -> Statistics:
+    """Statistics of the matches at a known focal length, or else at the one that lets a rotation explain them best.
+
+    A pan seen at a focal length a few per cent off leaves pixels, not noise: no list of focal lengths will do.
+    """
     offset = max(int(step) for step in np.unique(graph.target - graph.source) if step <= baseline)
     near, far = _pairs(graph, 1), _pairs(graph, offset)
     flow = [np.median(np.linalg.norm(x - y, axis=1)) for x, y, _ in (_rays(graph, pair, 1.0) for pair in near)]
-    rotation = {f: _median([_rotation(graph, pair, f) for pair in far]) for f in focals_px}
-    best = min(rotation, key=lambda f: rotation[f])
+    best = focal_px or _rotation_focal(graph, far)
     sampson = [_sampson(graph, pair, best, seed) for pair in far]
     homography = [_homography(graph, pair) for pair in far]
     return Statistics(
         offset,
         _median(flow),
         _median([_rotation(graph, pair, best) for pair in near]),
-        rotation[best],
+        _median([_rotation(graph, pair, best) for pair in far]),
         _median([np.median(residuals) for residuals in sampson]),
         _median([np.median(residuals) for residuals in homography]),
         _median([np.percentile(residuals, MOST, method="lower") for residuals in sampson]),
@@ -108,6 +123,21 @@ def _rays(graph: FlowGraph, pair: tuple[int, int], focal_px: float) -> tuple[np.
     return twoview.pair_rays(graph, *pair, focal_px)
 
 
+def _rotation_focal(graph: FlowGraph, pairs: list[tuple[int, int]]) -> float:
+    """The focal length in px at which rotations leave least of the matches of these pairs, within those of a camera."""
+
+    def left(log_focal: float) -> float:
+        return _median([_rotation(graph, pair, float(np.exp(log_focal))) for pair in pairs])
+
+    logs = np.log(FOCALS * graph.width)
+    best = int(np.argmin([left(log_focal) for log_focal in logs]))
+    if not pairs:
+        return float(np.exp(logs[best]))
+    bounds = logs[max(best - 1, 0)], logs[min(best + 1, len(logs) - 1)]
+    found = minimize_scalar(left, bounds=bounds, method="bounded", options={"xatol": FOCAL_TOLERANCE})
+    return float(np.exp(found.x))
+
+
 def _rotation(graph: FlowGraph, pair: tuple[int, int], focal_px: float) -> float:
     return float(np.median(twoview.fit_rotation(*_rays(graph, pair, focal_px), focal_px)[1]))
 
@@ -115,7 +145,7 @@ def _rotation(graph: FlowGraph, pair: tuple[int, int], focal_px: float) -> float
 def _sampson(graph: FlowGraph, pair: tuple[int, int], focal_px: float, seed: int) -> np.ndarray:
     """Residuals [n] in px from the epipolar geometry; infinite without any."""
     x, y, w = _rays(graph, pair, focal_px)
-    fit = twoview.estimate_motion(x, y, w, focal_px, ROTATION_PX, seed)
+    fit = twoview.estimate_motion(x, y, w, focal_px, TWO_VIEW_PX, seed)
     if fit is None:
         return np.full(1, np.inf)
     return np.asarray(np.abs(twoview.sampson_errors(fit.R, fit.t, x, y)) * focal_px)

@@ -110,12 +110,12 @@ def _estimate(problem: Problem, options: BAOptions) -> Estimate:
     focals = [problem.known_focal_px] if problem.known_focal_px else [f * graph.width for f in options.start_focals]
     if not _observed(graph):
         return _failure(graph, problem.known_focal_px or prior.focal_px)
-    statistics = classify.measure(graph, focals, options.seed)
+    statistics = classify.measure(graph, problem.known_focal_px, options.seed)
     if statistics.camera == "rotating":
         rotations = _estimate_rotations(problem, statistics, prior)
         if rotations.doubts:
-            focals_px = [rotations.state.focal_px]
-            statistics = classify.measure(graph, focals_px, options.seed, classify.longest_step(graph))
+            focal_px = rotations.state.focal_px
+            statistics = classify.measure(graph, focal_px, options.seed, classify.longest_step(graph))
         if statistics.camera == "rotating":
             return rotations
     start = _start(problem, statistics, prior, focals, options)

@@ -26,7 +26,7 @@ def solve_depths(graph: FlowGraph, true_cam_from_world: np.ndarray, focal_px: fl
     camera = "moving" if _path_length(true_cam_from_world) > 0 else "rotating"
     state = initialise.initial_state(graph, true_cam_from_world, focal_px, SEARCH_PX)
     focal = {"decision": "known", "relative_sigma": 0.0, "reason": "true cameras", "focal_px": focal_px}
-    statistics = vars(classify.measure(graph, [focal_px], seed)) | {"camera": camera, "planar": False}
+    statistics = vars(classify.measure(graph, focal_px, seed)) | {"camera": camera, "planar": False}
     covariance = np.zeros((graph.T, 6, 6))
     return Estimate(state, camera, covariance, median_residual(graph, state), focal, statistics)
 

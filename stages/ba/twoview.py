@@ -105,8 +105,14 @@ def triangulate(R: np.ndarray, t: np.ndarray, x: np.ndarray, y: np.ndarray) -> t
 
 
 def fit_rotation(x: np.ndarray, y: np.ndarray, w: np.ndarray, focal_px: float) -> tuple[np.ndarray, np.ndarray]:
-    """Robust rotation R [3, 3] with y ~ R x, and the residuals [n] in px."""
+    """Robust rotation R [3, 3] with y ~ R x, and the residuals [n] in px.
+
+    It starts from the median flow: from rest, a fast pan loses to a mover that it follows.
+    """
     R = np.eye(3)
+    if len(x):
+        across, down = np.median(y - x, axis=0)
+        R = lie.exp_so3(np.array([-np.arctan(down), np.arctan(across), 0.0]))
     for level_px in np.maximum(20 * 0.5 ** np.arange(10), ROTATION_SIGMA_PX):
         r, u = _rotation_residual(R, x, y, focal_px)
         robust = w / (1 + (r**2).sum(axis=1) / level_px**2) ** 2

@@ -36,7 +36,8 @@ STATISTICS: Mapping[str, tuple[str, str, str]] = {
     "rotation_px": (
         "left by a rotation, long baseline",
         "px",
-        "Little in itself and against the epipolar residual: the camera does not travel; more: it is moving.",
+        "At the focal length that suits it best. Up to seven times the epipolar residual can be noise: more, and the "
+        "camera is moving.",
     ),
     "sampson_px": (
         "left by the epipolar geometry (Sampson), median",

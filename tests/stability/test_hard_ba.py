@@ -121,7 +121,7 @@ def test_a_planar_scene_is_named_and_solved() -> None:
     assert any("planar" in flag for flag in solution.flags)
     assert trajectory_error(solution.state.cam_from_world, scene.cam_from_world) < 5e-3
     room = observe(make_scene(size=(96, 160)), noise_px=0.05)
-    assert not classify.measure(room, [scene.focal_px], 0).planar
+    assert not classify.measure(room, scene.focal_px, 0).planar
 
 
 def test_points_at_infinity_turn_with_the_camera() -> None:
