@@ -22,6 +22,7 @@ from stages.ba.graph import (
 from stages.ba.options import BAOptions
 from stages.ba.start import PoseGuess
 from stages.ba.texture import texture_weights
+from stages.ba.uncertainty import CORRELATION
 from stages.shared import cli, sintel
 from stages.shared.artifacts import read_dense, read_metadata, write_dense, write_table
 from stages.shared.cameras import (
@@ -216,6 +217,7 @@ def _pose_metadata(solution: Estimate, flags: list[str], static: np.ndarray, opt
         "flags": flags,
         "static_share": float(static.mean()),
         "gauge": GAUGE,
+        "covariance_std_factor": CORRELATION,
         "options": options.model_dump(),
     }
 

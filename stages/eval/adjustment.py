@@ -74,6 +74,12 @@ STATISTICS: Mapping[str, tuple[str, str, str]] = {
         "%",
         "If the camera moves: small, the focal length is estimated; larger, weakly observed; beyond that, held.",
     ),
+    "covariance_std_factor": (
+        "factor in the predicted standard deviations",
+        "",
+        "Poses and focal length: so many times what independent residuals would predict; flow errors are alike over "
+        "many pixels. Their covariance holds its square.",
+    ),
     "static_percent": (
         "static area",
         "% of pixels",
@@ -115,6 +121,7 @@ def statistic_rows(folder: Path) -> list[Row]:
         return []
     about = read_metadata(folder / "ba/poses.parquet")
     found = about.get("statistics", {}) | {"residual_px": about.get("residual_px")}
+    found["covariance_std_factor"] = about.get("covariance_std_factor")
     found["focal_sigma_percent"] = decisions(about)["focal_sigma_percent"]
     found["static_percent"] = 100 * about["static_share"] if "static_share" in about else None
     rows = []
