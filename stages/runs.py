@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from stages.comparisons import GROWING
-from stages.settings import Setting, find_home, rounds_of
+from stages.settings import UPSTREAM, Setting, find_home, rounds_of
 
 SIZES = {
     "frames": ("inspect", "sequence.json"),
@@ -18,6 +18,8 @@ SIZES = {
 """The stage and the file that shows how large each thing that grows has become."""
 CONVERGENCE = "gaussians/convergence.parquet"
 SCORES = ("poses", "images", "masks", "time")
+MEASURED = tuple(stage for stage in UPSTREAM if stage not in ("colmap", "evaluate"))
+"""Stages whose options and code bear on what a comparison finds."""
 
 
 def swept_run(settings: Sequence[Setting], setting: Setting, sequence: str) -> dict[str, Any]:
@@ -35,6 +37,7 @@ def swept_run(settings: Sequence[Setting], setting: Setting, sequence: str) -> d
         "model": _path(settings, setting, sequence, "gaussians", "gaussians/model.safetensors"),
         "convergence": _path(settings, setting, sequence, "gaussians", CONVERGENCE),
         "configured_convergence": f"{sequence}/{CONVERGENCE}",
+        "stages": _stages(settings),
     }
 
 
@@ -48,6 +51,8 @@ def scaled_run(settings: Sequence[Setting], setting: Setting, sequence: str) -> 
         for stage in GROWING[setting.group]
     }
     return {
+        "sequence": sequence,
+        "stages": _stages(settings),
         "axis": setting.group,
         "size": _path(settings, setting, sequence, *SIZES[setting.group]),
         "stats": stats,
@@ -56,10 +61,19 @@ def scaled_run(settings: Sequence[Setting], setting: Setting, sequence: str) -> 
 
 def needed_files(run: dict[str, Any]) -> list[str]:
     """The files that a run's row is collected from."""
+    configured = [
+        f"{run['sequence']}/sequence.json",
+        *(f"{run['sequence']}/stats/{name}.json" for name in run["stages"]),
+    ]
     if "scores" in run:
         trainings = dict.fromkeys((run["convergence"], run["configured_convergence"]))
-        return [run["model"], *trainings, *(f"{run['scores']}/{table}.parquet" for table in SCORES)]
-    return [run["size"], *(path for paths in run["stats"].values() for path in paths)]
+        return [run["model"], *trainings, *(f"{run['scores']}/{table}.parquet" for table in SCORES), *configured]
+    return [run["size"], *(path for paths in run["stats"].values() for path in paths), *configured]
+
+
+def _stages(settings: Sequence[Setting]) -> dict[str, int]:
+    """How often each stage of the configured run, the first of the settings, runs."""
+    return {stage: len(rounds_of(settings[0], stage)) for stage in MEASURED}
 
 
 def _path(

@@ -7,7 +7,7 @@ from stages.eval.tables import write_rows
 
 METRICS = (
     *("rpe_rot_deg", "focal_error_percent", "iou", "boundary_f", "psnr_static_db", "psnr_dynamic_db", "ssim"),
-    *("ate", "rpe_trans", "path", "registered", "total"),
+    *("ate", "rpe_trans", "path", "registered", "total", "threads"),
     *("cpu_s", "poses_cpu_s", "peak_mb", "model_mb"),
     *("step_ms", "equal_psnr_db", "equal_s", "configured_equal_s"),
 )
@@ -24,7 +24,8 @@ def cost_row(setting: str, ate: float | None, seconds: float, psnr: float = 20.0
         "is_default": False,
         "overrides": "{}",
     }
-    row |= dict.fromkeys(METRICS, 1.0) | {"ate_percent": ate, "psnr_db": psnr, "status": "ok", "note": ""}
+    row |= dict.fromkeys(METRICS, 1.0) | {"ate_percent": ate, "psnr_db": psnr, "status": "ok"}
+    row |= {"note": "", "given": "true masks" if "truth" in str(changes) else None}
     return row | {"poses_wall_s": seconds / 2, "wall_s": seconds} | changes
 
 
@@ -51,9 +52,9 @@ def growth_rows() -> list[dict[str, Any]]:
     ]
 
 
-def write(folder: Path) -> tuple[Path, Path]:
-    """Both tables as files."""
+def write(folder: Path, made: dict[str, Any]) -> tuple[Path, Path]:
+    """Both tables as files that say how the runs beside them were made."""
     paths = folder / "sweep/costs.parquet", folder / "scaling/growth.parquet"
     for path, rows in zip(paths, (cost_rows(), growth_rows()), strict=True):
-        write_rows(path, rows, list(rows[0]), {})
+        write_rows(path, rows, list(rows[0]), {"made_under": made})
     return paths

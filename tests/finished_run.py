@@ -27,6 +27,8 @@ DECIDED = {
     "statistics": {"offset": 5, "flow_px": 2.5, "rotation_px": 3.5, "sampson_px": 0.1, "planar": False},
     "residual_px": 0.25,
     "static_share": 0.75,
+    "covariance_std_factor": 20.0,
+    "options": {"intrinsics": "estimate", "poses_from": "estimate", "depth_from": "estimate"},
 }
 """What the adjustment writes beside its poses."""
 TABLES = ("poses", "images", "masks", "checks", "time", "trajectory", "frames")
@@ -96,6 +98,7 @@ def write_results(folder: Path) -> None:
         write_dense(folder / part / "motion/prior.arrow", {"frame": numbers, "probability": prior})
         for number, mask in zip(numbers, masks, strict=True):
             write_image(folder / part / f"masks/frame_{number:04d}.png", mask)
+        write_json(folder / part / "masks/masks.json", {"options": {"source": "refined"}})
         about = {**DECIDED, "flags": ["an early doubt"] if part else ["a doubt", "one more"]}
         write_cameras(folder / part / "ba/poses.parquet", make_cameras(estimated, K, numbers), about)
     _write_depth(folder / "ba/depth.arrow", masks)
@@ -109,7 +112,15 @@ def write_results(folder: Path) -> None:
     decision = {"needed": True, "evidence": {"share": 0.1}, "why": "a square moves", "source": "evidence"}
     write_json(folder / "scene.json", {"dynamic": decision, "exposure": decision | {"needed": False}})
     _write_baseline(folder / "colmap/poses.parquet", estimated)
-    cost = {"wall_s": 2.0, "cpu_s": 3.0, "peak_mb": 100.0, "gpu_peak_mb": None, "output_mb": 1.0}
+    cost = {
+        "code": "abc",
+        "threads": 2,
+        "wall_s": 2.0,
+        "cpu_s": 3.0,
+        "peak_mb": 100.0,
+        "gpu_peak_mb": None,
+        "output_mb": 1.0,
+    }
     for path in stats_files(folder):
         write_json(path, {"stage": path.stem, "options": {"seed": 0}, **cost})
 
@@ -121,7 +132,7 @@ def _write_flow(path: Path) -> None:
     source, target = np.array(pairs).T
     columns = {"source": source, "target": target, "flow": flows.astype(np.float16)}
     columns["confidence"] = np.ones(flows.shape[:3], np.float16)
-    write_dense(path, columns, {"width": W, "height": H, "scale": 1.0})
+    write_dense(path, columns, {"width": W, "height": H, "scale": 1.0, "source": "dis"})
 
 
 def _write_depth(path: Path, masks: np.ndarray) -> None:
@@ -156,7 +167,8 @@ def _write_models(folder: Path) -> None:
 
 def stats_files(folder: Path) -> list[Path]:
     """The time files that the evaluation reads."""
-    once = [folder / f"stats/{name}.json" for name in ("inspect", "flow", "scene", "control", "gaussians", "colmap")]
+    once = [folder / f"stats/{name}.json" for name in ("inspect", "flow", "scene", "control", "gaussians", "render")]
+    once.append(folder / "stats/colmap.json")
     return once + [
         folder / part / f"stats/{name}.json" for part in ("round1", "") for name in ("motion", "segment", "ba")
     ]
@@ -201,7 +213,7 @@ def _write_baseline(path: Path, cam_from_world: np.ndarray) -> None:
     columns |= {name: [quats[k, i] for k in rows] for i, name in enumerate(("qw", "qx", "qy", "qz"))}
     columns |= {name: [cam_from_world[k, i, 3] for k in rows] for i, name in enumerate(("tx", "ty", "tz"))}
     columns |= {name: [value] * 4 for name, value in (("fx", 99.0), ("fy", 99.0), ("cx", K[0, 2]), ("cy", K[1, 2]))}
-    about = {"protocol": "as is", "total": T, "wall_s": 1.5, "cpu_s": 1.5}
+    about = {"protocol": "as is", "total": T, "wall_s": 1.5, "cpu_s": 1.5, "threads": 1, "given": None}
     partial = {"method": "COLMAP global", "registered": 4, "failure": None}
     failed = {"method": "COLMAP incremental", "registered": 0, "failure": "reconstruct: no model"}
     write_table(path, columns, {"variants": [partial | about, failed | about]})

@@ -18,7 +18,7 @@ from stages.eval.score_poses import colmap_candidates
 from stages.eval.truth import true_cameras
 from stages.inspect import check
 from stages.inspect.options import InspectOptions
-from stages.shared.artifacts import read_metadata, read_table
+from stages.shared.artifacts import read_metadata, read_table, write_json
 from stages.shared.cameras import centred_intrinsics
 from stages.shared.images import write_image
 from stages.shared.sequences import read_sequence
@@ -103,6 +103,7 @@ def test_masked_variants_have_no_features_on_dynamic_pixels(tmp_path: Path, monk
     for number in range(1, 4):
         write_image(tmp_path / f"clip/frame_{number:04d}.png", noise)
         write_image(tmp_path / f"masks/frame_{number:04d}.png", np.arange(160) < np.full((120, 1), 80))
+    write_json(tmp_path / "masks/masks.json", {"options": {"source": "refined"}})
     sequence, output = _inspect(tmp_path / "clip", tmp_path), tmp_path / "poses.parquet"
     colmap.main(
         sequence, output, ColmapOptions(window=1, mappers=BOTH, upsample_masked=(1, 2)), masks=tmp_path / "masks"
@@ -110,8 +111,8 @@ def test_masked_variants_have_no_features_on_dynamic_pixels(tmp_path: Path, monk
     assert all(len(seen[factor]) > 30 for factor in (1, 2))
     assert all(seen[factor].min() >= 80 * factor - 1 for factor in (1, 2))
     methods = [candidate.method for candidate in colmap_candidates(output)]
-    assert methods[0] == "COLMAP global, masked"
-    assert methods[-1] == "COLMAP incremental, x2, masked"
+    assert methods[0] == "COLMAP global, with our refined masks"
+    assert methods[-1] == "COLMAP incremental, x2, with our refined masks"
     colmap.main(sequence, output, ColmapOptions(window=1))
     assert seen[3].min() < 70
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from stages.eval import costs, overview, score_geometry, score_masks, score_models, score_poses
+from stages.eval.given import Given
 from stages.eval.tables import read_rows
 from stages.shared import lie
 from stages.shared.artifacts import read_dense, write_model
@@ -16,7 +17,7 @@ from stages.shared.sequences import read_sequence
 
 
 def _candidate(cameras: Cameras | None, failure: str | None = None) -> score_poses.Candidate:
-    return score_poses.Candidate("ours", "test", run.T, cameras, failure, 1.0, 1.0)
+    return score_poses.Candidate("ours", "test", run.T, cameras, failure, 1.0, 1.0, 1)
 
 
 def test_degenerate_truth_is_labelled_and_keeps_its_rotation_error() -> None:
@@ -110,7 +111,7 @@ def test_a_frame_without_matches_has_a_pose_in_no_table(scored: Path, tmp_path: 
     status[2] = "unobserved"
     cameras = replace(read_cameras(scored / "ba/poses.parquet"), status=status)
     write_cameras(tmp_path / "poses.parquet", cameras)
-    (candidate,) = score_poses.own_candidates([tmp_path / "poses.parquet"], [(1.0, 1.0)])
+    (candidate,) = score_poses.own_candidates([tmp_path / "poses.parquet"], [(1.0, 1.0, 1)], Given("refined masks"))
     sequence, flow = read_sequence(scored / "sequence.json"), read_dense(scored / "flow/pairs.arrow")
     depth, masks = read_dense(scored / "ba/depth.arrow"), score_masks.read_masks(scored / "masks")
     checks = score_geometry.score_geometry(sequence, flow, cameras, depth, run.STRIDE, masks)
@@ -152,7 +153,7 @@ def test_without_truth_the_tables_say_what_is_missing(tmp_path: Path) -> None:
     assert _row(poses, method="ours")["status"] == "no truth"
     assert all(row["iou"] is None for row in read_rows(folder / "eval/masks.parquet"))
     sources = {row["mask_source"] for row in read_rows(folder / "eval/images.parquet")}
-    assert sources == {None, "our own masks"}
+    assert sources == {None, "our own masks (refined masks)"}
     quantities = {row["quantity"] for row in read_rows(folder / "eval/checks.parquet")}
     assert "flow residual, median" in quantities
     assert not any("depth" in quantity for quantity in quantities)

@@ -17,10 +17,11 @@ import pytest
 from conftest import REPO
 from PIL import Image
 
-from stages.eval import overview, pictures, plots, report
+from stages.eval import made_under, overview, pictures, plots, report
 from stages.eval.options import ReportOptions
 from stages.eval.sections import STAGE_FIGURES, build_section
-from stages.shared.artifacts import write_json, write_table
+from stages.shared.artifacts import read_metadata, write_json, write_table
+from stages.shared.cameras import read_cameras, write_cameras
 
 PUBLISHED = REPO / "workflow" / "resources" / "published.yaml"
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
@@ -52,7 +53,9 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (unfinished / "sequence.json").write_text(json.dumps(content | {"name": "unfinished"}))
     effects = {"effects": {"fog": {"density": 0.1}}, "not_simulated": ["defocus"], "seconds": {"fog": 1.5}}
     write_json(root / "simulated" / "wall.json", {**effects, "calls": {"fog": 8}})
-    costs, grown = comparison_tables.write(root)
+    stages = {"flow": 1, "motion": 2, "segment": 2, "ba": 2}
+    made = made_under.of_runs(root / "results", [{"sequence": "wall", "stages": stages}])
+    costs, grown = comparison_tables.write(root, made)
     report.main(
         sequences=[*folders, unfinished],
         published_numbers=PUBLISHED,
@@ -142,6 +145,53 @@ def test_comparisons_are_part_of_the_page(results: Path, page: str) -> None:
     methods = pq.read_table(results / "tables" / "poses.parquet").column("method").to_pylist()
     assert {"ours, fast", "ours, accurate"} <= set(methods)
     assert "ours, balanced" not in methods  # the configured run itself
+
+
+@pytest.mark.parametrize(
+    ("stage", "change", "told"),
+    [
+        ("flow", {"options": {"seed": 7}}, "flow.seed 0, now 7"),
+        ("ba", {"code": "other"}, "ba by other code"),
+    ],
+)
+def test_a_comparison_made_under_other_options_is_labelled_and_joins_no_table(
+    results: Path, tmp_path: Path, stage: str, change: dict[str, object], told: str
+) -> None:
+    folder = tmp_path / "results" / "wall"
+    shutil.copytree(results / "results" / "wall", folder)
+    for path in folder.glob(f"**/stats/{stage}.json"):
+        write_json(path, json.loads(path.read_text()) | change)
+    tables = {"sweep": results / "sweep/costs.parquet", "growth": results / "scaling/growth.parquet"}
+    output, written = tmp_path / "index.html", tmp_path / "tables"
+    report.main([folder], PUBLISHED, output, written, ReportOptions(), **tables)
+    text = re.sub(r"<[^>]+>", " ", re.sub(r"data:[^\"]+", "", output.read_text()))
+    assert text.count(f"Made under other options or code than the results above: {told}.") == 2
+    assert "Presets (made under other options)" in text
+    assert "Growth of cost (made under other options)" in text
+    methods = pq.read_table(written / "poses.parquet").column("method").to_pylist()
+    assert "ours" in methods
+    assert not any(method.startswith("ours, fast") for method in methods)
+
+
+def test_truth_that_the_run_was_given_stands_on_the_first_screen_and_on_every_table(tmp_path: Path) -> None:
+    folder = run.finish(tmp_path)
+    metadata = read_metadata(folder / "ba/poses.parquet")
+    about = metadata | {"options": metadata["options"] | {"intrinsics": "truth"}}
+    write_cameras(folder / "ba/poses.parquet", read_cameras(folder / "ba/poses.parquet"), about)
+    write_json(folder / "masks/masks.json", {"options": {"source": "truth"}})
+    run.score(folder)
+    report.main([folder], PUBLISHED, tmp_path / "index.html", tmp_path / "tables", ReportOptions())
+    page = (tmp_path / "index.html").read_text()
+    given = "true masks, true intrinsics"
+    assert f"Taken from the truth, not estimated: {given}." in page.partition("</header>")[0]
+    titles = re.findall(r'<h3 id="(\w+)">([^<]*)', page)
+    ours = {name for name, title in titles if f"(given: {given})" in title}
+    assert {"poses", "images", "masks", "checks", "adjustment", "decisions"} <= ours
+    poses = pq.read_table(tmp_path / "tables/poses.parquet").to_pylist()
+    assert {row["method"]: row["given"] for row in poses}["ours"] == given
+    assert {row["method"]: row["given"] for row in poses}["COLMAP global"] is None
+    masks = pq.read_table(tmp_path / "tables/masks.parquet").to_pylist()
+    assert {row["method"] for row in masks} == {"motion prior", "true motion masks"}
 
 
 def test_effects_say_what_ran_and_what_it_cost(results: Path) -> None:

@@ -14,6 +14,7 @@ PUBLISHED = REPO / "workflow" / "resources" / "published.yaml"
 
 def _pose_row(sequence: str, status: str = "ok", **changes: float | str | None) -> dict[str, Any]:
     keys = ("ate", "ate_percent", "rpe_trans", "rpe_rot_deg", "focal_error_percent", "wall_s", "cpu_s")
+    keys += ("threads", "given")
     return {"sequence": sequence, "method": "ours", "status": status, **dict.fromkeys(keys), **changes}
 
 
@@ -57,7 +58,7 @@ def test_other_data_stand_apart_from_published_rows() -> None:
 
 def test_ratios_take_the_best_complete_variant_of_colmap_and_count_who_is_beaten() -> None:
     def poses(sequence: str, ours: float | None, *colmap: float | None) -> list[dict[str, Any]]:
-        methods = ("ours", "COLMAP global", "COLMAP incremental, x2", "COLMAP global, masked")
+        methods = ("ours", "COLMAP global", "COLMAP incremental, x2", "COLMAP global, with our refined masks")
         return [
             _pose_row(sequence, "failed" if error is None else "ok", method=method, ate_percent=error)
             for method, error in zip(methods, (ours, *colmap), strict=False)
@@ -124,9 +125,18 @@ def test_charts_show_the_best_variant_of_every_colmap_mapper() -> None:
         {"method": method, "frame": k, "x": float(k), "y": 0.0, "z": 0.0, "error": error}
         for method, frames, error in (
             *(("truth", 5, None), ("ours, round 1", 5, 0.1), ("ours", 5, 0.1)),
-            *(("COLMAP global", 5, 0.4), ("COLMAP global, x2", 5, 0.2), ("COLMAP global, masked", 3, 0.1)),
-            *(("COLMAP incremental", 2, None), ("COLMAP incremental, masked", 4, None)),
+            *(
+                ("COLMAP global", 5, 0.4),
+                ("COLMAP global, x2", 5, 0.2),
+                ("COLMAP global, with our refined masks", 3, 0.1),
+            ),
+            *(("COLMAP incremental", 2, None), ("COLMAP incremental, with our refined masks", 4, None)),
         )
         for k in range(frames)
     ]
-    assert list(plots.paths_of(rows)) == ["truth", "ours", "COLMAP global, x2", "COLMAP incremental, masked"]
+    assert list(plots.paths_of(rows)) == [
+        "truth",
+        "ours",
+        "COLMAP global, x2",
+        "COLMAP incremental, with our refined masks",
+    ]

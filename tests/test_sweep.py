@@ -13,7 +13,7 @@ from stages.eval.tables import read_rows, write_rows
 from stages.eval.training_speed import compare_training
 from stages.inspect import check
 from stages.inspect.options import InspectOptions
-from stages.shared.artifacts import write_dense, write_json, write_model, write_table
+from stages.shared.artifacts import read_metadata, write_dense, write_json, write_model, write_table
 from stages.shared.sequences import read_sequence
 
 TIMES = {"inspect": 1, "flow": 10, "motion": 2, "segment": 3, "ba": 4, "scene": 5, "control": 6, "gaussians": 20}
@@ -27,7 +27,16 @@ def write_scores(folder: Path, ate: float | None, psnr: dict[str, float]) -> Non
 
     errors = {"rpe_rot_deg": 0.1, "focal_error_percent": -2.0, "status": "failed" if ate is None else "ok"}
     errors |= {"camera": "moving", "focal": "estimated", "focal_sigma_percent": 1.0, "doubts": 0}
-    errors |= {"ate": 0.05, "rpe_trans": 0.01, "path": 9.0, "registered": 7, "total": 8, "note": ""}
+    errors |= {
+        "ate": 0.05,
+        "rpe_trans": 0.01,
+        "path": 9.0,
+        "registered": 7,
+        "total": 8,
+        "note": "",
+        "threads": 2,
+        "given": None,
+    }
     write("poses", [{"method": m, "ate_percent": a} | errors for m, a in (("ours, round 1", 9.0), ("ours", ate))])
     write("masks", [{"method": "refined masks", "round": r, "iou": r / 10, "boundary_f": r / 20} for r in (2, 1)])
     image = [{"method": "ours", "split": "test", "region": r, "psnr_db": v, "ssim": 0.5} for r, v in psnr.items()]
@@ -47,7 +56,16 @@ def swept(name: str, **changes: Any) -> dict[str, Any]:
     about: dict[str, Any] = {"sequence": "a", "group": "presets", "setting": name, "knob": None, "value": None}
     paths = {"scores": f"a/{name}/eval", "model": f"a/{name}/model.safetensors"}
     trainings = {"convergence": f"a/{name}/convergence.parquet", "configured_convergence": "a/one/convergence.parquet"}
+    about |= {"stages": {"flow": 1, "ba": 2}}
     return about | {"overrides": {}, "is_default": False} | paths | trainings | changes
+
+
+def write_made(folder: Path) -> None:
+    """What says how the configured run of a sequence was made: two stages, the second in two rounds."""
+    write_json(folder / "sequence.json", {"numbers": list(range(1, 12)), "frames_sha256": "of the frames"})
+    for stage in ("flow", "ba"):
+        about = {"options": {"seed": 3}, "code": f"code of {stage}", "wall_s": 3.0, "cpu_s": 6.0, "peak_mb": 97.0}
+        write_json(folder / f"stats/{stage}.json", about)
 
 
 def training(step_s: float, steps: int) -> dict[str, np.ndarray]:
@@ -62,6 +80,7 @@ def test_a_row_says_what_a_setting_reached_and_cost(tmp_path: Path) -> None:
     for name, step_s, steps in (("one", 0.1, 120), ("two", 0.3, 90)):
         (tmp_path / f"a/{name}/model.safetensors").write_bytes(bytes(2_500_000))
         write_table(tmp_path / f"a/{name}/convergence.parquet", training(step_s, steps))
+    write_made(tmp_path / "a")
     knob = {"knob": "flow.offsets", "value": [1, 2], "overrides": {"flow.offsets": [1, 2]}, "group": "knobs"}
     write_json(tmp_path / "sweep/runs.json", {"runs": [swept("one", is_default=True), swept("two", **knob)]})
     sweep.main(tmp_path / "sweep/runs.json", tmp_path / "costs.parquet")
@@ -79,6 +98,8 @@ def test_a_row_says_what_a_setting_reached_and_cost(tmp_path: Path) -> None:
     assert (one["poses_wall_s"], one["wall_s"]) == (10 + 2 * 9, 10 + 2 * 9 + 1 + 5 + 6 + 20)
     assert (one["poses_cpu_s"], one["cpu_s"]) == (2 * one["poses_wall_s"], 2 * one["wall_s"])
     assert (one["peak_mb"], one["model_mb"]) == (120.0, 2.5)
+    made = {"ran": 2, "options": {"seed": 3}, "code": "code of ba"}
+    assert read_metadata(tmp_path / "costs.parquet")["made_under"]["a"]["ba"] == made
     # Run two ends after 90 steps, at a mean of 10 + 0.1 * (41..90) dB; run one is there at that step, 3 times as fast.
     assert two["equal_psnr_db"] == pytest.approx(16.55)
     assert (two["equal_s"], two["configured_equal_s"]) == pytest.approx((27.0, 9.0))
@@ -91,18 +112,17 @@ def test_a_training_too_short_to_average_has_no_speed() -> None:
 
 
 def test_rows_of_growth_add_rounds_up(tmp_path: Path) -> None:
-    for k, name in enumerate(("round1/stats/ba", "stats/ba", "stats/flow"), start=1):
-        cost = {"wall_s": 1.0 * k, "cpu_s": 2.0 * k, "peak_mb": 100.0 - k}
-        write_json(tmp_path / f"a/{name}.json", cost)
-    write_json(tmp_path / "a/sequence.json", {"numbers": list(range(1, 12))})
+    write_made(tmp_path / "a")
+    write_json(tmp_path / "a/round1/stats/ba.json", {"wall_s": 1.0, "cpu_s": 2.0, "peak_mb": 99.0})
     stats = {"flow": ["a/stats/flow.json"], "ba": ["a/round1/stats/ba.json", "a/stats/ba.json"]}
-    run = {"axis": "frames", "size": "a/sequence.json", "stats": stats}
+    run = {"axis": "frames", "sequence": "a", "stages": {"flow": 1, "ba": 2}, "size": "a/sequence.json", "stats": stats}
     write_json(tmp_path / "scaling/runs.json", {"runs": [run]})
     scaling.main(tmp_path / "scaling/runs.json", tmp_path / "growth.parquet")
     assert read_rows(tmp_path / "growth.parquet") == [
         {"axis": "frames", "n": 11, "stage": "flow", "wall_s": 3.0, "cpu_s": 6.0, "peak_mb": 97.0},
-        {"axis": "frames", "n": 11, "stage": "ba", "wall_s": 3.0, "cpu_s": 6.0, "peak_mb": 99.0},
+        {"axis": "frames", "n": 11, "stage": "ba", "wall_s": 4.0, "cpu_s": 8.0, "peak_mb": 99.0},
     ]
+    assert list(read_metadata(tmp_path / "growth.parquet")["made_under"]) == ["a"]
 
 
 @pytest.mark.parametrize(("axis", "size"), [("pixels", 96 * 64), ("gaussians", 7), ("control points", 5)])

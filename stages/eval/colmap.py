@@ -10,7 +10,8 @@ from typing import Annotated, Any
 import cv2
 import numpy as np
 
-from stages.eval.baseline import MIN_TRIANGULATION_DEG, StepFailed, find_matches, reconstruct, run_limited
+from stages.eval.baseline import MIN_TRIANGULATION_DEG, THREADS, StepFailed, find_matches, reconstruct, run_limited
+from stages.eval.given import MASKS, TRUTH, mask_source
 from stages.eval.options import ColmapOptions
 from stages.shared import cli, lie
 from stages.shared.artifacts import write_table
@@ -28,7 +29,7 @@ def main(
     output: Annotated[Path, Out("table: a row per variant and registered frame; outcomes and seconds in its metadata")],
     options: ColmapOptions,
     masks: Annotated[
-        Path | None, In("folder of dynamic masks: run only the variants that leave these pixels out")
+        Path | None, In("folder of masks, with masks.json: run only the variants that leave dynamic pixels out")
     ] = None,
 ) -> str:
     """Run COLMAP's mappers on the frames; a variant that fails or runs out of time is recorded with its reason."""
@@ -53,14 +54,15 @@ class Variant:
 
     method: str
     protocol: str
+    given: str | None
     rows: list[tuple[Any, ...]]
     failure: str | None
     cpu_s: float
 
     def outcome(self, total: int) -> dict[str, Any]:
         """Everything but the rows, for the metadata of the table."""
-        about = {name: getattr(self, name) for name in ("method", "protocol", "failure", "cpu_s")}
-        return about | {"registered": len(self.rows), "total": total}
+        about = {name: getattr(self, name) for name in ("method", "protocol", "given", "failure", "cpu_s")}
+        return about | {"threads": THREADS, "registered": len(self.rows), "total": total}
 
 
 def run_variants(
@@ -83,7 +85,7 @@ def run_variants(
             arguments = (images, database, mapper, options.seed)
             found, failure, seconds = _timed(reconstruct, arguments, options, shared_s)
             rows = _rows(_method(mapper, factor, masks), factor, *found) if found else []
-        names = _method(mapper, factor, masks), _protocol(factor, masks, options)
+        names = _method(mapper, factor, masks), _protocol(factor, masks, options), _given(masks)
         variants.append(Variant(*names, rows, failure, shared_s + seconds))
     return variants
 
@@ -110,17 +112,27 @@ def _children_cpu_s() -> float:
 
 
 def _method(mapper: str, factor: int, masks: Path | None) -> str:
-    return f"COLMAP {mapper}" + (f", x{factor}" if factor > 1 else "") + (", masked" if masks else "")
+    return f"COLMAP {mapper}" + (f", x{factor}" if factor > 1 else "") + (f", with {_owned(masks)}" if masks else "")
+
+
+def _owned(masks: Path) -> str:
+    """Whose masks these are: "true motion masks" or, say, "our refined masks"."""
+    source = mask_source(masks)
+    return MASKS[source] if source == TRUTH else f"our {MASKS[source]}"
+
+
+def _given(masks: Path | None) -> str | None:
+    return "true masks" if masks and mask_source(masks) == TRUTH else None
 
 
 def _protocol(factor: int, masks: Path | None, options: ColmapOptions) -> str:
     pairs = f"the next {options.window} frames" if options.matching == "sequential" else "all others"
     size = "frames as they are" if factor == 1 else f"frames enlarged {factor} times (cubic)"
-    left_out = "no features on pixels that our masks call dynamic (their time not counted)" if masks else "no masks"
+    left_out = f"no features where {_owned(masks)} are set (their time not counted)" if masks else "no masks"
     start = f"first pair of incremental mapping from {MIN_TRIANGULATION_DEG:g} degrees on"
     return (
-        f"pycolmap, {size}, matched with {pairs}, one shared unknown focal, {left_out}, {start}, one thread, "
-        f"seconds: CPU time, seed {options.seed}"
+        f"pycolmap, {size}, matched with {pairs}, one shared unknown focal, {left_out}, {start}, "
+        f"threads: {THREADS}, seconds: CPU time, seed {options.seed}"
     )
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from stages.eval.costs import is_ours
 from stages.eval.plots import COLOURS, OTHERS, figure
+from stages.eval.score_masks import PRIOR
 from stages.eval.tables import Row, decimal, read_rows
 from stages.shared.artifacts import atomic
 from stages.shared.errors import InputError
@@ -62,7 +63,7 @@ def read_sequence(scores: Path) -> Values:
         "ate_percent": pose.get("ate_percent") if pose.get("status") == "ok" else None,
         "focal_abs_percent": None if focal is None else abs(focal),
     }
-    rounds = [row for row in read_rows(scores / "masks.parquet") if row["method"] == "refined masks"]
+    rounds = [row for row in read_rows(scores / "masks.parquet") if row["method"] != PRIOR]
     values["iou"] = max(rounds, key=lambda row: row["round"])["iou"] if rounds else None
     images = read_rows(scores / "images.parquet")
     for region in ("whole", "static", "dynamic"):

@@ -26,12 +26,13 @@ def time_rows(name: str, files: Sequence[Path]) -> list[Row]:
     return sorted(rows, key=_stage_order)
 
 
-def seconds_to_poses(rows: Sequence[Row], rounds: int) -> list[tuple[float, float]]:
-    """Wall and CPU seconds from the frames to the poses of each round."""
+def spent_to_poses(rows: Sequence[Row], rounds: int) -> list[tuple[float, float, int]]:
+    """Wall and CPU seconds from the frames to the poses of each round, and the most threads of any stage of it."""
     spent = []
     for k in range(1, rounds + 1):
         part = [row for row in rows if row["stage"] == "flow" or (row["round"] or rounds + 1) <= k]
-        spent.append((sum(row["wall_s"] for row in part), sum(row["cpu_s"] for row in part)))
+        seconds = (sum(row[key] for row in part) for key in ("wall_s", "cpu_s"))
+        spent.append((*seconds, max(row["threads"] for row in part)))
     return spent
 
 
@@ -42,7 +43,7 @@ def is_ours(row: Row) -> bool:
 
 def _time_row(name: str, path: Path, number: int) -> Row:
     content = read_json(path)
-    costs = {key: content[key] for key in ("wall_s", "cpu_s", "peak_mb", "gpu_peak_mb", "output_mb")}
+    costs = {key: content[key] for key in ("threads", "wall_s", "cpu_s", "peak_mb", "gpu_peak_mb", "output_mb")}
     return {"sequence": name, "stage": path.stem, "round": number if path.stem in REPEATED else None} | costs
 
 

@@ -20,6 +20,7 @@ from stages.eval import (
     score_poses,
     trajectory,
 )
+from stages.eval.given import Given, read_given
 from stages.eval.options import EvaluateOptions
 from stages.eval.paths import path_rows
 from stages.eval.plots import draw_trajectories
@@ -34,17 +35,19 @@ from stages.shared.sequences import Sequence, read_sequence
 
 POSES = (
     *("sequence", "method", "registered", "total", "ate", "ate_percent", "rpe_trans", "rpe_rot_deg"),
-    *("focal_error_percent", "path", "wall_s", "cpu_s", "status", "note", "protocol", *adjustment.DECISIONS),
+    *("focal_error_percent", "path", "wall_s", "cpu_s", "threads", "status", "note", "protocol", "given"),
+    *adjustment.DECISIONS,
 )
 IMAGES = (
     *("sequence", "method", "split", "region", "psnr_db", "ssim", "lpips", "frames", "width", "height"),
-    *("mask_source", "protocol"),
+    *("mask_source", "protocol", "given"),
 )
 MASKS = (
-    *("sequence", "method", "round", "iou", "boundary_f", "dynamic_percent", "true_percent", "frames", "protocol"),
+    *("sequence", "method", "round", "iou", "boundary_f", "precision", "recall", "dynamic_percent", "true_percent"),
+    *("frames", "protocol", "given"),
 )
-CHECKS = ("sequence", "quantity", "value", "unit", "n", "protocol")
-TIME = ("sequence", "stage", "round", "wall_s", "cpu_s", "peak_mb", "gpu_peak_mb", "output_mb")
+CHECKS = ("sequence", "quantity", "value", "unit", "n", "protocol", "given")
+TIME = ("sequence", "stage", "round", "threads", "wall_s", "cpu_s", "peak_mb", "gpu_peak_mb", "output_mb")
 TRAJECTORY = ("method", "frame", "x", "y", "z", "error")
 FRAMES = ("kind", "method", "split", "frame", "metric", "value")
 
@@ -53,7 +56,7 @@ def main(
     sequence: Annotated[Path, In("sequence.json of the input check")],
     flow: Annotated[Path, In("optical flow over the edge list")],
     priors: Annotated[list[Path], In("motion priors, one file per round, in order")],
-    masks: Annotated[list[Path], In("folders of refined masks, one per round, in order")],
+    masks: Annotated[list[Path], In("folders of masks, one per round, in order")],
     poses: Annotated[list[Path], In("tables of estimated poses, one per round, in order")],
     depth: Annotated[Path, In("inverse depth of the last round")],
     colmap: Annotated[list[Path], In("poses of the baseline, without and with our masks")],
@@ -76,8 +79,9 @@ def main(
     frames = read_sequence(sequence)
     times = costs.time_rows(frames.name, stage_stats)
     write_rows(time_table, times, TIME, {"unit": "seconds and MB"})
-    seconds = costs.seconds_to_poses(times, len(poses))
-    candidates = [*score_poses.own_candidates(poses, seconds), *score_poses.colmap_candidates(*colmap)]
+    given = read_given(flow, masks[-1], poses[-1])
+    own = score_poses.own_candidates(poses, costs.spent_to_poses(times, len(poses)), given)
+    candidates = [*own, *score_poses.colmap_candidates(*colmap)]
     paths = _write_poses(frames, candidates, poses_table, trajectory_table)
     with atomic(figure) as partial:
         partial.write_bytes(draw_trajectories(paths, "png"))
@@ -85,26 +89,26 @@ def main(
     pairs = read_dense(flow)
     first = len(poses) - len(masks) + 1  # masks may be left out of the first round, never of the last
     by_round = dict(enumerate(zip(priors, own_masks, strict=True), first))
-    mask_frames = _write_masks(frames, by_round, masks_table)
-    image_frames = _write_images(frames, renders, pairs, own_masks[-1], images_table, options)
+    mask_frames = _write_masks(frames, by_round, given, masks_table)
+    image_frames = _write_images(frames, renders, pairs, (own_masks[-1], given), images_table, options)
     write_rows(frames_table, [*image_frames, *mask_frames], FRAMES, {})
     grid = read_dense(depth), read_metadata(depth)["stride_px"]
     checks = score_geometry.score_geometry(frames, pairs, read_cameras(poses[-1]), *grid, own_masks[-1])
     checks += score_models.model_rows(frames.name, len(frames.frames), motion, model, half)
     _log_rows("checks", checks)
-    write_rows(checks_table, checks, CHECKS, {})
+    write_rows(checks_table, _with(given.truth, checks), CHECKS, {})
     return _result(poses_table, masks_table, images_table)
 
 
 def _result(poses_table: Path, masks_table: Path, images_table: Path) -> str:
     """The scores of the sequence in a few words; what has no truth is left out."""
-    last = {row["method"]: row for row in [*read_rows(poses_table), *read_rows(masks_table)]}
+    poses = {row["method"]: row for row in read_rows(poses_table)}
+    masks = [row for row in read_rows(masks_table) if row["method"] != score_masks.PRIOR]
     images = [row for row in read_rows(images_table) if (row["split"], row["region"]) == ("test", "whole")]
-    whole = {row["method"]: row["psnr_db"] for row in images}
     figures = {
-        "ATE {:.3f} % of path": last.get("ours", {}).get("ate_percent"),
-        "mask IoU {:.2f}": last.get("refined masks", {}).get("iou"),
-        "held-out PSNR {:.1f} dB": whole.get("ours"),
+        "ATE {:.3f} % of path": poses["ours"]["ate_percent"],
+        "mask IoU {:.2f}": masks[-1]["iou"] if masks else None,
+        "held-out PSNR {:.1f} dB": {row["method"]: row["psnr_db"] for row in images}.get("ours"),
     }
     return ", ".join(words.format(value) for words, value in figures.items() if value is not None)
 
@@ -123,16 +127,16 @@ def _write_poses(
 
 
 def _write_masks(
-    frames: Sequence, by_round: Mapping[int, tuple[Path, dict[int, np.ndarray]]], table: Path
+    frames: Sequence, by_round: Mapping[int, tuple[Path, dict[int, np.ndarray]]], given: Given, table: Path
 ) -> list[Row]:
     """Scores of the prior and the masks of every round that has any; those of single frames are returned."""
     size = frames.width, frames.height
     masks = {
-        k: {"motion prior": score_masks.read_prior_masks(prior, *size), "refined masks": own}
+        k: {score_masks.PRIOR: score_masks.read_prior_masks(prior, *size), given.masks: own}
         for k, (prior, own) in by_round.items()
     }
     rows, of_frames = score_masks.score_masks(frames.name, masks, *true_masks(frames))
-    write_rows(table, rows, MASKS, {"protocol": mask_metrics.PROTOCOL})
+    write_rows(table, _with(given.truth, rows), MASKS, {"protocol": mask_metrics.PROTOCOL})
     return _long(of_frames, "masks", ("iou", "boundary_f"))
 
 
@@ -140,16 +144,24 @@ def _write_images(
     frames: Sequence,
     renders: Path,
     flow: Mapping[str, np.ndarray],
-    own_masks: dict[int, np.ndarray],
+    masks: tuple[dict[int, np.ndarray], Given],
     table: Path,
     options: EvaluateOptions,
 ) -> list[Row]:
     """Scores of the renders and of the image baselines; those of single frames are returned."""
     moving, source = true_masks(frames)
-    regions = (moving, source) if moving else (own_masks, "our own masks")
+    own_masks, given = masks
+    regions = (moving, source) if moving else (own_masks, f"our own masks ({given.masks})")
     rows, of_frames = score_images.score_images(frames, renders, flow, regions, options)
-    write_rows(table, rows, IMAGES, {"protocol": f"{image_metrics.PROTOCOL}. {_lpips_protocol(options)}"})
+    write_rows(
+        table, _with(given.truth, rows), IMAGES, {"protocol": f"{image_metrics.PROTOCOL}. {_lpips_protocol(options)}"}
+    )
     return _long(of_frames, "images", ("psnr_db", "ssim"))
+
+
+def _with(given: str | None, rows: Rows[Row]) -> list[Row]:
+    """Rows that say what the run took from the truth."""
+    return [row | {"given": given} for row in rows]
 
 
 def _lpips_protocol(options: EvaluateOptions) -> str:

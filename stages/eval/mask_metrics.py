@@ -1,12 +1,15 @@
 """Scores of binary masks: overlap and boundary accuracy, as in the DAVIS benchmark."""
 
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
 
 BOUNDARY_SHARE = 0.008  # of the image diagonal: the distance at which boundaries still match (Perazzi et al. 2016)
 PROTOCOL = (
     "IoU and boundary F per frame, then the mean over frames (a frame empty in both counts 1); boundary F: harmonic "
-    "mean of boundary precision and recall within 0.8 % of the diagonal (DAVIS)"
+    "mean of boundary precision and recall within 0.8 % of the diagonal (DAVIS); precision and recall over the pixels "
+    "of all frames together, n/a where no pixel is called or truly dynamic"
 )
 
 
@@ -14,6 +17,13 @@ def iou(mask: np.ndarray, truth: np.ndarray) -> float:
     """Intersection over union of masks [H, W] bool, 0..1; 1 if both are empty."""
     union = np.count_nonzero(mask | truth)
     return float(np.count_nonzero(mask & truth) / union) if union else 1.0
+
+
+def precision_recall(masks: Sequence[np.ndarray], truths: Sequence[np.ndarray]) -> tuple[float | None, float | None]:
+    """Shares of the pixels called dynamic that move, and of those that move that are called so, over frames [H, W]."""
+    found = sum(np.count_nonzero(mask & truth) for mask, truth in zip(masks, truths, strict=True))
+    called, moving = (sum(map(np.count_nonzero, frames)) for frames in (masks, truths))
+    return found / called if called else None, found / moving if moving else None
 
 
 def boundary_f(mask: np.ndarray, truth: np.ndarray) -> float:

@@ -1,13 +1,15 @@
 """The first screen of the report: one sentence, the headline figures, what failed, and the groups of tables."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from stages.eval import adjustment, published, ratios, report_tables, score_models, summaries
 from stages.eval.costs import is_ours
+from stages.eval.given import given_truth
+from stages.eval.score_masks import PRIOR
 from stages.eval.sections import Figure
 from stages.eval.tables import Row, Table, decimal
 
@@ -43,9 +45,10 @@ class Group:
 
 TEXTS = {
     "poses": "How far the estimated cameras are from the true ones. COLMAP ran on the same frames on the same machine.",
-    "images": "How well renders match frames. Held-out frames were never trained on; what their neighbours alone "
-    "give, without any scene, is the least that a method must beat.",
-    "masks": "How well the pixels called dynamic match those that truly move.",
+    "images": "How well renders match frames. Pictures of held-out frames never enter the training, nor the choice of "
+    "effects and control points; their poses, flow and masks do take part: these were estimated from all frames. What "
+    "the neighbours of a held-out frame alone give, without any scene, is the least that a method must beat.",
+    "masks": "How well the pixels called dynamic match those that truly move. Masks are named by their source.",
     "checks": "How well poses and depth explain the optical flow (needs no truth), flow and depth against truth, "
     "how well control points explain the tracks of moving pixels, and what the model takes on disk.",
     "time": "What every stage cost, from the start of its process to the end.",
@@ -77,12 +80,41 @@ def build_groups(rows: Rows, protocols: Mapping[str, str], numbers: Mapping[str,
         Group("time", "Time and memory", [time_mean], [time] if many else []),
         Group("effects", "Effects", [] if many else effects, effects if many else []),
     ]
-    return [_without_empty(group) for group in groups]
+    given = given_truth(row for row in rows["poses"] if row["method"] == "ours")
+    return [_labelled(_without_empty(group), given) for group in groups]
 
 
 def _without_empty(group: Group) -> Group:
     tables, more = ([table for table in part if table.rows] for part in (group.tables, group.more))
-    return Group(group.name, group.title, tables, more)
+    return replace(group, tables=tables, more=more)
+
+
+def _labelled(group: Group, given: str) -> Group:
+    """The group with the truth that the run was given in the title of each of its tables; others' numbers aside."""
+    if not given:
+        return group
+
+    def titled(table: Table) -> Table:
+        ours = not table.name.startswith(("published", "simulation"))
+        return replace(table, title=f"{table.title} (given: {given})") if ours else table
+
+    return replace(group, tables=[titled(table) for table in group.tables], more=[titled(t) for t in group.more])
+
+
+def outdated(group: Group, changes: Sequence[str]) -> Group:
+    """The group of an earlier comparison with a label on everything it shows; as it is if nothing has changed."""
+    if not changes:
+        return group
+    sentence = f"Made under other options or code than the results above: {'; '.join(changes)}. {group.sentence}"
+    label = "made under other options"
+    return replace(
+        group,
+        sentence=sentence.strip(),
+        title=f"{group.title} ({label})",
+        tables=[replace(table, title=f"{table.title} ({label})") for table in group.tables],
+        more=[replace(table, title=f"{table.title} ({label})") for table in group.more],
+        figures=[replace(figure, title=f"{figure.title} ({label})") for figure in group.figures],
+    )
 
 
 def tiles(rows: Rows) -> list[Tile]:
@@ -93,23 +125,24 @@ def tiles(rows: Rows) -> list[Tile]:
     copies = [row for row in test if (row["split"], row["region"]) == ("test", "whole") and row["method"] != "ours"]
     copied = max(copies, key=lambda row: (row["n"], row["psnr_db"]), default=None)
     masks = summaries.mask_means(rows["masks"])
-    mask = _mean(masks[-2:], method="refined masks")
+    mask = next((row for row in reversed(masks) if row["method"] != PRIOR), None)
     own = [row for row in rows["time"] if is_ours(row)]
     seconds, peak_mb = _per_sequence(own, "wall_s", sum), _per_sequence(own, "peak_mb", max)
     rivals = [row for row in summaries.pose_means(rows["poses"]) if _rival(row)]
     best = min(rivals, key=lambda row: (-row["n"], row["ate_percent"]), default=None)
-    against = f"best COLMAP: {decimal(best['ate_percent'], 2)} %, n = {best['n']}" if best else "COLMAP: none"
+    against = f"best {best['method']}: {decimal(best['ate_percent'], 2)} %, n = {best['n']}" if best else "COLMAP: none"
     copied_words = f"{copied['method']}: {copied['psnr_db']:.1f} dB, n = {copied['n']}" if copied else ""
     cpu_s = f"; {np.mean(_per_sequence(own, 'cpu_s', sum)):.0f} s of CPU" if seconds else ""
     most = f"largest of all stages; n = {len(peak_mb)}"
-    spent = f"per sequence, without COLMAP{cpu_s}; n = {len(seconds)}"
+    threads = f", at most {most_threads} threads" if (most_threads := _most_threads(own)) else ""
+    spent = f"per sequence, without COLMAP{threads}{cpu_s}; n = {len(seconds)}"
     return [
         Tile("Camera error (ATE)", _show(ours, "ate_percent", 2), "% of path", f"{_scored(ours)}; {against}"),
         Tile("Focal error", _show(ours, "focal_abs_percent", 1), "%", _scored(ours)),
         Tile(
             "Held-out PSNR", _show(image, "psnr_db", 1), "dB", "; ".join(filter(None, [_scored(image), copied_words]))
         ),
-        Tile("Mask IoU", _show(mask, "iou", 2), "", _scored(mask)),
+        Tile("Mask IoU", _show(mask, "iou", 2), "", f"{mask['method']}; {_scored(mask)}" if mask else "no truth"),
         Tile("Time", f"{np.mean(seconds):.0f}" if seconds else "n/a", "s", spent),
         Tile("Peak memory", f"{max(peak_mb):.0f}" if peak_mb else "n/a", "MB", most),
     ]
@@ -119,8 +152,10 @@ def summary(rows: Rows) -> str:
     """The report in one sentence."""
     values = {tile.label: f"{tile.value} {tile.unit}".strip() for tile in tiles(rows)}
     names = {row["sequence"] for row in rows["time"]}
+    given = given_truth(row for row in rows["poses"] if row["method"] == "ours")
+    counted = f"{len(names)} sequence{'s' if len(names) != 1 else ''}" + (f", given {given}" if given else "")
     return (
-        f"{len(names)} sequence{'s' if len(names) != 1 else ''}: cameras off by {values['Camera error (ATE)']}, "
+        f"{counted}: cameras off by {values['Camera error (ATE)']}, "
         f"held-out views at {values['Held-out PSNR']}, masks at IoU {values['Mask IoU']}, "
         f"in {values['Time']} per sequence."
     )
@@ -129,7 +164,9 @@ def summary(rows: Rows) -> str:
 def problems(rows: Rows, names: Sequence[str]) -> list[str]:
     """Failures and missing results, one sentence each."""
     scored = {row["sequence"] for row in rows["poses"]}
-    found = [f"{name}: not evaluated; it counts as failed." for name in names if name not in scored]
+    given = given_truth(row for row in rows["poses"] if row["method"] == "ours")
+    found = [f"Taken from the truth, not estimated: {given}. It bears on every figure of ours."] if given else []
+    found += [f"{name}: not evaluated; it counts as failed." for name in names if name not in scored]
     for row in rows["poses"]:
         if row["status"] in ("partial", "failed"):
             found.append(f"{row['sequence']}, {row['method']}: {row['status']} ({row['note']}).")
@@ -160,6 +197,10 @@ def _per_sequence(rows: Sequence[Row], key: str, combine: Callable[[list[float]]
     for row in rows:
         groups.setdefault(row["sequence"], []).append(row[key])
     return [combine(values) for values in groups.values()]
+
+
+def _most_threads(rows: Sequence[Row]) -> int:
+    return max((row["threads"] for row in rows), default=0)
 
 
 def _show(row: Row | None, key: str, digits: int) -> str:

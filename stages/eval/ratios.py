@@ -25,7 +25,7 @@ def ratio_table(poses: Sequence[Row], settings: Sequence[Row]) -> Table:
 
     Args:
         poses: rows of the pose table. Of COLMAP's variants the complete one of lowest ATE counts, among those that
-            see the frames without our masks.
+            see the frames without masks.
         settings: rows of the sweep's table.
     """
     scored = [row for row in poses if row["method"] == "ours" and row["status"] in ("ok", "partial", "failed")]
@@ -55,8 +55,8 @@ def counts(rows: Sequence[Row]) -> str:
 
 def _row(ours: Row, poses: Sequence[Row], settings: Sequence[Row]) -> Row:
     name, error = ours["sequence"], _complete_error(ours)
-    rivals = [row for row in poses if row["sequence"] == name and _sees_plain_frames(row["method"])]
-    best = min((row for row in rivals if row["status"] == "ok"), key=lambda row: row["ate_percent"], default=None)
+    rivals = plain_rivals(poses, name)
+    best = best_rival([row for row in rivals if row["status"] == "ok"])
     true_masks = next((r for r in settings if r["sequence"] == name and json.loads(r["overrides"]) == TRUE_MASKS), None)
     row: Row = {"sequence": name, "ate_percent": error}
     row["colmap"] = best["method"] if best else "none complete" if rivals else None
@@ -70,5 +70,14 @@ def _complete_error(row: Row | None) -> float | None:
     return row["ate_percent"] if row and row["status"] == "ok" else None
 
 
-def _sees_plain_frames(method: str) -> bool:
-    return method.startswith("COLMAP") and not method.endswith("masked")
+def plain_rivals(poses: Sequence[Row], sequence: str) -> list[Row]:
+    """The rows of COLMAP's variants that see the frames of a sequence without masks."""
+    rows = [row for row in poses if row["sequence"] == sequence and row["method"].startswith("COLMAP")]
+    return [row for row in rows if not row["method"].endswith("masks")]
+
+
+def best_rival(rivals: Sequence[Row]) -> Row | None:
+    """The complete one of lowest ATE, or of lowest rotation error where the truth defines no ATE."""
+    complete = [row for row in rivals if row["status"] not in ("failed", "partial")]
+    key = "rpe_rot_deg" if all(row["ate_percent"] is None for row in complete) else "ate_percent"
+    return min((row for row in complete if row[key] is not None), key=lambda row: row[key], default=None)

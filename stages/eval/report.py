@@ -7,7 +7,7 @@ import jinja2
 import markupsafe
 import yaml
 
-from stages.eval import adjustment, overview, provenance, tradeoff_report
+from stages.eval import adjustment, made_under, overview, provenance, tradeoff_report
 from stages.eval.effects import decision_rows, simulation_rows
 from stages.eval.options import ReportOptions
 from stages.eval.overview import Group
@@ -38,9 +38,12 @@ def main(
     """Write the report. It needs no network, no other file, and only the results that are there."""
     rows, protocols = gather(sequences, manifests)
     names = [folder.name for folder in sequences]
-    rows["settings"] = [row for row in read_rows(sweep) if row["sequence"] in names] if sweep else []
+    swept = [row for row in read_rows(sweep) if row["sequence"] in names] if sweep else []
+    given = {"tradeoff": sweep, "growth": growth}
+    changes = {name: made_under.differences(table, sequences[0].parent) for name, table in given.items() if table}
+    rows["settings"] = [] if changes.get("tradeoff") else swept  # beside the run above stands only what belongs to it
     rows["poses"] = with_settings(rows["poses"], rows["settings"], names)
-    compared = comparison_groups(rows["settings"], growth, rows["poses"])
+    compared = [overview.outdated(g, changes[g.name]) for g in comparison_groups(swept, growth, rows["poses"])]
     groups = overview.build_groups(rows, protocols, yaml.safe_load(published_numbers.read_text()))
     groups[-1:-1] = compared
     every = {table.name: table for group in groups for table in [*group.tables, *group.more]}

@@ -14,7 +14,8 @@ ERRORS = (
     Column("rpe_trans", "RPE", "scene units", 4),
     Column("rpe_rot_deg", "RPE", "degrees", 3),
 )
-SECONDS = Column("wall_s", "wall", "s", 1), Column("cpu_s", "CPU", "s", 1)
+SECONDS = Column("wall_s", "wall", "s", 1), Column("cpu_s", "CPU", "s", 1), Column("threads", "threads", "at most")
+GIVEN = Column("given", "given as truth")
 IMAGE_SCORES = (
     Column("psnr_db", "PSNR", "dB", 2),
     Column("ssim", "SSIM", "0..1", 3),
@@ -23,10 +24,13 @@ IMAGE_SCORES = (
 MASK_SCORES = (
     Column("iou", "IoU", "0..1", 3),
     Column("boundary_f", "boundary F", "0..1", 3),
+    Column("precision", "precision", "0..1", 3),
+    Column("recall", "recall", "0..1", 3),
     Column("dynamic_percent", "called dynamic", "% of pixels", 1),
     Column("true_percent", "truly dynamic", "% of pixels", 1),
 )
 COSTS = (
+    Column("threads", "threads", "at most"),
     Column("wall_s", "wall time", "s", 1, bar=True),
     Column("cpu_s", "CPU time", "s", 1, bar=True),
     Column("peak_mb", "peak memory", "MB", 0, bar=True),
@@ -37,7 +41,10 @@ COSTS = (
 
 def pose_tables(rows: list[Row], protocol: str) -> tuple[Table, Table]:
     """Means per method, and every sequence."""
-    note = f"{protocol}. Time: ours from flow to adjustment; COLMAP's features, matching and mapping."
+    note = (
+        f"{protocol}. Time: ours from flow to adjustment; COLMAP's features, matching and mapping; each on the threads "
+        "that stand beside it."
+    )
     focal = Column("focal_abs_percent", "focal error", "%, size", 1)
     counts = (
         Column("n", "scored"),
@@ -49,7 +56,7 @@ def pose_tables(rows: list[Row], protocol: str) -> tuple[Table, Table]:
         "poses_mean",
         "Poses, mean over sequences",
         f"{note} Unweighted mean over the scored sequences; partial: some frames without a pose, not in the mean.",
-        (METHOD, *ERRORS, focal, *SECONDS, *counts),
+        (METHOD, *ERRORS, focal, *SECONDS, *counts, GIVEN),
         summaries.pose_means(rows),
     )
     signed = Column("focal_error_percent", "focal error", "%", 1)
@@ -57,7 +64,7 @@ def pose_tables(rows: list[Row], protocol: str) -> tuple[Table, Table]:
     path = Column("path", "true path", "scene units", 2, file_only=True)
     about = Column("status", "status"), Column("note", "note", long=True), path
     decided = (replace(column, file_only=True) for column in adjustment.COLUMNS)  # a table of its own shows them
-    columns = (SEQUENCE, METHOD, *ERRORS, signed, *SECONDS, *frames, *about, HOW, *decided)
+    columns = (SEQUENCE, METHOD, *ERRORS, signed, *SECONDS, *frames, GIVEN, *about, HOW, *decided)
     return mean, Table("poses", "Poses of every sequence", f"{note} {statements(rows, 'method')}", columns, rows)
 
 
@@ -78,7 +85,7 @@ def image_tables(rows: list[Row], protocol: str) -> tuple[Table, Table]:
 def mask_tables(rows: list[Row], protocol: str) -> tuple[Table, Table]:
     """Means per method and round, and every sequence."""
     what = METHOD, Column("round", "round")
-    note = f"{protocol}. Motion prior: its pixels above one half."
+    note = f"{protocol}. Motion prior: its pixels above one half; the other rows are the masks that the run used."
     means = summaries.mask_means(rows)
     mean = Table("masks_mean", "Masks, mean over sequences", note, (*what, *MASK_SCORES, N), means)
     columns = (SEQUENCE, *what, *MASK_SCORES, Column("frames", "n", "frames"), Column("protocol", "what", long=True))

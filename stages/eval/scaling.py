@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Annotated
 
+from stages.eval import made_under
 from stages.eval.tables import Row, write_rows
 from stages.shared import cli
 from stages.shared.artifacts import read_json, read_metadata, read_model, read_table
@@ -17,8 +18,10 @@ def main(
 ) -> None:
     """Write one row per axis, size and stage: seconds over all rounds, and the greatest memory."""
     folder = runs.parents[1]
-    rows = [row for run in read_json(runs)["runs"] for row in run_rows(folder, run)]
-    write_rows(output, rows, COLUMNS, {"units": "n: of what the axis names; seconds; MB"})
+    listed = read_json(runs)["runs"]
+    rows = [row for run in listed for row in run_rows(folder, run)]
+    about = {"units": "n: of what the axis names; seconds; MB", "made_under": made_under.of_runs(folder, listed)}
+    write_rows(output, rows, COLUMNS, about)
 
 
 def run_rows(folder: Path, run: Row) -> list[Row]:

@@ -11,6 +11,8 @@ from stages.shared.artifacts import read_dense
 from stages.shared.images import enlarge, read_mask
 
 PRIOR_THRESHOLD = 0.5
+PRIOR = "motion prior"
+"""What the prior above one half is called; any other method of the table is the masks that the run used."""
 
 
 def read_masks(folder: Path) -> dict[int, np.ndarray]:
@@ -35,7 +37,7 @@ def score_masks(
     """Rows per round and method, and rows per frame of the last round.
 
     Args:
-        rounds: by round, masks by method ("motion prior", "refined masks") and frame number.
+        rounds: by round, masks by method (`PRIOR`, and what the masks used are called) and frame number.
         truth: true masks by frame number; without any, only the share of dynamic pixels is given.
         source: where the truth comes from.
     """
@@ -45,6 +47,8 @@ def score_masks(
             scored = {n: _score(mask, truth[n]) for n, mask in masks.items() if n in truth}
             iou, boundary_f = np.mean(list(scored.values()), axis=0).tolist() if scored else (None, None)
             row = {"sequence": name, "method": method, "round": k, "iou": iou, "boundary_f": boundary_f}
+            shown = [mask for n, mask in masks.items() if n in truth], [truth[n] for n in scored]
+            row["precision"], row["recall"] = mask_metrics.precision_recall(*shown)
             shares = {
                 "dynamic_percent": 100 * float(np.mean([mask.mean() for mask in masks.values()])),
                 "true_percent": 100 * float(np.mean([truth[n].mean() for n in scored])) if scored else None,

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from stages.eval import adjustment, trajectory
+from stages.eval.given import Given
 from stages.shared import lie
 from stages.shared.alignment import DegenerateError, extent
 from stages.shared.artifacts import read_metadata, read_table
@@ -23,7 +24,9 @@ class Candidate:
     Attributes:
         cameras: the k <= total registered frames, ascending; None if there is none.
         failure: why there is none.
-        wall_s, cpu_s: seconds of the whole method; COLMAP's are both CPU seconds of its one thread.
+        wall_s, cpu_s, threads: seconds of the whole method, and how many threads it had at most; COLMAP's are both CPU
+            seconds of its one thread.
+        given: what it took from the truth, in words.
         decided: what our adjustment decided, the columns adjustment.DECISIONS; a baseline says nothing of it.
     """
 
@@ -34,19 +37,23 @@ class Candidate:
     failure: str | None
     wall_s: float
     cpu_s: float
+    threads: int
+    given: str | None = None
     decided: Mapping[str, Any] = field(default_factory=lambda: dict.fromkeys(adjustment.DECISIONS))
 
 
-def own_candidates(tables: Sequence[Path], seconds: Sequence[tuple[float, float]]) -> list[Candidate]:
-    """Our poses after each round, with the wall and CPU seconds until then; the last round is called "ours"."""
+def own_candidates(tables: Sequence[Path], costs: Sequence[tuple[float, float, int]], given: Given) -> list[Candidate]:
+    """Our poses after each round; the last round is called "ours".
+
+    Args:
+        costs: wall and CPU seconds until the poses of each round, and the threads.
+    """
     candidates = []
-    for k, (path, spent) in enumerate(zip(tables, seconds, strict=True), start=1):
+    for k, (path, spent) in enumerate(zip(tables, costs, strict=True), start=1):
         cameras, metadata = read_cameras(path), read_metadata(path)
         good = has_pose(cameras)
         method = "ours" if k == len(tables) else f"ours, round {k}"
-        protocol = f"no intrinsics given, after round {k} of {len(tables)}"
-        if metadata.get("options", {}).get("intrinsics") == "truth":
-            protocol = protocol.replace("no intrinsics given", "true intrinsics given")
+        protocol = f"given: {given.truth or 'the frames alone'}; {given.masks}; after round {k} of {len(tables)}"
         registered = select(cameras, good) if good.any() else None
         failure = (
             None
@@ -54,7 +61,7 @@ def own_candidates(tables: Sequence[Path], seconds: Sequence[tuple[float, float]
             else "; ".join(metadata.get("flags", [])).removeprefix("failed: ") or str(cameras.status[0])
         )
         decided = adjustment.decisions(metadata)
-        candidates.append(Candidate(method, protocol, len(good), registered, failure, *spent, decided))
+        candidates.append(Candidate(method, protocol, len(good), registered, failure, *spent, given.truth, decided))
     return candidates
 
 
@@ -74,7 +81,8 @@ def _variants(table: Path) -> Iterator[Candidate]:
             Ks = intrinsics(chosen["fx"], chosen["fy"], chosen["cx"], chosen["cy"])
             cameras = make_cameras(lie.from_parts(R, t), Ks, chosen["frame"])
         names = variant["method"], variant["protocol"], variant["total"]
-        yield Candidate(*names, cameras, variant["failure"], variant["cpu_s"], variant["cpu_s"])
+        costs = variant["cpu_s"], variant["cpu_s"], variant["threads"]
+        yield Candidate(*names, cameras, variant["failure"], *costs, variant["given"])
 
 
 def score(name: str, candidate: Candidate, truth: Cameras | None) -> dict[str, Any]:
@@ -113,6 +121,8 @@ def _empty_row(name: str, candidate: Candidate) -> dict[str, Any]:
         **dict.fromkeys(errors),
         "wall_s": candidate.wall_s,
         "cpu_s": candidate.cpu_s,
+        "threads": candidate.threads,
+        "given": candidate.given,
         **candidate.decided,
     }
 

@@ -58,7 +58,7 @@ def build_section(folder: Path) -> Section:
     content = read_json(folder / "sequence.json")
     sequence = sequences.read_sequence(folder / "sequence.json")
     truth = ", ".join(sorted(sequence.truth)) or "none"
-    about = f"{len(sequence.frames)} frames, {sequence.width} x {sequence.height} px; truth: {truth}"
+    about = f"{len(sequence.frames)} frames, {sequence.width} x {sequence.height} px; truth to score against: {truth}"
     section = Section(sequence.name, about, missing=list(content.get("missing_truth", [])))
     section.doubts = [*sequence.warnings, *_doubts(folder)]
     parts: dict[str, Callable[[], list[Figure]]] = {

@@ -9,7 +9,8 @@ from stages.eval.tables import Row
 
 
 def mean_rows(rows: Sequence[Row], keys: Sequence[str], metrics: Sequence[str]) -> list[Row]:
-    """One row per distinct `keys`: means of the `metrics` that are known, and `n`, `sequences`, `partial`, `failed`.
+    """One row per distinct `keys`: means of the `metrics` that are known, the most `threads`, and `n`,
+    `sequences`, `partial`, `failed`.
 
     Rows with a status other than "ok" (failed, partial, degenerate or missing truth) enter no mean of errors: they
     are counted, never dropped.
@@ -25,15 +26,16 @@ def _mean(members: Sequence[Row], metrics: Sequence[str]) -> Row:
     counts = {status: sum(row.get("status") == status for row in members) for status in ("partial", "failed")}
     known = {key: [row[key] for row in good if row[key] is not None] for key in metrics}
     means = {key: float(np.mean(values)) if values else None for key, values in known.items()}
-    return means | {"n": len(good), "sequences": len(members)} | counts
+    threads = max((row["threads"] for row in members if row.get("threads") is not None), default=None)
+    return means | {"threads": threads, "n": len(good), "sequences": len(members)} | counts
 
 
 def pose_means(rows: Sequence[Row]) -> list[Row]:
-    """Means per method; focal errors by their size (`focal_abs_percent`), since signs would cancel."""
+    """Means per method and truth given; focal errors by their size (`focal_abs_percent`), since signs would cancel."""
     signed = "focal_error_percent"
     sized = [row | {"focal_abs_percent": None if row[signed] is None else abs(row[signed])} for row in rows]
     metrics = ("ate", "ate_percent", "rpe_trans", "rpe_rot_deg", "focal_abs_percent", "wall_s", "cpu_s")
-    return mean_rows(sized, ("method",), metrics)
+    return mean_rows(sized, ("method", "given"), metrics)
 
 
 def image_means(rows: Sequence[Row]) -> list[Row]:
@@ -44,7 +46,9 @@ def image_means(rows: Sequence[Row]) -> list[Row]:
 def mask_means(rows: Sequence[Row]) -> list[Row]:
     """Means per method and round over the sequences with true masks."""
     scored = [row for row in rows if row["iou"] is not None]
-    return mean_rows(scored, ("method", "round"), ("iou", "boundary_f", "dynamic_percent", "true_percent"))
+    return mean_rows(
+        scored, ("method", "round"), ("iou", "boundary_f", "precision", "recall", "dynamic_percent", "true_percent")
+    )
 
 
 def time_means(rows: Sequence[Row]) -> list[Row]:
@@ -54,8 +58,8 @@ def time_means(rows: Sequence[Row]) -> list[Row]:
     ours = [row for row in means if is_ours(row)]
     total: Row = {"stage": "total without COLMAP", "round": None, "n": max((row["n"] for row in ours), default=0)}
     total["is_total"] = True
-    for key in keys:
+    for key in ("threads", *keys):
         values = [row[key] for row in ours if row[key] is not None]
-        combine = max if key.endswith("peak_mb") else sum
+        combine = max if key == "threads" or key.endswith("peak_mb") else sum
         total[key] = combine(values) if values else None
     return [*means, total]

@@ -5,7 +5,9 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any
 
+from stages.eval import made_under
 from stages.eval.costs import is_ours
+from stages.eval.score_masks import PRIOR
 from stages.eval.tables import Row, read_rows, write_rows
 from stages.eval.training_speed import compare_training
 from stages.settings import is_baseline
@@ -16,6 +18,7 @@ from stages.shared.cli import In, Out
 POSE_SCORES = (
     *("ate", "ate_percent", "rpe_trans", "rpe_rot_deg", "focal_error_percent", "path"),
     *("registered", "total", "status", "note", "camera", "focal", "focal_sigma_percent", "doubts"),
+    *("threads", "given"),
 )
 COLUMNS = (
     *("sequence", "group", "setting", "knob", "value", "is_default", "overrides"),
@@ -36,15 +39,20 @@ def main(
     runs: Annotated[Path, In("runs.json: sequence, setting, and where its scores lie, from the dataset's folder")],
     output: Annotated[Path, Out("costs.parquet: a row per sequence and setting")],
 ) -> None:
-    """Write one row per sequence and setting, and per variant of COLMAP; what was not scored is null."""
+    """Write one row per sequence and setting, and per variant of COLMAP. Metadata: what it was made under.
+
+    What was not scored is null.
+    """
     folder = runs.parents[1]
+    listed = read_json(runs)["runs"]
     rows = [
         row
-        for run in read_json(runs)["runs"]
+        for run in listed
         for row in (baseline_rows(folder, run) if is_baseline(run["overrides"]) else [run_row(folder, run)])
     ]
     units = {"ate_percent": "% of path", "focal_error_percent": "%", "peak_mb": "MB", "model_mb": "MB", "wall_s": "s"}
-    write_rows(output, rows, COLUMNS, {"protocol": PROTOCOL, "units": units})
+    about = {"protocol": PROTOCOL, "units": units, "made_under": made_under.of_runs(folder, listed)}
+    write_rows(output, rows, COLUMNS, about)
 
 
 def run_row(folder: Path, run: Row) -> Row:
@@ -95,9 +103,9 @@ def pose_scores(rows: Iterable[Row]) -> Row:
 
 
 def mask_scores(rows: Iterable[Row]) -> Row:
-    """IoU and boundary F of the refined masks of the last round; None without truth."""
-    refined = [row for row in rows if row["method"] == "refined masks"]
-    last = max(refined, key=lambda row: row["round"], default={})
+    """IoU and boundary F of the masks of the last round; None without truth."""
+    used = [row for row in rows if row["method"] != PRIOR]
+    last = max(used, key=lambda row: row["round"], default={})
     return {name: last.get(name) for name in ("iou", "boundary_f")}
 
 

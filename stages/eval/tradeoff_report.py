@@ -90,20 +90,34 @@ def sweep_part(costs: Sequence[Row], poses: Sequence[Row]) -> tuple[str, list[Fi
     rows = tradeoff.means(costs)
     swept = {row["sequence"] for row in costs}
     baseline = [row for row in poses if row["sequence"] in swept and str(row["method"]).startswith("COLMAP")]
-    sentences, figures, on_front = [], [], {}
+    sentences, figures = [], []
     for measure in (CAMERA, COLOUR):
-        points = [p for row in rows if row["group"] in CHOICES and (p := _point(row, measure))]
+        points = _choices(rows, measure)
         presets = [p for row in rows if row["group"] == "presets" and (p := _point(row, measure))]
         rivals = _rivals(baseline) if measure is CAMERA else []
         if points:
             sentences.append(tradeoff.next_tenth(points, measure.name))
             figures.append(_overall(points, presets, rivals, measure))
-            on_front[measure] = {(p.seconds, p.error) for p in tradeoff.pareto_front(points)}
     knobs = dict.fromkeys(row["knob"] for row in rows if row["knob"])
     figures += [figure for knob in knobs for figure in _knob(rows, knob)]
+    return " ".join(sentences), figures, group_tables(rows)
+
+
+def group_tables(rows: Sequence[Row]) -> list[Table]:
+    """A table per group of settings, and the training to equal PSNR.
+
+    Args:
+        rows: means over the swept sequences, one per setting.
+    """
+    points = {measure: _choices(rows, measure) for measure in (CAMERA, COLOUR)}
+    fronts = {m: {(p.seconds, p.error) for p in tradeoff.pareto_front(found)} for m, found in points.items() if found}
     groups = dict.fromkeys(row["group"] for row in rows)
-    tables = [*(_table(group, rows, on_front) for group in groups), *_training_tables(rows)]
-    return " ".join(sentences), figures, tables
+    return [*(_table(group, rows, fronts) for group in groups), *_training_tables(rows)]
+
+
+def _choices(rows: Sequence[Row], measure: Measure) -> list[Point]:
+    """The settings among which a user chooses, as points."""
+    return [p for row in rows if row["group"] in CHOICES and (p := _point(row, measure))]
 
 
 def sequence_tables(costs: Sequence[Row]) -> list[Table]:

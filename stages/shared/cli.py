@@ -182,6 +182,7 @@ def _write_stats(
     stats_file: Path, stage: str, summary: str | None, outputs: list[Any], options: Options | None
 ) -> None:
     from stages.shared.artifacts import write_json
+    from stages.shared.digest import code_digest
 
     own, children = resource.getrusage(resource.RUSAGE_SELF), resource.getrusage(resource.RUSAGE_CHILDREN)
     torch = sys.modules.get("torch")
@@ -190,8 +191,10 @@ def _write_stats(
         stats_file,
         {
             "stage": stage,
+            "code": code_digest(f"stages.{stage}"),
             "summary": summary,
             "warnings": log.warnings(),
+            "threads": int(os.environ["OMP_NUM_THREADS"]),
             "wall_s": time.perf_counter() - stages.START_S,
             "cpu_s": own.ru_utime + own.ru_stime + children.ru_utime + children.ru_stime,
             "peak_mb": max(own.ru_maxrss, children.ru_maxrss) / 1024,

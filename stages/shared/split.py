@@ -14,7 +14,10 @@ class SplitOptions(Options):
 
 
 def held_out(T: int, options: SplitOptions) -> np.ndarray:
-    """Mask [T], true for frames whose colours, flow and masks must not touch any training."""
+    """Mask [T], true for frames whose pictures, masks and edges no stage after the adjustment may read.
+
+    They do take part before: flow, masks, poses and depth are estimated from all frames.
+    """
     index = np.arange(T)
     late_enough = index >= options.holdout_first
     return np.asarray(late_enough & ((index - options.holdout_first) % options.holdout_every == 0))

@@ -1,0 +1,54 @@
+"""What a run took from the truth instead of estimating it, and whose masks it used, as its artifacts say."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from stages.eval.tables import Row
+from stages.shared.artifacts import read_json, read_metadata
+
+MASKS = {
+    "refined": "refined masks",
+    "prior": "prior above one half",
+    "none": "no masks",
+    "truth": "true motion masks",
+}
+"""What masks are called, by `segment.source`."""
+TRUTH = "truth"
+
+
+@dataclass(frozen=True)
+class Given:
+    """What one run was given.
+
+    Attributes:
+        masks: what its masks are called, one of `MASKS`.
+        truth: what it took from the truth, as in "true flow, true depth"; None if it had the frames alone.
+    """
+
+    masks: str
+    truth: str | None = None
+
+
+def read_given(flow: Path, masks: Path, poses: Path) -> Given:
+    """What the run was given whose flow/pairs.arrow, folder of masks and ba/poses.parquet these are."""
+    source, adjusted = mask_source(masks), read_metadata(poses)["options"]
+    cameras = adjusted["poses_from"] == TRUTH
+    taken = {
+        "true flow": read_metadata(flow)["source"] == TRUTH,
+        "true masks": source == TRUTH,
+        "true intrinsics": adjusted["intrinsics"] == TRUTH or cameras,
+        "true poses": cameras,
+        "true depth": adjusted["depth_from"] == TRUTH,
+    }
+    return Given(MASKS[source], ", ".join(name for name, was in taken.items() if was) or None)
+
+
+def mask_source(masks: Path) -> str:
+    """The `segment.source` that a folder of masks was made with."""
+    return str(read_json(masks / "masks.json")["options"]["source"])
+
+
+def given_truth(rows: Iterable[Row]) -> str:
+    """All truth that rows of ours were given, in words; "" if they had the frames alone."""
+    return "; ".join(dict.fromkeys(row["given"] for row in rows if row.get("given")))
