@@ -68,13 +68,15 @@ def main() -> None:
         results = folder / "results" / DATASET / SCENE
         run_snakemake(folder, "balanced", "poses")  # draws the frames and fills the cache of compiled kernels
         wall_s, cpu_s = colmap_seconds(results, folder)
-        print(f"{'COLMAP incremental':20s} {wall_s:6.1f} s wall  {cpu_s:6.1f} s CPU")
+        print(f"{'COLMAP incremental':20s} {wall_s:6.1f} s wall  {cpu_s:6.1f} s CPU, one thread")
         for preset, goal_s in GOALS_S.items():
             shutil.rmtree(results / "round1", ignore_errors=True)  # no stage of another preset may count
             own_wall_s = run_snakemake(folder, preset, "poses", "--forcerun", "flow")
             stages_s, own_cpu_s = own_s(results, "wall_s"), own_s(results, "cpu_s")
+            threads = read_json(results / "stats/ba.json")["threads"]
             print(
                 f"{preset:20s} {own_wall_s:6.1f} s wall ({stages_s:.1f} in stages)  {own_cpu_s:6.1f} s CPU"
+                f" on {threads} threads"
                 f"  goal {goal_s:.0f} s wall; COLMAP takes {cpu_s / own_cpu_s:.1f} times the CPU time;"
                 f" {describe_error(results)}"
             )

@@ -13,6 +13,7 @@ from synthetic import flow_arrays, make_scene, trajectory_error
 
 from stages.ba.options import BAOptions
 from stages.ba.solve import main
+from stages.ba.uncertainty import CORRELATION
 from stages.flow.estimate import main as estimate_flow
 from stages.flow.options import FlowOptions
 from stages.shared.artifacts import read_dense, read_metadata, read_table, write_json
@@ -50,6 +51,7 @@ def test_the_script_writes_every_artifact_and_continues_a_round(artifacts: dict[
     metadata = read_metadata(second["poses"])
     assert metadata["focal"]["decision"] in ("estimated", "weakly observed")
     assert metadata["camera"] == "moving"
+    assert metadata["covariance_std_factor"] == CORRELATION > 1
 
 
 def test_a_round_is_held_against_the_one_before(artifacts: dict[str, Path], tmp_path: Path) -> None:

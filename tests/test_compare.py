@@ -26,7 +26,8 @@ def _write(folder: Path, sequence: str, ate: float | None, psnr: float, seconds:
         for region in ("whole", "static")
     ]
     masks = [{"method": "refined masks", "round": k, "iou": 0.5 + 0.1 * k} for k in (1, 2)]
-    times = [{"stage": stage, "wall_s": s, "cpu_s": 2 * s} for stage, s in (("flow", seconds), ("colmap_masked", 99.0))]
+    spent = (("flow", seconds, 4), ("colmap_masked", 99.0, 64))
+    times = [{"stage": stage, "threads": n, "wall_s": s, "cpu_s": 2 * s} for stage, s, n in spent]
     tables: dict[str, list[Row]] = {"poses": poses, "images": images, "masks": masks, "time": times}
     for name, rows in tables.items():
         write_rows(scores / f"{name}.parquet", rows, list(rows[0]), {})
@@ -66,6 +67,7 @@ def test_differences_are_paired_by_sequence_and_of_our_last_result(runs: tuple[P
 def test_what_only_one_run_has_is_shown(runs: tuple[Path, Path]) -> None:
     text = compare.describe(compare.read_run(runs[0]), compare.read_run(runs[1]))
     assert "only in A: lost" in text
+    assert "threads at most: A 4, B 4" in text
     assert "only in B: new" in text
     lines = text.splitlines()
     assert sum(line.endswith("n = 2; 0 lost by B, 1 gained") for line in lines) == 1  # market's ATE

@@ -58,7 +58,7 @@ def test_other_data_stand_apart_from_published_rows() -> None:
 
 def test_ratios_take_the_best_complete_variant_of_colmap_and_count_who_is_beaten() -> None:
     def poses(sequence: str, ours: float | None, *colmap: float | None) -> list[dict[str, Any]]:
-        methods = ("ours", "COLMAP global", "COLMAP incremental, x2", "COLMAP global, with our refined masks")
+        methods = ("ours", "COLMAP global", "COLMAP incremental, x2", "COLMAP global, with our prior above one half")
         return [
             _pose_row(sequence, "failed" if error is None else "ok", method=method, ate_percent=error)
             for method, error in zip(methods, (ours, *colmap), strict=False)

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from stages.eval.baseline import MIN_TRIANGULATION_DEG, THREADS, StepFailed, find_matches, reconstruct, run_limited
-from stages.eval.given import MASKS, TRUTH, mask_source
+from stages.eval.given import MASKS, TRUTH, WITH_MASKS, mask_source
 from stages.eval.options import ColmapOptions
 from stages.shared import cli, lie
 from stages.shared.artifacts import write_table
@@ -112,7 +112,9 @@ def _children_cpu_s() -> float:
 
 
 def _method(mapper: str, factor: int, masks: Path | None) -> str:
-    return f"COLMAP {mapper}" + (f", x{factor}" if factor > 1 else "") + (f", with {_owned(masks)}" if masks else "")
+    return (
+        f"COLMAP {mapper}" + (f", x{factor}" if factor > 1 else "") + (f"{WITH_MASKS}{_owned(masks)}" if masks else "")
+    )
 
 
 def _owned(masks: Path) -> str:

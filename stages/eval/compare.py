@@ -69,6 +69,7 @@ def read_sequence(scores: Path) -> Values:
     for region in ("whole", "static", "dynamic"):
         values[f"psnr_{region}"] = _only(images, method="ours", split="test", region=region).get("psnr_db")
     times = [row for row in read_rows(scores / "time.parquet") if is_ours(row)]
+    values["threads"] = max(row["threads"] for row in times)
     return values | {key: float(sum(row[key] for row in times)) for key in ("wall_s", "cpu_s")}
 
 
@@ -88,6 +89,8 @@ def describe(a: Mapping[str, Values], b: Mapping[str, Values]) -> str:
     for name, present, other in (("A", a, b), ("B", b, a)):
         only = sorted(set(present) - set(other))
         lines += [f"only in {name}: {', '.join(only)}"] if only else []
+    most = (max(int(values["threads"] or 0) for values in run.values()) for run in (a, b))
+    lines.append("threads at most: A {}, B {}".format(*most))
     for measure in MEASURES:
         title = f"{measure.label} ({measure.unit}, {'more' if measure.sign > 0 else 'less'} is better)"
         lines += ["", f"{title:<36}{'A':>10}{'B':>10}   B - A"]

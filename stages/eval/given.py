@@ -15,6 +15,8 @@ MASKS = {
 }
 """What masks are called, by `segment.source`."""
 TRUTH = "truth"
+WITH_MASKS = ", with "
+"""What stands between a variant of the baseline and the masks that it had."""
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 import json
 from collections.abc import Sequence
 
+from stages.eval.given import WITH_MASKS
 from stages.eval.tables import Column, Row, Table
 
 TRUE_MASKS = {"segment.source": "truth"}
@@ -73,7 +74,7 @@ def _complete_error(row: Row | None) -> float | None:
 def plain_rivals(poses: Sequence[Row], sequence: str) -> list[Row]:
     """The rows of COLMAP's variants that see the frames of a sequence without masks."""
     rows = [row for row in poses if row["sequence"] == sequence and row["method"].startswith("COLMAP")]
-    return [row for row in rows if not row["method"].endswith("masks")]
+    return [row for row in rows if WITH_MASKS not in row["method"]]
 
 
 def best_rival(rivals: Sequence[Row]) -> Row | None:
