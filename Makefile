@@ -3,8 +3,9 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
+LIBRARY := library
 
-.PHONY: install demo test test-long bench lint clean
+.PHONY: install demo results test test-long bench lint clean
 
 install: $(INSTALLED)
 
@@ -18,6 +19,12 @@ $(INSTALLED): requirements.lock pyproject.toml
 
 demo: $(INSTALLED)
 	$(BIN)/snakemake
+
+# The whole scene library and its page of figures; begun again, it goes on where it stopped.
+results: $(INSTALLED)
+	$(BIN)/snakemake --quiet rules --directory $(LIBRARY) --config scenes=all; ended=$$?; \
+	$(BIN)/python -m stages.eval.results --results $(LIBRARY)/results/simulated --manifests $(LIBRARY)/simulated \
+		--scenes stages/simulate/scenes --output docs/results.md --readme README.md && exit $$ended
 
 test: lint
 	$(BIN)/pytest
@@ -36,4 +43,4 @@ bench: $(INSTALLED)
 	for bench in benchmarks/bench_*.py; do $(BIN)/python -m benchmarks.$$(basename $$bench .py) || exit 1; done
 
 clean:
-	rm -rf results simulated logs .snakemake
+	rm -rf results simulated logs .snakemake $(LIBRARY)

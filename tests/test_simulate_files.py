@@ -15,6 +15,7 @@ import yaml
 
 from stages.shared import cli, sintel
 from stages.shared.cameras import pixel_grid
+from stages.shared.digest import code_digest
 from stages.shared.errors import InputError
 from stages.simulate import gallery, render
 
@@ -116,7 +117,7 @@ def test_written_depth_and_cameras_reproduce_the_written_flow(tmp_path: Path) ->
 
 
 def test_manifest_and_explain_say_what_was_simulated(tmp_path: Path) -> None:
-    done = run(write_scene(tmp_path), tmp_path, "--explain")
+    done = run(write_scene(tmp_path), tmp_path, "--explain", "--stats", str(tmp_path / "stats.json"))
     assert done.returncode == 0, done.stderr
     manifest = json.loads((tmp_path / "small.json").read_text())
     assert set(manifest["effects"]) == {"noise", "motion_blur"}
@@ -125,6 +126,12 @@ def test_manifest_and_explain_say_what_was_simulated(tmp_path: Path) -> None:
     assert not set(manifest["not_simulated"]) & set(manifest["seconds"])
     assert re.search(r"^noise +\d+\.\d+ +3 ", done.stdout, re.MULTILINE)
     assert "not simulated: shadows" in done.stdout
+    assert manifest["split"] == "own"
+    stats = json.loads((tmp_path / "stats.json").read_text())
+    assert (stats["threads"], stats["code"]) == (
+        int(os.environ["OMP_NUM_THREADS"]),
+        code_digest("stages.simulate.render"),
+    )
 
 
 @pytest.mark.parametrize(("frames_", "width", "height"), [(2, 1024, 436), (2, 16, 16)])

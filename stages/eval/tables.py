@@ -105,6 +105,16 @@ class Table:
         """The CSV as a data URI, so that the page alone carries it."""
         return f"data:text/csv;charset=utf-8;base64,{base64.b64encode(self.csv().encode()).decode()}"
 
+    def markdown(self) -> str:
+        """Heading and rows as a Markdown table, without title and note."""
+        columns = self.shown
+        lines = [
+            [f"{c.label}, {c.unit}" if c.unit else c.label for c in columns],
+            ["---:" if c.style(self.rows) == "number" else "---" for c in columns],
+            *([c.show(row).replace("|", "/") for c in columns] for row in self.rows),
+        ]
+        return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
+
     def of(self, sequence: str) -> "Table":
         """The rows of one sequence, without the column that names it."""
         columns = tuple(column for column in self.columns if column.key != "sequence")

@@ -1,0 +1,129 @@
+"""The page of results: every scene stands in it, whatever became of it, and the README repeats what it says."""
+
+import shutil
+from pathlib import Path
+from typing import Any
+
+import comparison_tables
+import finished_run as run
+import pytest
+import yaml
+from conftest import REPO
+
+from stages.eval import made_under, results, results_tables, scorecard
+from stages.shared.artifacts import write_json
+from stages.shared.errors import InputError
+
+
+def _scene(name: str, status: str = "ok", **figures: Any) -> dict[str, Any]:
+    return {"sequence": name, "split": "test", "status": status, "doubts": 0, **figures}
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The working folder of a run of three scenes: one done, one that stopped before the training, one without files.
+
+    The first is a test scene by its manifest, the others are by their files a tuned and a test scene.
+    """
+    root = tmp_path_factory.mktemp("results")
+    done = run.finish(root, "wall")
+    write_json(done / "stats/evaluate.json", {"stage": "eval.evaluate", "code": "abc", "options": {}})
+    write_json(root / "simulated/wall.json", {"split": "test"})
+    shutil.copytree(done, root / "results/stopped", ignore=shutil.ignore_patterns("gaussians.json", "eval"))
+    (root / "scenes").mkdir()
+    for name, split in (("stopped", "tuned"), ("never_begun", "test")):
+        (root / f"scenes/{name}.yaml").write_text(yaml.safe_dump({"split": split}))
+    return root
+
+
+def _write(root: Path, **more: Path) -> str:
+    output = root / "page.md"
+    results.main(root / "results", output, scenes=root / "scenes", manifests=root / "simulated", **more)
+    return output.read_text()
+
+
+def test_scenes_without_results_are_failures_and_no_scene_is_dropped(finished: Path) -> None:
+    text = _write(finished)
+    test, tuned = text.partition("## Test scenes")[2].split("## Tuned scenes")
+    assert "| wall | 8 | moving | flagged" in test
+    assert "| never_begun |  |  | failed: no results of inspect |" in test
+    assert "2 scenes: failed or partial 1 (never_begun), flagged by the adjustment 1 (wall)." in test
+    assert "| stopped | failed: no results of gaussians |" in tuned
+    assert "wall" not in tuned.partition("## Medians")[0]
+
+
+def test_a_row_holds_what_the_tables_say(finished: Path) -> None:
+    row = next(row for row in scorecard.score_rows(finished / "results") if row["sequence"] == "wall")
+    assert row["split"] == scorecard.OWN  # nobody said where the simulator's notes lie
+    assert row["ate_percent"] < 1e-9
+    assert (row["iou"], row["precision"], row["recall"], row["masks"]) == (1, 1, 1, "refined masks")
+    assert row["colmap_error"] == "partial"
+    assert (row["psnr_whole"], row["warp_whole"]) == (pytest.approx(28, abs=8), None)  # no edge over the frame between
+    assert row["wall_s"] == 2.0 * 12
+    assert (row["threads"], row["colmap_threads"]) == (2, 1)
+    assert row["flags"] == "a doubt; one more"
+    assert "ba" in row["old"]  # its time file was written by other code than this checkout's
+
+
+def test_medians_and_means_count_what_they_leave_out() -> None:
+    rows = [
+        _scene("a", ate_percent=1.0, focal_error_percent=-4.0, colmap_percent=2.0, colmap_error="2.000 %"),
+        _scene("b", ate_percent=2.0, focal_error_percent=2.0, colmap_error="failed"),
+        _scene("c", "partial", ate_percent=100.0, colmap_error="partial"),
+        _scene("d", "failed", failure="no model"),
+        _scene("e", ate_percent=6.0, colmap_percent=3.0, colmap_error="3.000 %", doubts=2),
+        _scene("f", "degenerate truth: straight camera", rotation_deg=0.5, colmap_error="0.2 deg"),
+    ]
+    table = results_tables.figure_table({"test": rows})
+    found = {row["figure"]: (row["test_median"], row["test_mean"], row["test_n"]) for row in table.rows}
+    assert found["camera error (ATE), % of path"] == ("2.000", "3.000", "3 of 6")
+    assert found["focal error, %"] == ("3.00", "3.00", "2 of 6")
+    assert found["rotation error where no ATE is defined, degrees"] == ("0.500", "0.500", "1 of 6")
+    told = results_tables.counts(rows)
+    assert told.startswith("6 scenes: failed or partial 2 (c, d), flagged by the adjustment 1 (e).")
+    # Of a, b, c and e, for which COLMAP ran on a curved path: a is more accurate, b alone has a path.
+    assert "Lower than the best of COLMAP without masks on 2 of 4 sequences" in told
+    assert results_tables.result_of(rows[5]) == "ok, straight camera"
+
+
+def test_the_block_of_the_readme_is_replaced_and_nothing_else(finished: Path) -> None:
+    readme = finished / "README.md"
+    readme.write_text(f"before\n{results.BEGIN}\nold\n{results.END}\nafter\n")
+    text = _write(finished, readme=readme)
+    block = results.BEGIN + text.partition(results.BEGIN)[2].partition(results.END)[0] + results.END
+    assert readme.read_text() == f"before\n{block}\nafter\n"
+    readme.write_text("no marks")
+    with pytest.raises(InputError, match="put them where the summary shall stand"):
+        _write(finished, readme=readme)
+    assert readme.read_text() == "no marks"
+
+
+def test_a_sweep_stands_on_the_page_only_if_it_belongs_to_the_run(finished: Path) -> None:
+    assert "No sweep was made beside this run" in _write(finished)
+    stages = [{"sequence": "wall", "stages": {"flow": 1, "ba": 2}}]
+    comparison_tables.write(finished / "results", made_under.of_runs(finished / "results", stages))
+    assert "### Presets" in _write(finished)
+    earlier = {"frames": "others", "flow": {"options": {"seed": 5}, "code": "abc", "ran": 1}}
+    comparison_tables.write(finished / "results", {"wall": earlier})
+    text = _write(finished)
+    assert "made under other options or code: other frames; flow.seed 5, now 0." in text
+    assert "### Presets" not in text
+
+
+def test_data_of_ones_own_without_truth_have_a_page_too(tmp_path: Path) -> None:
+    folder = run.finish(tmp_path, "mine", truth=False)
+    write_json(folder / "stats/evaluate.json", {"stage": "eval.evaluate", "code": "abc", "options": {}})
+    results.main(folder.parent, tmp_path / "page.md")
+    text = (tmp_path / "page.md").read_text()
+    assert "| mine | 8 | moving | flagged, no truth, older code |" in text
+    assert "mask IoU" not in text.partition("## Medians")[2]
+    with pytest.raises(InputError, match="name a folder results/<dataset>"):
+        results.main(tmp_path, tmp_path / "other.md")
+
+
+def test_the_readme_says_what_the_page_says() -> None:
+    blocks = [
+        (REPO / name).read_text().partition(results.BEGIN)[2].partition(results.END)[0]
+        for name in ("README.md", "docs/results.md")
+    ]
+    assert blocks[0] == blocks[1] != ""
