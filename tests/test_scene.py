@@ -7,12 +7,13 @@ import finished_run as clip
 import numpy as np
 import pytest
 from square_inputs import HELD_OUT, write_inputs
+from synthetic import flow_arrays, make_scene
 
-from stages.scene import decide, motion, photometry, rules
+from stages.scene import decide, exposure, motion, photometry, rules
 from stages.scene.observed import Observed, depth_on_grid, rigid_flow
 from stages.scene.options import SceneOptions
 from stages.shared.artifacts import read_dense, write_dense
-from stages.shared.cameras import pixel_grid, project
+from stages.shared.cameras import pixel_grid, project, unproject
 from stages.shared.cli import run
 from stages.shared.errors import InputError
 from stages.shared.options import validate
@@ -110,7 +111,7 @@ def test_parallax_tells_travel_from_turning() -> None:
 @pytest.mark.parametrize("range_percent", [0.0, 12.0])
 def test_exposure_range_is_measured(range_percent: float) -> None:
     gain = np.exp(np.linspace(0, np.log1p(range_percent / 100), clip.T))
-    evidence = photometry.exposure_evidence(*photometry.log_gains(observe(smooth_pictures(gain))))
+    evidence = exposure.exposure_evidence(exposure.measure_gains(observe(smooth_pictures(gain))))
     assert evidence["gain_range_percent"] == pytest.approx(range_percent, abs=0.5)
     assert rules.decide_exposure(evidence, "auto")["needed"] == (range_percent > 3)
 
@@ -120,9 +121,48 @@ def test_brightness_of_near_pixels_alone_is_no_exposure_change() -> None:
     for k in range(clip.T):
         depth = clip.wall(k)[1]
         images[k, depth < np.median(depth)] *= 1 + 0.02 * k  # as when fog thins out in front
-    evidence = photometry.exposure_evidence(*photometry.log_gains(observe(images)))
+    evidence = exposure.exposure_evidence(exposure.measure_gains(observe(images)))
     assert evidence["near_range_percent"] > 5
     assert not rules.decide_exposure(evidence, "auto")["needed"]
+
+
+def in_fog(extinction: float, airlight: float, drift_percent: float, noise: float = 0.0) -> Observed:
+    """A room that the camera goes into, through fog of linear radiance `airlight`, its brightness drifting."""
+    room = make_scene(size=(96, 160))
+    source, target, flow, visible = flow_arrays(room, (1,))
+    gain = np.exp(np.linspace(0, np.log1p(drift_percent / 100), room.T))
+    rng, rgb = np.random.default_rng(0), []
+    for depth, pose, g in zip(room.depth, room.cam_from_world, gain, strict=True):
+        points = unproject(pixel_grid(96, 160), depth, pose, room.K)
+        x, y, z = np.moveaxis(points, -1, 0)
+        surface = 0.3 + 0.25 * np.sin(3 * x + z) * np.cos(4 * y + 2 * z)
+        clear = np.exp(-extinction * np.linalg.norm(points - np.linalg.inv(pose)[:3, 3], axis=-1))
+        shown = g * (clear * surface + (1 - clear) * airlight) ** (1 / 2.2)
+        rgb.append(np.clip(np.rint(255 * (shown + noise * rng.standard_normal(shown.shape))), 0, 255) / 255)
+    return Observed(
+        rgb=np.repeat(np.stack(rgb)[..., None], 3, axis=-1).astype(np.float32),
+        dynamic=np.zeros(room.depth.shape, bool),
+        depth=room.depth,
+        cam_from_world=room.cam_from_world,
+        Ks=np.broadcast_to(room.K, (room.T, 3, 3)),
+        edges=np.stack([source, target], axis=1),
+        flow=flow,
+        confidence=visible,
+        offsets=target - source,
+    )
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.01])
+@pytest.mark.parametrize("drift_percent", [0.0, 15.0])
+@pytest.mark.parametrize(("extinction", "airlight"), [(0.0, 0.6), (0.15, 0.6), (0.3, 0.9), (0.3, 0.05), (0.5, 0.05)])
+def test_fog_is_told_from_exposure(extinction: float, airlight: float, drift_percent: float, noise: float) -> None:
+    """On the way into fog everything darkens or brightens, near and far alike."""
+    seen = in_fog(extinction, airlight, drift_percent, noise)
+    evidence = exposure.exposure_evidence(exposure.measure_gains(seen))
+    decision = rules.decide_exposure(evidence, "auto")
+    assert decision["needed"] == (drift_percent > 0)
+    assert evidence["gain_range_percent"] == pytest.approx(drift_percent, abs=4 * evidence["standard_error_percent"])
+    assert decision["evidence"]["threshold_percent"] >= rules.MIN_GAIN_PERCENT
 
 
 def test_view_dependence_is_predicted_on_left_out_frames() -> None:

@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from stages.scene import motion, photometry, rules
+from stages.scene import exposure, motion, photometry, rules
 from stages.scene.observed import Observed, depth_on_grid
 from stages.scene.options import SceneOptions
 from stages.shared import cli, images
@@ -48,14 +48,13 @@ def main(
 
 
 def _decide(seen: Observed, rotation_only_share: float, options: SceneOptions) -> dict[str, dict[str, Any]]:
-    near, far, standard_error = photometry.log_gains(seen)
-    view = photometry.view_evidence(seen, photometry.common_gain(near, far))
+    gains = exposure.measure_gains(seen)
+    view = photometry.view_evidence(seen, gains.common)
     parallax = motion.parallax_evidence(seen) | {"frames_marked_share": rotation_only_share}
-    exposure = photometry.exposure_evidence(near, far, standard_error)
     return {
         "dynamic": rules.decide_dynamic(motion.dynamic_evidence(seen), options.dynamic),
         "rotation_only": rules.decide_rotation_only(parallax, options.rotation_only),
-        "exposure": rules.decide_exposure(exposure, options.exposure),
+        "exposure": rules.decide_exposure(exposure.exposure_evidence(gains), options.exposure),
         "view_dependent": rules.decide_view_dependent(view, options.view_dependent),
         "non_rigid": rules.decide_non_rigid(motion.bending_evidence(seen), options.non_rigid),
     }

@@ -1,73 +1,18 @@
-"""Evidence from colours: does the brightness change over time, do colours change with the view?"""
+"""Evidence from colours: do they change with the view?"""
 
 import cv2
 import numpy as np
 
-from stages.scene.motion import MIN_CONFIDENCE
+from stages.scene.exposure import BRIGHT, DARK
 from stages.scene.observed import Observed, camera_points, rigid_flow
 from stages.shared import lie
 from stages.shared.warp import is_inside, warp
 
-DARK, BRIGHT = 0.08, 0.92
-"""Colours outside are clipped or mostly noise; a gain cannot be read from them."""
-MEDIAN_VARIANCE = np.pi / 2
-"""Variance of the median of n normal values: pi / 2 sigma^2 / n."""
 REFERENCES = 3
 SAMPLES = 4000
 DEPTH_TOLERANCE = 0.05
 RIDGE = 1e-2
 MIN_SIGHTINGS = 3
-
-
-def log_gains(seen: Observed) -> tuple[np.ndarray, np.ndarray, float]:
-    """Logarithm of each training frame's brightness relative to the first, from near and from far static pixels.
-
-    Along the chain of neighbouring frames: the median log ratio of static, well exposed, reliably matched pixels.
-    Exposure changes near and far alike; fog, which thins out as the camera comes closer, does not.
-
-    Returns:
-        near [F], far [F], and the larger standard error of the two at the end. A step without an edge adds nothing.
-    """
-    F = len(seen.rgb)
-    grey = seen.rgb.mean(axis=-1)
-    steps, variance = np.zeros((2, F)), np.zeros(2)
-    row_of = {tuple(edge): row for row, edge in enumerate(seen.edges.tolist())}
-    for k in range(1, F):
-        row = row_of.get((k - 1, k))
-        if row is None:
-            continue
-        here, there = grey[k - 1], warp(grey[k], seen.flow[row])
-        good = (seen.confidence[row] >= MIN_CONFIDENCE) & ~seen.dynamic[k - 1] & is_inside(seen.flow[row])
-        good &= (np.minimum(here, there) > DARK) & (np.maximum(here, there) < BRIGHT)
-        if not good.any():
-            continue
-        depth, ratios = seen.depth[k - 1][good], np.log(there[good] / here[good])
-        middle = np.median(depth)
-        for half, chosen in enumerate((depth <= middle, depth >= middle)):  # where all are as deep, both are all
-            steps[half, k] = np.median(ratios[chosen])
-            spread = 1.4826 * np.median(np.abs(ratios[chosen] - steps[half, k]))
-            variance[half] += MEDIAN_VARIANCE * spread**2 / chosen.sum()
-    near, far = np.cumsum(steps, axis=1)
-    return near, far, float(np.sqrt(variance.max()))
-
-
-def common_gain(near: np.ndarray, far: np.ndarray) -> np.ndarray:
-    """The part of the logarithmic gain [F] that near and far pixels share."""
-    return np.where(near * far > 0, np.sign(near) * np.minimum(np.abs(near), np.abs(far)), 0.0)
-
-
-def exposure_evidence(near: np.ndarray, far: np.ndarray, standard_error: float) -> dict[str, float]:
-    """Ranges of the brightness over the clip, in per cent: of what near and far pixels share, and of each."""
-
-    def percent(gains: np.ndarray) -> float:
-        return 100 * float(np.expm1(np.ptp(gains)))
-
-    return {
-        "gain_range_percent": percent(common_gain(near, far)),
-        "near_range_percent": percent(near),
-        "far_range_percent": percent(far),
-        "standard_error_percent": 100 * standard_error,
-    }
 
 
 def view_evidence(seen: Observed, gains: np.ndarray) -> dict[str, float]:

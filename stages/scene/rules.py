@@ -9,7 +9,7 @@ RIGID_RATIO, RIGID_SLACK_PX = 1.2, 0.2
 MIN_PARALLAX_PX = 1.0
 """Less parallax than a pixel between the most distant frames tells no depth from infinity."""
 MIN_GAIN_PERCENT, MIN_GAIN_SIGMAS = 3.0, 4.0
-"""A gain below 3 per cent is invisible and costs less than 0.1 dB at 30 dB."""
+"""A gain below 3 per cent is invisible and costs less than 0.1 dB at 30 dB; fog is hardly known to better."""
 MIN_PREDICTED_CHANGE, MIN_PREDICTED_SHARE = 0.01, 0.25
 """View dependence must predict 2.5 grey levels, and a quarter of the change; a degree more, another tenth."""
 MIN_SECOND_DEGREE_SHARE = 0.1
@@ -50,15 +50,15 @@ def decide_rotation_only(evidence: dict[str, float], choice: Choice) -> dict[str
 
 
 def decide_exposure(evidence: dict[str, float], choice: Choice) -> dict[str, Any]:
-    """Exposure change: a visible and significant range of the frames' brightness."""
+    """Exposure change: a visible and significant range of the frames' brightness, beyond what fog explains."""
     gain, error = evidence["gain_range_percent"], evidence["standard_error_percent"]
-    needed = gain >= MIN_GAIN_PERCENT and gain >= MIN_GAIN_SIGMAS * error
+    threshold = max(MIN_GAIN_PERCENT, MIN_GAIN_SIGMAS * error)
     near, far = evidence["near_range_percent"], evidence["far_range_percent"]
     why = (
-        f"near and far static pixels share a brightness range of {gain:.1f} % (threshold {MIN_GAIN_PERCENT:.0f} %;"
-        f" alone {near:.1f} % and {far:.1f} %)"
+        f"beside what fog explains, near and far static pixels share a brightness range of {gain:.1f} +- {error:.1f} %"
+        f" (threshold {threshold:.1f} %; alone {near:.1f} % and {far:.1f} %)"
     )
-    return _decision(needed, evidence, why, choice)
+    return _decision(gain >= threshold, evidence | {"threshold_percent": threshold}, why, choice)
 
 
 def decide_view_dependent(evidence: dict[str, float], choice: Choice) -> dict[str, Any]:
