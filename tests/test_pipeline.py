@@ -11,6 +11,7 @@ import yaml
 from conftest import REPO, run_snakemake
 from evo.tools import file_interface
 
+from stages.eval.scorecard import score_rows
 from stages.shared.artifacts import read_metadata, read_table
 from stages.shared.cameras import read_cameras
 from stages.shared.images import read_rgb
@@ -83,11 +84,24 @@ def test_every_artifact_is_there_with_its_metadata(finished: Path, name: str) ->
     assert not list(finished.rglob("*.partial"))
 
 
-@pytest.mark.parametrize("name", ["moving", "still"])
-def test_poses_come_close_to_the_truth(finished: Path, name: str) -> None:
-    table = read_table(results(finished, name) / "eval/poses.parquet")
-    ours = table["method"] == "ours"
-    assert table["ate_percent"][ours][-1] < 3.0
+def test_both_scenes_keep_their_floors(finished: Path) -> None:
+    """Errors against the truth of the demo at half its size, 8 of its 14 frames, and a training of 60 steps, not 1000.
+
+    The demo itself takes minutes: `make test-long` and `make results` run it. Measured here: ATE 0.034 and 0.030 % of
+    the path, IoU 0.82, static 31.0 and 32.2 dB, moving 18.8 dB, for which so few steps are hardly a start.
+    """
+    moving, still = score_rows(finished / "results/simulated")
+    assert (moving["sequence"], still["sequence"]) == ("moving", "still")
+    assert (moving["status"], moving["doubts"], still["status"], still["doubts"]) == ("ok", 0, "ok", 0)
+    assert max(moving["ate_percent"], still["ate_percent"]) < 0.1
+    assert max(abs(row["focal_error_percent"]) for row in (moving, still)) < 1.5
+    assert min(moving["iou"], moving["precision"]) > 0.75
+    assert moving["recall"] > 0.95
+    assert still["masked_percent"] < 0.1
+    assert min(moving["psnr_static"], still["psnr_static"]) > 30
+    assert moving["psnr_dynamic"] > 18
+    assert still["psnr_static"] > still["warp_static"]
+    assert moving["old"] is still["old"] is None  # every stage ran the code of this checkout
 
 
 def test_trajectory_opens_in_evo(finished: Path) -> None:
@@ -133,6 +147,9 @@ def test_a_sweep_runs_what_differs_and_joins_the_report(finished: Path) -> None:
     table = read_table(first.parent / "sweep/costs.parquet")
     assert list(table["setting"]) == ["render.novel_views=2", "render.novel_views=4"]
     assert list(table["is_default"]) == [False, True]
-    assert table["ate_percent"][0] == table["ate_percent"][1] < 3.0
+    assert table["ate_percent"][0] == table["ate_percent"][1] < 0.1
     assert np.all(table["wall_s"] > table["poses_wall_s"])
-    assert "render.novel_views=2" in (finished / "results/simulated/report/index.html").read_text()
+    page = (finished / "results/simulated/report/index.html").read_text()
+    assert "render.novel_views=2" in page
+    assert "made under other options" not in page
+    assert read_metadata(first.parent / "sweep/costs.parquet")["made_under"]["moving"]["ba"]["ran"] == 2
