@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from stages.eval import costs, overview, score_geometry, score_masks, score_models, score_poses
-from stages.eval.given import Given
+from stages.eval.given import Given, read_given
 from stages.eval.tables import read_rows
 from stages.shared import lie
 from stages.shared.artifacts import read_dense, write_model
@@ -117,6 +117,14 @@ def test_a_frame_without_matches_has_a_pose_in_no_table(scored: Path, tmp_path: 
     checks = score_geometry.score_geometry(sequence, flow, cameras, depth, run.STRIDE, masks)
     assert candidate.cameras is not None
     assert len(candidate.cameras.numbers) == _row(checks, quantity="frames with a pose")["value"] == run.T - 1
+
+
+def test_a_round_without_masks_says_so(scored: Path) -> None:
+    tables = [scored / "round1/ba/poses.parquet", scored / "ba/poses.parquet"]
+    given = read_given(scored / "flow/pairs.arrow", [scored / "masks"], tables)
+    first, last = score_poses.own_candidates(tables, [(1.0, 1.0, 1)] * 2, given)
+    assert first.protocol == "given: the frames alone; no masks; after round 1 of 2"
+    assert last.protocol == "given: the frames alone; refined masks; after round 2 of 2"
 
 
 def test_a_stuck_fit_is_a_problem_and_a_still_scene_has_none(scored: Path, tmp_path: Path) -> None:

@@ -79,6 +79,7 @@ def test_medians_and_means_count_what_they_leave_out() -> None:
     assert found["camera error (ATE), % of path"] == ("2.000", "3.000", "3 of 6")
     assert found["focal error, %"] == ("3.00", "3.00", "2 of 6")
     assert found["rotation error where no ATE is defined, degrees"] == ("0.500", "0.500", "1 of 6")
+    assert list(results_tables.parts_of([_scene("g") | {"split": "new"}, *rows])) == ["test", scorecard.OWN]
     told = results_tables.counts(rows)
     assert told.startswith("6 scenes: failed or partial 2 (c, d), flagged by the adjustment 1 (e).")
     # Of a, b, c and e, for which COLMAP ran on a curved path: a is more accurate, b alone has a path.

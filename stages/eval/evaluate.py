@@ -79,7 +79,7 @@ def main(
     frames = read_sequence(sequence)
     times = costs.time_rows(frames.name, stage_stats)
     write_rows(time_table, times, TIME, {"unit": "seconds and MB"})
-    given = read_given(flow, masks[-1], poses[-1])
+    given = read_given(flow, masks, poses)
     own = score_poses.own_candidates(poses, costs.spent_to_poses(times, len(poses)), given)
     candidates = [*own, *score_poses.colmap_candidates(*colmap)]
     paths = _write_poses(frames, candidates, poses_table, trajectory_table)
@@ -87,8 +87,7 @@ def main(
         partial.write_bytes(draw_trajectories(paths, "png"))
     own_masks = [score_masks.read_masks(folder) for folder in masks]
     pairs = read_dense(flow)
-    first = len(poses) - len(masks) + 1  # masks may be left out of the first round, never of the last
-    by_round = dict(enumerate(zip(priors, own_masks, strict=True), first))
+    by_round = dict(enumerate(zip(priors, own_masks, strict=True), given.masked_from))
     mask_frames = _write_masks(frames, by_round, given, masks_table)
     image_frames = _write_images(frames, renders, pairs, (own_masks[-1], given), images_table, options)
     write_rows(frames_table, [*image_frames, *mask_frames], FRAMES, {})

@@ -1,6 +1,6 @@
 """What a run took from the truth instead of estimating it, and whose masks it used, as its artifacts say."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -26,15 +26,26 @@ class Given:
     Attributes:
         masks: what its masks are called, one of `MASKS`.
         truth: what it took from the truth, as in "true flow, true depth"; None if it had the frames alone.
+        masked_from: the first round whose poses had masks.
     """
 
     masks: str
     truth: str | None = None
+    masked_from: int = 1
+
+    def masks_in(self, number: int) -> str:
+        """What the masks of a round, 1, 2, ..., are called."""
+        return self.masks if number >= self.masked_from else MASKS["none"]
 
 
-def read_given(flow: Path, masks: Path, poses: Path) -> Given:
-    """What the run was given whose flow/pairs.arrow, folder of masks and ba/poses.parquet these are."""
-    source, adjusted = mask_source(masks), read_metadata(poses)["options"]
+def read_given(flow: Path, masks: Sequence[Path], poses: Sequence[Path]) -> Given:
+    """What a run was given.
+
+    Args:
+        flow: flow/pairs.arrow.
+        masks, poses: folders of masks and ba/poses.parquet of every round; the first may have gone without masks.
+    """
+    source, adjusted = mask_source(masks[-1]), read_metadata(poses[-1])["options"]
     cameras = adjusted["poses_from"] == TRUTH
     taken = {
         "true flow": read_metadata(flow)["source"] == TRUTH,
@@ -43,7 +54,8 @@ def read_given(flow: Path, masks: Path, poses: Path) -> Given:
         "true poses": cameras,
         "true depth": adjusted["depth_from"] == TRUTH,
     }
-    return Given(MASKS[source], ", ".join(name for name, was in taken.items() if was) or None)
+    truth = ", ".join(name for name, was in taken.items() if was) or None
+    return Given(MASKS[source], truth, len(poses) - len(masks) + 1)
 
 
 def mask_source(masks: Path) -> str:

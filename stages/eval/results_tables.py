@@ -71,7 +71,8 @@ HEADLINE = (
 
 def parts_of(rows: Sequence[Row]) -> dict[str, list[Row]]:
     """The rows of each split that has any, test scenes first."""
-    found = {split: [row for row in rows if row["split"] == split] for split in PARTS}
+    splits = [row["split"] if row["split"] in PARTS else OWN for row in rows]
+    found = {split: [row for row, of in zip(rows, splits, strict=True) if of == split] for split in PARTS}
     return {split: part for split, part in found.items() if part}
 
 

@@ -53,7 +53,7 @@ def own_candidates(tables: Sequence[Path], costs: Sequence[tuple[float, float, i
         cameras, metadata = read_cameras(path), read_metadata(path)
         good = has_pose(cameras)
         method = "ours" if k == len(tables) else f"ours, round {k}"
-        protocol = f"given: {given.truth or 'the frames alone'}; {given.masks}; after round {k} of {len(tables)}"
+        protocol = f"given: {given.truth or 'the frames alone'}; {given.masks_in(k)}; after round {k} of {len(tables)}"
         registered = select(cameras, good) if good.any() else None
         failure = (
             None
