@@ -22,7 +22,7 @@ demo: $(INSTALLED)
 
 # The whole scene library and its page of figures; begun again, it goes on where it stopped.
 results: $(INSTALLED)
-	$(BIN)/snakemake --quiet rules --directory $(LIBRARY) --config scenes=all; ended=$$?; \
+	$(BIN)/snakemake --directory $(LIBRARY) --config scenes=all; ended=$$?; \
 	$(BIN)/python -m stages.eval.results --results $(LIBRARY)/results/simulated --manifests $(LIBRARY)/simulated \
 		--scenes stages/simulate/scenes --output docs/results.md --readme README.md && exit $$ended
 

@@ -118,7 +118,7 @@ def explanation(scene: Scene, name: str, seed: int, watch: Stopwatch) -> dict[st
     return {
         "scene": name,
         "description": scene.description,
-        "split": getattr(scene, "split", "own"),
+        "split": scene.split or "own",
         "seed": seed,
         "frames": scene.frames,
         "width": scene.width,
