@@ -9,7 +9,7 @@ RIGID_RATIO, RIGID_SLACK_PX = 1.2, 0.2
 MIN_PARALLAX_PX = 1.0
 """Less parallax than a pixel between the most distant frames tells no depth from infinity."""
 MIN_GAIN_PERCENT, MIN_GAIN_SIGMAS = 3.0, 4.0
-"""A gain below 3 per cent is invisible and costs less than 0.1 dB at 30 dB; fog is hardly known to better."""
+"""A gain below 3 per cent is invisible and costs less than 0.1 dB at 30 dB."""
 MIN_PREDICTED_CHANGE, MIN_PREDICTED_SHARE = 0.01, 0.25
 """View dependence must predict 2.5 grey levels, and a quarter of the change; a degree more, another tenth."""
 MIN_SECOND_DEGREE_SHARE = 0.1
