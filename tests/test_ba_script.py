@@ -68,6 +68,16 @@ def test_a_round_is_held_against_the_one_before(artifacts: dict[str, Path], tmp_
     assert metadata["flags"] == []
 
 
+@pytest.mark.parametrize(("wrong", "trusted"), [([], range(6)), ([2, 4], [0, 1, 3, 5]), (range(6), [])])
+def test_it_is_said_of_which_frames_the_masks_are_not_believed(
+    artifacts: dict[str, Path], tmp_path: Path, wrong: list[int], trusted: list[int]
+) -> None:
+    for k in wrong:
+        write_image(artifacts["masks"] / f"frame_{k + 1:04d}.png", np.ones((64, 96), bool))
+    main(**artifacts, **(paths := outputs(tmp_path / "out")), options=BAOptions(stride_px=4))
+    assert np.flatnonzero(read_cameras(paths["poses"]).masks_trusted).tolist() == list(trusted)
+
+
 @pytest.mark.parametrize(("motion", "status"), [("rotate", "rotation-only"), ("still", "near-still")])
 def test_a_camera_that_does_not_move_is_labelled_so(motion: str, status: str, tmp_path: Path) -> None:
     scene = make_scene(T=6, motion=motion)

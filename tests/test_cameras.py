@@ -89,3 +89,14 @@ def test_centres_are_where_the_camera_sees_itself_at_zero() -> None:
     cameras = make_cameras(random_cameras(), np.eye(3), np.arange(5))
     homogeneous = np.concatenate([cameras.centres, np.ones((5, 1))], axis=1)
     assert_allclose(np.einsum("tab,tb->ta", cameras.cam_from_world, homogeneous)[:, :3], 0, atol=1e-12)
+
+
+@pytest.mark.parametrize(("distrusted", "used"), [([], 5), ([1, 2], 3), ([0, 1, 2], 5), (range(5), 5)])
+def test_masks_are_left_out_while_most_are_trusted(distrusted: list[int], used: int, tmp_path: Path) -> None:
+    """Where few are left to tell what moves, poor masks are better than none."""
+    trusted = ~np.isin(np.arange(5), list(distrusted))
+    write_cameras(tmp_path / "a", make_cameras(random_cameras(), np.eye(3), np.arange(5), masks_trusted=trusted))
+    cameras = read_cameras(tmp_path / "a")
+    np.testing.assert_array_equal(cameras.masks_trusted, trusted)
+    assert cameras.masks_used.sum() == used
+    assert not cameras.masks_used[list(distrusted)].any() or used == 5

@@ -1,6 +1,7 @@
 """The motion models of the control stage, their files, and the whole script."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import finished_run as clip
@@ -25,6 +26,7 @@ from stages.control.options import ControlOptions
 from stages.shared.artifacts import read_metadata, read_model, read_table, write_dense
 from stages.shared.cameras import read_cameras
 from stages.shared.cli import run
+from stages.shared.images import write_image
 from stages.shared.sequences import read_sequence
 
 
@@ -130,6 +132,17 @@ def test_depth_is_looked_up_where_a_grid_of_broken_pixels_has_it(tmp_path: Path)
     seen = fit._sightings(sequence, paths["flow"], paths["masks"], cameras, paths["depth"], ControlOptions())
     assert seen.uv[seen.visible][:, 0].max() > 20
     np.testing.assert_allclose(np.log(seen.depth[seen.visible]), 0.02 * seen.uv[seen.visible][:, 0], atol=0.01)
+
+
+def test_masks_that_the_poses_distrust_carry_no_tracks(tmp_path: Path) -> None:
+    found = []
+    for name, mask in (("full", np.ones((clip.H, clip.W), bool)), ("empty", np.zeros((clip.H, clip.W), bool))):
+        paths = write_inputs(tmp_path / name)
+        write_image(paths["masks"] / "frame_0002.png", mask)
+        cameras = replace(read_cameras(paths["poses"]), masks_trusted=np.arange(clip.T) != 1)
+        sequence = read_sequence(paths["sequence"])
+        found.append(fit._sightings(sequence, paths["flow"], paths["masks"], cameras, paths["depth"], ControlOptions()))
+    np.testing.assert_array_equal(found[0].uv, found[1].uv)
 
 
 def test_the_whole_scene_can_carry_control_points(tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """The scripts train.py and render.py, their inputs, checkpoints, cameras and video."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import gaussian_scene as truth
@@ -190,6 +191,18 @@ def test_frames_with_a_bridged_pose_are_not_trained_on(tmp_path: Path, caplog: p
     status[1:] = "unobserved"
     write_status(inputs["poses"], status, truth.cameras())
     assert len(read_observations(**paths, split=SplitOptions()).images) == truth.T - 1
+
+
+def test_masks_that_the_poses_distrust_are_left_out(tmp_path: Path) -> None:
+    inputs = write_inputs(tmp_path)
+    paths = {name: inputs[name] for name in ("sequence", "masks", "poses", "depth")}
+    masks = read_observations(**paths, split=SplitOptions()).masks
+    trusted = np.arange(truth.T) != 2
+    write_cameras(paths["poses"], replace(read_cameras(paths["poses"]), masks_trusted=trusted))
+    seen = read_observations(**paths, split=SplitOptions())
+    assert masks[2].any()
+    assert not seen.masks[2].any()
+    assert np.array_equal(np.delete(masks, 2, axis=0), np.delete(seen.masks, 2, axis=0))
 
 
 def test_held_out_frames_are_never_opened(tmp_path: Path) -> None:

@@ -13,9 +13,10 @@ from stages.scene import decide, exposure, motion, photometry, rules
 from stages.scene.observed import Observed, depth_on_grid, rigid_flow
 from stages.scene.options import SceneOptions
 from stages.shared.artifacts import read_dense, write_dense
-from stages.shared.cameras import pixel_grid, project, unproject
+from stages.shared.cameras import make_cameras, pixel_grid, project, unproject, write_cameras
 from stages.shared.cli import run
 from stages.shared.errors import InputError
+from stages.shared.images import write_image
 from stages.shared.options import validate
 from stages.shared.sequences import read_sequence
 
@@ -235,6 +236,23 @@ def test_decisions_of_the_square_and_of_the_bare_wall(tmp_path: Path) -> None:
     assert not square["rotation_only"]["needed"]
     overruled = decide_in(tmp_path / "wall", write_inputs(tmp_path / "wall", motion=False), "--dynamic", "yes")
     assert overruled["dynamic"] | {"why": ""} == wall["dynamic"] | {"needed": True, "source": "user", "why": ""}
+
+
+@pytest.mark.parametrize(("wrong", "left_out"), [([1, 5], 2), (range(clip.T), 0)])
+def test_a_mask_that_the_poses_distrust_does_not_hide_what_moves(
+    tmp_path: Path, wrong: list[int], left_out: int
+) -> None:
+    """A mask over all of a frame holds the static wall, so that the static scene explains what is masked."""
+    paths = write_inputs(tmp_path)
+    trusted = ~np.isin(np.arange(clip.T), list(wrong))
+    for k in wrong if left_out else []:
+        write_image(paths["masks"] / f"frame_{k + 1:04d}.png", np.ones((clip.H, clip.W), bool))
+    numbers = np.arange(1, clip.T + 1)
+    write_cameras(paths["poses"], make_cameras(clip.CAM_FROM_WORLD, clip.K, numbers, masks_trusted=trusted))
+    dynamic = decide_in(tmp_path, paths)["dynamic"]
+    assert dynamic["needed"]
+    assert (dynamic["masks_distrusted"], dynamic["masks_left_out"]) == (len(wrong), left_out)
+    assert "which the pose stage distrusts" in dynamic["why"]
 
 
 def test_a_depth_grid_of_broken_pixels_is_read_as_it_is(tmp_path: Path) -> None:

@@ -1,6 +1,6 @@
 """Estimate camera poses, one shared focal length and depth from flow and masks by dense bundle adjustment."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -60,9 +60,10 @@ def main(
 ) -> str:
     """Estimate camera poses, one shared focal length and depth from flow and masks.
 
-    A camera that only rotates, or hardly moves, is recognised and solved in the model that fits. Doubts about the
-    solution stand as `flags` in the metadata of poses.parquet; a sequence that cannot be solved gets the status
-    "failed" and identity poses.
+    Masks that leave too little static area, or that spoil the path, are not believed: `masks_trusted` in poses.parquet
+    says of which frames, and later stages go by it. A camera that only rotates, or hardly moves, is recognised and
+    solved in the model that fits. Doubts about the solution stand as `flags` in the metadata of poses.parquet; a
+    sequence that cannot be solved gets the status "failed" and identity poses.
     """
     frames = read_sequence(sequence)
     matches = _read_matches(flow, len(frames.numbers), options)
@@ -78,6 +79,7 @@ def main(
     flags = shots.doubts(matches.shot, frames.numbers) + solution.flags
     flags += _round_doubts(solution, static[matches.shot], ignored[matches.shot], previous_poses)
     _log(frames.name, solution, flags)
+    trusted = ~ignored & (solution.static is None or masks is None)
     if solution.static is not None:
         static, graph = solution.static, mask_graph(everything, solution.static)
     fine = mask_graph(matches.graph(options.depth_stride_px, centre), static)
@@ -85,7 +87,7 @@ def main(
     stride_px = options.depth_stride_px / matches.scale
     if options.depth_from == "truth":
         maps = _true_depth(maps, solution.state, frames, stride_px, options)
-    cameras = _cameras(solution, graph, frames, matches.scale)
+    cameras = replace(_cameras(solution, graph, frames, matches.scale), masks_trusted=trusted)
     write_cameras(poses, cameras, _pose_metadata(solution, flags, static[matches.shot], options))
     write_tum(trajectory, cameras)
     _write_depth(depth, maps, frames, stride_px)

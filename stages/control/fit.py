@@ -72,6 +72,7 @@ def _sightings(
     training_masks = np.ones((len(links.frames), h, w), bool)
     if options.region == "dynamic":
         training_masks = np.stack([_mask(masks, sequence.numbers[k], w, h) for k in links.frames])
+        training_masks &= cameras.masks_used[links.frames, None, None]
     followed = tracks.track_dynamic_pixels(links, training_masks, options.track_stride_px)
     dense, stride_px = read_dense(depth), float(read_metadata(depth)["stride_px"])
     inverse_depth, variance = dense["inverse_depth"][links.frames], dense["variance"][links.frames]

@@ -18,7 +18,7 @@ MIN_OBSERVED = 2
 
 
 def read_observations(sequence: Path, masks: Path, poses: Path, depth: Path, split: SplitOptions) -> Observations:
-    """The frames of `training_frames`; no file of any other is opened.
+    """The frames of `training_frames`; no file of any other is opened. Masks left out (`masks_used`) are empty.
 
     Raises:
         InputError: if a mask has another size than the frames.
@@ -31,7 +31,7 @@ def read_observations(sequence: Path, masks: Path, poses: Path, depth: Path, spl
     guessed = nearest_on_frame(grid["filled"][frames] > 0, stride_px, content.height, content.width)
     return Observations(
         images,
-        np.stack([_read_mask(masks, content, k) for k in frames]),
+        np.stack([_read_mask(masks, content, k) for k in frames]) & cameras.masks_used[frames, None, None],
         np.stack(dense),
         guessed,
         cameras.cam_from_world[frames],

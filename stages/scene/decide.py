@@ -34,8 +34,10 @@ def main(
     """
     content = read_sequence(sequence)
     seen = _observe(content, flow, masks, poses, depth, options)
-    status = read_cameras(poses).status
-    decisions = _decide(seen, float((status[status != "unobserved"] == "rotation-only").mean()), options)
+    cameras = read_cameras(poses)
+    turning = cameras.status[cameras.status != "unobserved"] == "rotation-only"
+    decisions = _decide(seen, float(turning.mean()), options)
+    decisions["dynamic"] |= rules.about_masks(decisions["dynamic"], cameras.masks_trusted, cameras.masks_used)
     for name, decision in decisions.items():
         logger.info("%s: %s (%s): %s", name, decision["needed"], decision["source"], decision["why"])
     write_json(output, {"sequence": content.name, **decisions})
@@ -77,7 +79,8 @@ def _observe(sequence: Sequence, flow: Path, masks: Path, poses: Path, depth: Pa
     names = [f"frame_{sequence.numbers[k]:04d}.png" for k in frames]
     return Observed(
         rgb=np.stack([resized(images.read_rgb(sequence.frames[k])) / 255 for k in frames]),
-        dynamic=np.stack([resized(images.read_mask(masks / name)) > 0.5 for name in names]),
+        dynamic=np.stack([resized(images.read_mask(masks / name)) > 0.5 for name in names])
+        & cameras.masks_used[frames, None, None],
         depth=depth_on_grid(dense["inverse_depth"][frames], stride_px, scale, h, w),
         cam_from_world=cameras.cam_from_world[frames],
         Ks=scale_intrinsics(cameras.Ks[frames], scale),

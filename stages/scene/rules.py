@@ -2,6 +2,8 @@
 
 from typing import Any, Literal
 
+import numpy as np
+
 MIN_MASK_SHARE = 5e-4
 """Below this share of the pixels a mask is noise of the refiner: 56 px of a 512 x 218 frame."""
 RIGID_RATIO, RIGID_SLACK_PX = 1.2, 0.2
@@ -37,6 +39,16 @@ def decide_dynamic(evidence: dict[str, float], choice: Choice) -> dict[str, Any]
             f" that of the others by {outside:.2f} px"
         )
     return _decision(needed, evidence, why, choice)
+
+
+def about_masks(decision: dict[str, Any], trusted: np.ndarray, used: np.ndarray) -> dict[str, Any]:
+    """What to change in the decision about moving parts where the pose stage distrusts masks of frames [T]."""
+    if trusted.all():
+        return {}
+    frames = f"{(~trusted).sum()} of {len(trusted)} frames"
+    kept = "are used all the same, since few others are left" if used.all() else "are left out"
+    why = f"{decision['why']}; masks of {frames}, which the pose stage distrusts, {kept}"
+    return {"why": why, "masks_distrusted": int((~trusted).sum()), "masks_left_out": int((~used).sum())}
 
 
 def decide_rotation_only(evidence: dict[str, float], choice: Choice) -> dict[str, Any]:

@@ -24,6 +24,7 @@ class Cameras:
         numbers: [T] frame numbers as in the file names.
         covariance: [T, 6, 6] of the left twist [translation, rotation] per pose, zero where none is known.
         status: [T] "estimated", or why not ("rotation-only", "failed", ...).
+        masks_trusted: [T] bool, of which frames the adjustment believed the masks.
     """
 
     cam_from_world: np.ndarray
@@ -31,11 +32,22 @@ class Cameras:
     numbers: np.ndarray
     covariance: np.ndarray
     status: np.ndarray
+    masks_trusted: np.ndarray
 
     @property
     def centres(self) -> np.ndarray:
         """Camera centres in the world, [T, 3]."""
         return lie.inverse(self.cam_from_world)[:, :3, 3]
+
+    @property
+    def masks_used(self) -> np.ndarray:
+        """Of which frames [T] the masks say what moves: of the trusted ones if these are the most, otherwise of all.
+
+        A mask over nearly all of a single frame is wrong, and the others tell what moves. Where few are left to tell,
+        all are kept: a static part modelled as moving costs little, a moving one as static much.
+        """
+        most = self.masks_trusted.mean() > 0.5
+        return self.masks_trusted if most else np.ones_like(self.masks_trusted)
 
 
 def make_cameras(
@@ -44,8 +56,9 @@ def make_cameras(
     numbers: np.ndarray,
     covariance: np.ndarray | None = None,
     status: np.ndarray | None = None,
+    masks_trusted: np.ndarray | None = None,
 ) -> Cameras:
-    """Cameras with zero covariance and status "estimated" unless given; Ks may be one [3, 3]."""
+    """Cameras with zero covariance, status "estimated" and trusted masks unless given; Ks may be one [3, 3]."""
     T = len(cam_from_world)
     return Cameras(
         np.asarray(cam_from_world, float),
@@ -53,11 +66,15 @@ def make_cameras(
         np.asarray(numbers, np.int64),
         np.zeros((T, 6, 6)) if covariance is None else covariance,
         np.full(T, "estimated", object) if status is None else np.asarray(status, object),
+        np.ones(T, bool) if masks_trusted is None else np.asarray(masks_trusted, bool),
     )
 
 
 def write_cameras(path: Path, cameras: Cameras, metadata: dict[str, Any] | None = None) -> None:
-    """Write `ba/poses.parquet`: frame, qw qx qy qz tx ty tz (cam_from_world), fx fy cx cy (px), covariance, status."""
+    """Write `ba/poses.parquet`: frame, qw qx qy qz tx ty tz (cam_from_world), fx fy cx cy (px), and what else is known.
+
+    That is covariance, status and masks_trusted.
+    """
     quats = lie.quat_from_matrix(cameras.cam_from_world[:, :3, :3])
     columns: dict[str, Any] = {"frame": cameras.numbers}
     columns |= {name: quats[:, k] for k, name in enumerate(("qw", "qx", "qy", "qz"))}
@@ -65,6 +82,7 @@ def write_cameras(path: Path, cameras: Cameras, metadata: dict[str, Any] | None 
     K_entries = {"fx": (0, 0), "fy": (1, 1), "cx": (0, 2), "cy": (1, 2)}
     columns |= {name: cameras.Ks[:, row, column] for name, (row, column) in K_entries.items()}
     columns |= {"covariance": cameras.covariance.reshape(-1, 36), "status": list(cameras.status)}
+    columns["masks_trusted"] = cameras.masks_trusted
     units = {"units": "pixels; scene units; covariance of the left twist [translation, rotation rad]"}
     write_table(path, columns, units | (metadata or {}))
 
@@ -82,7 +100,8 @@ def read_cameras(path: Path) -> Cameras:
         t = np.stack([table[name] for name in ("tx", "ty", "tz")], axis=-1)
         Ks = intrinsics(table["fx"], table["fy"], table["cx"], table["cy"])
         covariance = table["covariance"].reshape(-1, 6, 6)
-        return Cameras(lie.from_parts(R, t), Ks, table["frame"], covariance, table["status"])
+        trusted = table["masks_trusted"].astype(bool)
+        return Cameras(lie.from_parts(R, t), Ks, table["frame"], covariance, table["status"], trusted)
 
 
 def has_pose(cameras: Cameras) -> np.ndarray:
