@@ -51,7 +51,7 @@ def reconstruct(root: Path, name: str, motion: str) -> Path:
     run.write_results(folder)
     source, target, flow, confidence = flow_arrays(scene)
     columns = {"source": source, "target": target, "flow": flow.astype(np.float16), "confidence": confidence}
-    write_dense(folder / "flow/pairs.arrow", columns, {"width": run.W, "height": run.H, "scale": 1.0})
+    write_dense(folder / "flow/pairs.arrow", columns, {"width": run.W, "height": run.H, "scale": 1.0, "source": "dis"})
     names = {"poses": "poses.parquet", "trajectory": "trajectory.tum", "depth": "depth.arrow"}
     names |= {"convergence": "convergence.parquet", "figure": "ba.png"}
     outputs = {key: folder / "ba" / file for key, file in names.items()}

@@ -148,6 +148,7 @@ def test_a_limit_of_frames_cuts_the_sequence_and_its_truth(tmp_path: Path) -> No
 
 def test_a_run_about_colmap_is_a_row_per_variant_with_its_seconds(tmp_path: Path) -> None:
     write_scores(tmp_path / "a/both/eval", 0.5, {"whole": 25.0})
+    write_made(tmp_path / "a")
     rows = read_rows(tmp_path / "a/both/eval/poses.parquet")
     for row, (name, seconds) in zip(rows, (("COLMAP global", 8.0), ("ours", 3.0)), strict=True):
         row |= {"method": name, "wall_s": seconds, "cpu_s": seconds}
