@@ -9,13 +9,15 @@ d, so points at infinity (d = 0) are ordinary. Local unknowns of an edge are the
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
+
+from stages.shared.threads import spread
 
 BLOCK = 256
 """Pixels per block: the Jacobian of a block stays in the L2 cache."""
 MIN_DEPTH_RATIO = 0.1
 """A point nearer to the target camera than this share of its source depth counts as behind it."""
-FAST = {"cache": True, "fastmath": True, "error_model": "numpy"}
+FAST = {"cache": True, "nogil": True, "fastmath": True, "error_model": "numpy"}
 
 
 class Observations(NamedTuple):
@@ -107,41 +109,9 @@ def _eliminate(coupling: np.ndarray, curvature: np.ndarray, scaled: np.ndarray, 
 
 
 @njit(**FAST)
-def _add_frame(
-    data: Observations,
-    at: Geometry,
-    i: int,
-    scales: np.ndarray,
-    hessians: np.ndarray,
-    schur: np.ndarray,
-    curvatures: np.ndarray,
-    gradients: np.ndarray,
-) -> None:
-    """The part of `normal_equations` that belongs to source frame i; scales are (sigma, damping, depth prior)."""
-    sigma, damping, depth_prior = scales[0], scales[1], scales[2]
-    P, k = len(data.pixels), data.pointer[i + 1] - data.pointer[i]
-    J, D, n = np.zeros((8, 2 * BLOCK)), np.zeros(2 * BLOCK), 6 * k + 2
-    coupling, scaled, curvature = np.zeros((n, BLOCK)), np.zeros((n, BLOCK)), np.zeros(BLOCK)
-    for first in range(0, P, BLOCK):
-        count = min(BLOCK, P - first)
-        if count < BLOCK:
-            J[:], D[:], coupling[:] = 0.0, 0.0, 0.0
-        coupling[n - 2 :] = 0.0
-        curvature[:] = depth_prior
-        for edge in range(k):
-            _linearise(data, at, sigma, i, data.pointer[i] + edge, first, J, D)
-            _add_gram(J, hessians[data.pointer[i] + edge])
-            _add_coupling(J, D, edge, coupling, curvature)
-        for q in range(count):
-            coupling[n - 1, q] += depth_prior * (1.0 - at.inverse_depth[i, first + q])
-            gradients[i, first + q] = coupling[n - 1, q]
-            curvature[q] *= 1.0 + damping
-            curvatures[i, first + q] = curvature[q]
-        _eliminate(coupling, curvature, scaled, schur[i])
-
-
-@njit(parallel=True, **FAST)
 def _add_frames(
+    begin: int,
+    end: int,
     data: Observations,
     at: Geometry,
     scales: np.ndarray,
@@ -150,8 +120,29 @@ def _add_frames(
     curvatures: np.ndarray,
     gradients: np.ndarray,
 ) -> None:
-    for i in prange(len(data.pointer) - 1):
-        _add_frame(data, at, i, scales, hessians, schur, curvatures, gradients)
+    """The part of `normal_equations` of source frames begin..end; scales are (sigma, damping, depth prior)."""
+    sigma, damping, depth_prior = scales[0], scales[1], scales[2]
+    P, J, D, curvature = len(data.pixels), np.zeros((8, 2 * BLOCK)), np.zeros(2 * BLOCK), np.zeros(BLOCK)
+    for i in range(begin, end):
+        k = data.pointer[i + 1] - data.pointer[i]
+        n = 6 * k + 2
+        coupling, scaled = np.zeros((n, BLOCK)), np.zeros((n, BLOCK))
+        for first in range(0, P, BLOCK):
+            count = min(BLOCK, P - first)
+            if count < BLOCK:
+                J[:], D[:], coupling[:] = 0.0, 0.0, 0.0
+            coupling[n - 2 :] = 0.0
+            curvature[:] = depth_prior
+            for edge in range(k):
+                _linearise(data, at, sigma, i, data.pointer[i] + edge, first, J, D)
+                _add_gram(J, hessians[data.pointer[i] + edge])
+                _add_coupling(J, D, edge, coupling, curvature)
+            for q in range(count):
+                coupling[n - 1, q] += depth_prior * (1.0 - at.inverse_depth[i, first + q])
+                gradients[i, first + q] = coupling[n - 1, q]
+                curvature[q] *= 1.0 + damping
+                curvatures[i, first + q] = curvature[q]
+            _eliminate(coupling, curvature, scaled, schur[i])
 
 
 def normal_equations(
@@ -171,30 +162,26 @@ def normal_equations(
     size = 6 * int(np.diff(data.pointer).max()) + 2
     hessians, schur = np.zeros((len(data.source), 8, 8)), np.zeros((T, size, size))
     curvatures, gradients = np.ones((T, P)), np.zeros((T, P))
-    # Allocated here and not in the kernel: array expressions inside a parallel function take seconds to compile.
     scales = np.array([sigma, damping, depth_prior])
-    _add_frames(data, at, scales, hessians, schur, curvatures, gradients)
+    spread(_add_frames, T, data, at, scales, hessians, schur, curvatures, gradients)
     hessians += np.triu(hessians, 1).swapaxes(1, 2)
     return hessians, schur, curvatures, gradients
 
 
 @njit(**FAST)
-def _add_explained(data: Observations, at: Geometry, i: int, sigma: float, step: np.ndarray, out: np.ndarray) -> None:
-    """Add to `out` [P] what the local steps [E, 7] explain of the depth gradients of frame i."""
+def _explain(
+    begin: int, end: int, data: Observations, at: Geometry, sigma: float, step: np.ndarray, out: np.ndarray
+) -> None:
+    """Add to `out` [T, P] what the local steps [E, 7] explain of the depth gradients of frames begin..end."""
     P = len(data.pixels)
     J, D = np.zeros((8, 2 * BLOCK)), np.zeros(2 * BLOCK)
-    for e in range(data.pointer[i], data.pointer[i + 1]):
-        for first in range(0, P, BLOCK):
-            _linearise(data, at, sigma, i, e, first, J, D)
-            for a in range(7):
-                for q in range(min(BLOCK, P - first)):
-                    out[first + q] += step[e, a] * (J[a, q] * D[q] + J[a, BLOCK + q] * D[BLOCK + q])
-
-
-@njit(parallel=True, **FAST)
-def _explain(data: Observations, at: Geometry, sigma: float, step: np.ndarray, out: np.ndarray) -> None:
-    for i in prange(len(data.pointer) - 1):
-        _add_explained(data, at, i, sigma, step, out[i])
+    for i in range(begin, end):
+        for e in range(data.pointer[i], data.pointer[i + 1]):
+            for first in range(0, P, BLOCK):
+                _linearise(data, at, sigma, i, e, first, J, D)
+                for a in range(7):
+                    for q in range(min(BLOCK, P - first)):
+                        out[i, first + q] += step[e, a] * (J[a, q] * D[q] + J[a, BLOCK + q] * D[BLOCK + q])
 
 
 def depth_steps(
@@ -207,5 +194,5 @@ def depth_steps(
 ) -> np.ndarray:
     """Steps [T, P] of the inverse depths once the local steps [E, 7] (twist, log focal) of the edges are known."""
     explained = np.zeros(at.inverse_depth.shape)
-    _explain(data, at, sigma, local_steps, explained)
+    spread(_explain, len(explained), data, at, sigma, local_steps, explained)
     return np.asarray((gradients - explained) / curvatures)
