@@ -128,7 +128,7 @@ def fit_homography(x: np.ndarray, y: np.ndarray, params: cv2.UsacParams) -> np.n
 
 def sampson_errors(F: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Sampson distance [...] px of matches x, y [..., 2] from the epipolar geometry F."""
-    flat = _sampson(F, np.reshape(x, (-1, 2)), np.reshape(y, (-1, 2)))
+    flat = _sampson(np.ascontiguousarray(F), np.reshape(x, (-1, 2)), np.reshape(y, (-1, 2)))
     return np.asarray(flat.reshape(x.shape[:-1]))
 
 
@@ -177,7 +177,8 @@ def _collect(pixels, matches, weights):  # type: ignore[no-untyped-def]
     for row in range(0, h, 2):
         for column in range(0, w, 2):
             if weights[row, column] > MIN_CONFIDENCE:
-                x[n], y[n] = pixels[row, column], matches[row, column]
+                for c in range(2):  # assigning rows would compile what numba says of arrays that do not fit
+                    x[n, c], y[n, c] = pixels[row, column, c], matches[row, column, c]
                 n += 1
     return x[:n], y[:n]
 

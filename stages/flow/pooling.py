@@ -5,7 +5,7 @@ import numba
 import numpy as np
 
 from stages.flow.epipolar import Evidence
-from stages.shared.threads import threaded
+from stages.shared.threads import spread, threaded
 from stages.shared.warp import warp
 
 MIN_WEIGHT = 0.1
@@ -26,14 +26,14 @@ def evidence_weights(flow: np.ndarray, confidence: np.ndarray) -> np.ndarray:
     is weak evidence of motion, and often the only one. Flow that leaves the frame says nothing.
     """
     weights = confidence.astype(np.float32)  # half precision is slow to compare
-    _weigh(flow.astype(np.float32, copy=False), weights)
+    spread(_weigh, len(weights), flow.astype(np.float32, copy=False), weights)
     return weights
 
 
-@numba.njit(cache=True, parallel=True, error_model="numpy")
-def _weigh(flow, weights):  # type: ignore[no-untyped-def]
-    E, h, w = weights.shape
-    for e in numba.prange(E):
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _weigh(first, last, flow, weights):  # type: ignore[no-untyped-def]
+    _, h, w = weights.shape
+    for e in range(first, last):
         confident = 0
         for y in range(h):
             for x in range(w):

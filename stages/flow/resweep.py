@@ -15,6 +15,7 @@ from stages.flow.epipolar import Evidence
 from stages.shared import lie
 from stages.shared.cameras import pixel_grid
 from stages.shared.finite import require_finite
+from stages.shared.threads import spread
 
 D_MAX = 50.0
 """Largest inverse depth, in units of the scene's median."""
@@ -140,19 +141,22 @@ def sweep(
     sampled = (np.ascontiguousarray(part[:, o::stride, o::stride], np.float32) for part in (flow, weights, start))
     # float32 holds a pixel to 1e-4 px, and twice as many fit a vector instruction.
     lines = A.astype(np.float32), b.astype(np.float32)
-    return _sweep(pointer, *lines, *sampled, np.float32(sigma_px**2), stride, o)
-
-
-@numba.njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
-def _sweep(pointer, A, b, flow, weights, start, sigma2, stride, offset):  # type: ignore[no-untyped-def]
-    T, rows, columns = start.shape
-    misfit, inverse_depth = np.zeros((T, rows, columns), np.float32), np.empty((T, rows, columns), np.float32)
-    u = (np.arange(columns) * stride + offset).astype(np.float32)
-    for row in numba.prange(T * rows):
-        i, y = row // rows, row % rows
-        edges, v = (pointer[i], pointer[i + 1]), np.float32(y * stride + offset)
-        _sweep_row(edges, y, A, b, flow, weights, u, v, start[i, y], sigma2, misfit[i, y], inverse_depth[i, y])
+    flow, weights, start = sampled
+    u = (np.arange(start.shape[2]) * stride + o).astype(np.float32)
+    v = (np.arange(start.shape[1]) * stride + o).astype(np.float32)
+    misfit, inverse_depth = np.zeros_like(start), np.empty_like(start)
+    rows = start.shape[0] * start.shape[1]
+    spread(_sweep, rows, pointer, *lines, flow, weights, u, v, start, np.float32(sigma_px**2), misfit, inverse_depth)
     return misfit, inverse_depth
+
+
+@numba.njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+def _sweep(begin, end, pointer, A, b, flow, weights, u, v, start, sigma2, misfit, inverse_depth):  # type: ignore[no-untyped-def]
+    rows = len(v)
+    for row in range(begin, end):
+        i, y = row // rows, row % rows
+        edges = pointer[i], pointer[i + 1]
+        _sweep_row(edges, y, A, b, flow, weights, u, v[y], start[i, y], sigma2, misfit[i, y], inverse_depth[i, y])
 
 
 @numba.njit(cache=True, fastmath=True, error_model="numpy")
