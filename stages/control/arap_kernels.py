@@ -16,14 +16,19 @@ def _best_rotation(C: np.ndarray, N: np.ndarray, V: np.ndarray, R: np.ndarray) -
     Its quaternion is the eigenvector of the largest eigenvalue of Horn's symmetric matrix N (1987), by Jacobi's
     method: a unit vector, hence a proper rotation, whatever eigenvalues coincide or vanish. N, V: [4, 4] to work in.
     """
-    scale = np.abs(C).max()
-    if scale > 0:
-        C = C / scale
     N[0, 0], N[1, 1] = C[0, 0] + C[1, 1] + C[2, 2], C[0, 0] - C[1, 1] - C[2, 2]
     N[2, 2], N[3, 3] = C[1, 1] - C[0, 0] - C[2, 2], C[2, 2] - C[0, 0] - C[1, 1]
     N[0, 1], N[0, 2], N[0, 3] = C[1, 2] - C[2, 1], C[2, 0] - C[0, 2], C[0, 1] - C[1, 0]
     N[1, 2], N[1, 3], N[2, 3] = C[0, 1] + C[1, 0], C[2, 0] + C[0, 2], C[1, 2] + C[2, 1]
-    V[:] = np.eye(4)
+    largest = 0.0
+    for a in range(4):
+        for b in range(a, 4):
+            largest = max(largest, abs(N[a, b]))
+    for a in range(4):
+        for b in range(4):
+            V[a, b] = 1.0 if a == b else 0.0
+            if a <= b and largest > 0:
+                N[a, b] /= largest
     for _ in range(SWEEPS):
         off = 0.0
         for a in range(3):
@@ -58,30 +63,43 @@ def _rotate(N: np.ndarray, V: np.ndarray, a: int, b: int) -> None:
     N[a, b] = 0
     for k in range(4):
         V[k, a], V[k, b] = c * V[k, a] - s * V[k, b], s * V[k, a] + c * V[k, b]
-        if k not in (a, b):
+        if k != a and k != b:
             i, j = min(k, a), max(k, a)
             m, n = min(k, b), max(k, b)
             N[i, j], N[m, n] = c * N[i, j] - s * N[m, n], s * N[i, j] + c * N[m, n]
 
 
-@njit(**FAST)
 def best_rotations(covariances: np.ndarray) -> np.ndarray:
     """Rotations [n, 3, 3] that maximise trace(R C) for C [n, 3, 3] float64."""
-    rotations, N, V = np.empty_like(covariances), np.empty((4, 4)), np.empty((4, 4))
-    for n in range(len(covariances)):
-        _best_rotation(covariances[n], N, V, rotations[n])
+    rotations = np.empty_like(covariances)
+    _best_rotations(covariances, np.empty((4, 4)), np.empty((4, 4)), rotations)
     return rotations
 
 
 @njit(**FAST)
+def _best_rotations(covariances: np.ndarray, N: np.ndarray, V: np.ndarray, rotations: np.ndarray) -> None:
+    for n in range(len(covariances)):
+        _best_rotation(covariances[n], N, V, rotations[n])
+
+
 def energy(states: np.ndarray, index: np.ndarray, weights: np.ndarray) -> tuple[float, np.ndarray]:
     """The energy of `arap.arap_energy` and its gradient [B, P, 3], all arguments float64 but the index [P, K]."""
+    (B, P, _), K = states.shape, index.shape[1]
+    totals, gradient = np.zeros((B - 1, P)), np.zeros((B, P, 3))
+    residuals, rotations = np.empty((B - 1, P, K, 3)), np.empty((B - 1, P, 3, 3))
+    scratch = np.empty((3, 3)), np.empty((4, 4)), np.empty((4, 4))
+    given = states, np.ascontiguousarray(index), weights
+    _energy(*given, *scratch, residuals, rotations, totals, gradient)
+    return float(totals.mean()), gradient
+
+
+@njit(**FAST)
+def _energy(states: np.ndarray, index: np.ndarray, weights: np.ndarray, C: np.ndarray, N: np.ndarray, V: np.ndarray,
+            residuals: np.ndarray, rotations: np.ndarray, totals: np.ndarray, gradient: np.ndarray
+            ) -> None:  # fmt: skip
+    """Add to the energy of every step and point and to the gradient; residuals [B - 1, P, K, 3] times the weight."""
     B, P, _ = states.shape
     K = index.shape[1]
-    totals = np.zeros((B - 1, P))
-    residuals = np.empty((B - 1, P, K, 3))  # times the weight
-    rotations = np.empty((B - 1, P, 3, 3))
-    C, N, V = np.empty((3, 3)), np.empty((4, 4)), np.empty((4, 4))
     for p in range(P):
         for b in range(B - 1):
             C[:] = 0
@@ -99,7 +117,6 @@ def energy(states: np.ndarray, index: np.ndarray, weights: np.ndarray) -> tuple[
                         r -= R[i, j] * (states[b, p, j] - states[b, index[p, k], j])
                     residuals[b, p, k, i] = weights[p, k] * r
                     totals[b, p] += weights[p, k] * r * r
-    gradient = np.zeros((B, P, 3))
     share = 2.0 / ((B - 1) * P)
     for b in range(B - 1):
         for p in range(P):
@@ -112,4 +129,3 @@ def energy(states: np.ndarray, index: np.ndarray, weights: np.ndarray) -> tuple[
                         turned = g * rotations[b, p, i, j]
                         gradient[b, p, j] -= turned
                         gradient[b, index[p, k], j] += turned
-    return totals.sum() / ((B - 1) * P), gradient

@@ -158,9 +158,9 @@ class _Weights(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
-        g_weights = gradients[0].contiguous().numpy()
         moving = ctx.needs_input_grad[0]
-        g_sq_dist, g_radii = lbs_kernels.softmax_weights_adjoint(*ctx.arrays, g_weights, moving)
+        given = (*ctx.arrays, gradients[0].contiguous().numpy(), moving)
+        g_sq_dist, g_radii = lbs_kernels.softmax_weights_adjoint(*given)
         return torch.from_numpy(g_sq_dist) if moving else None, torch.from_numpy(g_radii), None
 
 
@@ -176,8 +176,8 @@ class _Blend(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
-        g_means, g_quats = (gradient.contiguous().numpy() for gradient in gradients)
-        return (*map(torch.from_numpy, lbs_kernels.blend_adjoint(*ctx.arrays, g_means, g_quats)), None)
+        given = (*ctx.arrays, *(gradient.contiguous().numpy() for gradient in gradients))
+        return (*map(torch.from_numpy, lbs_kernels.blend_adjoint(*given)), None)
 
 
 class _BlendValues(torch.autograd.Function):
@@ -191,5 +191,6 @@ class _BlendValues(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
-        g_values = lbs_kernels.blend_values_adjoint(gradients[0].contiguous().numpy(), *ctx.arrays, ctx.P)
+        given = (gradients[0].contiguous().numpy(), *ctx.arrays, ctx.P)
+        g_values = lbs_kernels.blend_values_adjoint(*given)
         return torch.from_numpy(g_values), None, None

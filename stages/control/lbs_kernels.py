@@ -6,20 +6,20 @@ adds K weighted rows: each row is one vector.
 """
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from stages.control.quaternion_kernels import FAST, Quaternion, conjugate, product, row, unit, unit_adjoint
 from stages.shared.lanes import LANES, load, store, total
+from stages.shared.threads import spread
 
 CHUNKS = 16
 """Partial sums of the scatter into control points: a fixed number, so results do not depend on the thread count."""
 
 
 @njit(**FAST)
-def _pack(points: np.ndarray, point_quats: np.ndarray, point_translations: np.ndarray,
-          centre: np.ndarray) -> np.ndarray:  # fmt: skip
-    """The motions [P, 16]."""
-    packed = np.empty((len(points), 16), points.dtype)
+def _pack(points: np.ndarray, point_quats: np.ndarray, point_translations: np.ndarray, centre: np.ndarray,
+          packed: np.ndarray) -> None:  # fmt: skip
+    """Fill the motions [P, 16]."""
     for p in range(len(points)):
         w, x, y, z = row(point_quats, p)
         packed[p, 0], packed[p, 1], packed[p, 2] = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
@@ -29,25 +29,18 @@ def _pack(points: np.ndarray, point_quats: np.ndarray, point_translations: np.nd
             packed[p, 9 + a] = points[p, a] + point_translations[p, a]
             for b in range(3):
                 packed[p, 9 + a] -= packed[p, 3 * a + b] * (points[p, b] - centre[b])
-        packed[p, 12:16] = point_quats[p]
-    return packed
+        packed[p, 12], packed[p, 13], packed[p, 14], packed[p, 15] = w, x, y, z
 
 
 @njit(**FAST)
-def _unpack_adjoint(points: np.ndarray, packed: np.ndarray, centre: np.ndarray, scattered: np.ndarray
-                    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
-    """Gradients of p, quaternion and T of each control point, from those of the motions in CHUNKS parts.
+def _unpack_adjoint(points: np.ndarray, packed: np.ndarray, centre: np.ndarray, summed: np.ndarray,
+                    g_points: np.ndarray, g_quats: np.ndarray, g_translations: np.ndarray) -> None:  # fmt: skip
+    """Fill the gradients of p, quaternion and T of each control point, from those of the motions [P, 16].
 
     The gradient of p through t is that of t minus R^T times it.
     """
-    P = len(packed)
-    g_points, g_quats, g_translations = np.empty_like(points), np.empty((P, 4), packed.dtype), np.empty_like(points)
-    g = np.empty(16, packed.dtype)
-    for p in range(P):
-        g[:] = 0
-        for chunk in range(CHUNKS):
-            for c in range(16):
-                g[c] += scattered[chunk, p, c]
+    for p in range(len(packed)):
+        g = summed[p]
         w, x, y, z = packed[p, 12], packed[p, 13], packed[p, 14], packed[p, 15]
         for a in range(3):
             turned = packed[p, a] * g[9] + packed[p, 3 + a] * g[10] + packed[p, 6 + a] * g[11]
@@ -58,7 +51,6 @@ def _unpack_adjoint(points: np.ndarray, packed: np.ndarray, centre: np.ndarray, 
         g_quats[p, 1] = g[13] + 2 * (y * (g[1] + g[3]) + z * (g[2] + g[6]) + w * (g[7] - g[5]) - 2 * x * (g[4] + g[8]))
         g_quats[p, 2] = g[14] + 2 * (x * (g[1] + g[3]) + z * (g[5] + g[7]) + w * (g[2] - g[6]) - 2 * y * (g[0] + g[8]))
         g_quats[p, 3] = g[15] + 2 * (x * (g[2] + g[6]) + y * (g[5] + g[7]) + w * (g[3] - g[1]) - 2 * z * (g[0] + g[4]))
-    return g_points, g_quats, g_translations
 
 
 @njit(inline="always", **FAST)
@@ -71,7 +63,6 @@ def _heaviest(weights: np.ndarray, index: np.ndarray, n: int) -> int:
     return int(index[n, best])
 
 
-@njit(**FAST)
 def _signs(dtype: np.dtype) -> np.ndarray:
     """Factors of a motion [2, 16]: all one, and with the quaternion's turned."""
     signs = np.ones((2, LANES), dtype)
@@ -104,12 +95,18 @@ def _quat(motion: np.ndarray) -> Quaternion:
     return motion[12], motion[13], motion[14], motion[15]
 
 
-@njit(parallel=True, **FAST)
 def softmax_weights(sq_dist: np.ndarray, inverse_sq_radii: np.ndarray, index: np.ndarray) -> np.ndarray:
     """Weights [N, K]: softmax of -sq_dist / 2 times the neighbour's inverse squared radius [P]."""
-    N, K = index.shape
     weights = np.empty_like(sq_dist)
-    for n in prange(N):
+    spread(_softmax_weights, len(index), sq_dist, inverse_sq_radii, index, weights)
+    return weights
+
+
+@njit(**FAST)
+def _softmax_weights(first: int, last: int, sq_dist: np.ndarray, inverse_sq_radii: np.ndarray, index: np.ndarray,
+                     weights: np.ndarray) -> None:  # fmt: skip
+    K = index.shape[1]
+    for n in range(first, last):
         half, total = sq_dist.dtype.type(0.5), sq_dist.dtype.type(0)
         for k in range(K):
             weights[n, k] = -half * sq_dist[n, k] * inverse_sq_radii[index[n, k]]
@@ -121,10 +118,8 @@ def softmax_weights(sq_dist: np.ndarray, inverse_sq_radii: np.ndarray, index: np
             total += weights[n, k]
         for k in range(K):
             weights[n, k] /= total
-    return weights
 
 
-@njit(parallel=True, **FAST)
 def softmax_weights_adjoint(
     sq_dist: np.ndarray, inverse_sq_radii: np.ndarray, index: np.ndarray, weights: np.ndarray, g_weights: np.ndarray,
     moving: bool,
@@ -136,7 +131,18 @@ def softmax_weights_adjoint(
     N, K = index.shape
     g_sq_dist = np.empty((N if moving else 0, K), sq_dist.dtype)
     scattered = np.zeros((CHUNKS, len(inverse_sq_radii)), sq_dist.dtype)
-    for chunk in prange(CHUNKS):
+    given = sq_dist, inverse_sq_radii, index, weights, g_weights
+    spread(_softmax_weights_adjoint, CHUNKS, *given, moving, g_sq_dist, scattered)
+    return g_sq_dist, scattered.sum(axis=0)
+
+
+@njit(**FAST)
+def _softmax_weights_adjoint(
+    first: int, last: int, sq_dist: np.ndarray, inverse_sq_radii: np.ndarray, index: np.ndarray, weights: np.ndarray,
+    g_weights: np.ndarray, moving: bool, g_sq_dist: np.ndarray, scattered: np.ndarray,
+) -> None:  # fmt: skip
+    N, K = index.shape
+    for chunk in range(first, last):
         for n in range(chunk * N // CHUNKS, (chunk + 1) * N // CHUNKS):
             half, mean = sq_dist.dtype.type(0.5), sq_dist.dtype.type(0)
             for k in range(K):
@@ -146,10 +152,8 @@ def softmax_weights_adjoint(
                 if moving:
                     g_sq_dist[n, k] = -half * inverse_sq_radii[index[n, k]] * g_exponent
                 scattered[chunk, index[n, k]] -= half * sq_dist[n, k] * g_exponent
-    return g_sq_dist, scattered.sum(axis=0)
 
 
-@njit(parallel=True, **FAST)
 def blend(
     means: np.ndarray,
     quats: np.ndarray,
@@ -160,25 +164,36 @@ def blend(
     index: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """means' [N, 3] and unit quats' [N, 4]; arguments as in `lbs.blend`."""
-    N = len(index)
-    centre = points.sum(axis=0) / len(points)
-    packed, signs = _pack(points, point_quats, point_translations, centre), _signs(points.dtype)
+    packed, centre = _motions(points, point_quats, point_translations)
     moved, turned = np.empty_like(means), np.empty_like(quats)
-    for chunk in prange(CHUNKS):
-        motion = np.empty(16, packed.dtype)
-        for n in range(chunk * N // CHUNKS, (chunk + 1) * N // CHUNKS):
-            _blended(packed, signs, weights, index, n, motion)
-            x, y, z = means[n, 0] - centre[0], means[n, 1] - centre[1], means[n, 2] - centre[2]
-            moved[n, 0] = motion[9] + motion[0] * x + motion[1] * y + motion[2] * z
-            moved[n, 1] = motion[10] + motion[3] * x + motion[4] * y + motion[5] * z
-            moved[n, 2] = motion[11] + motion[6] * x + motion[7] * y + motion[8] * z
-            blended, _ = unit(_quat(motion))
-            own, _ = unit(row(quats, n))
-            turned[n, 0], turned[n, 1], turned[n, 2], turned[n, 3] = product(blended, own)
+    spread(_blend, len(index), means, quats, packed, _signs(points.dtype), centre, weights, index, moved, turned)
     return moved, turned
 
 
-@njit(parallel=True, **FAST)
+def _motions(points: np.ndarray, quats: np.ndarray, translations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The motions [P, 16] of the control points, and the centre [3] that they refer to."""
+    centre = points.sum(axis=0) / points.dtype.type(len(points))
+    packed = np.empty((len(points), LANES), points.dtype)
+    _pack(points, quats, translations, centre, packed)
+    return packed, centre
+
+
+@njit(**FAST)
+def _blend(first: int, last: int, means: np.ndarray, quats: np.ndarray, packed: np.ndarray, signs: np.ndarray,
+           centre: np.ndarray, weights: np.ndarray, index: np.ndarray, moved: np.ndarray,
+           turned: np.ndarray) -> None:  # fmt: skip
+    motion = np.empty(16, packed.dtype)
+    for n in range(first, last):
+        _blended(packed, signs, weights, index, n, motion)
+        x, y, z = means[n, 0] - centre[0], means[n, 1] - centre[1], means[n, 2] - centre[2]
+        moved[n, 0] = motion[9] + motion[0] * x + motion[1] * y + motion[2] * z
+        moved[n, 1] = motion[10] + motion[3] * x + motion[4] * y + motion[5] * z
+        moved[n, 2] = motion[11] + motion[6] * x + motion[7] * y + motion[8] * z
+        blended, _ = unit(_quat(motion))
+        own, _ = unit(row(quats, n))
+        turned[n, 0], turned[n, 1], turned[n, 2], turned[n, 3] = product(blended, own)
+
+
 def blend_adjoint(
     means: np.ndarray,
     quats: np.ndarray,
@@ -191,13 +206,24 @@ def blend_adjoint(
     g_turned: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Gradients of the first six arguments of `blend`, given those of its results [N, 3] and [N, 4]."""
-    N, P = len(index), len(points)
-    centre = points.sum(axis=0) / len(points)
-    packed, signs = _pack(points, point_quats, point_translations, centre), _signs(points.dtype)
+    packed, centre = _motions(points, point_quats, point_translations)
     g_means, g_quats, g_weights = np.empty_like(means), np.empty_like(quats), np.empty_like(weights)
-    scattered = np.zeros((CHUNKS, len(points), 16), means.dtype)
-    for chunk in prange(CHUNKS):
-        motion, g_motion = np.empty(16, packed.dtype), np.empty(16, packed.dtype)
+    scattered = np.zeros((CHUNKS, len(points), LANES), means.dtype)
+    given = means, quats, packed, _signs(points.dtype), centre, weights, index, g_moved, g_turned
+    spread(_blend_adjoint, CHUNKS, *given, g_means, g_quats, g_weights, scattered)
+    g_points, g_point_quats, g_translations = (np.empty_like(part) for part in (points, point_quats, points))
+    _unpack_adjoint(points, packed, centre, scattered.sum(axis=0), g_points, g_point_quats, g_translations)
+    return g_means, g_quats, g_points, g_point_quats, g_translations, g_weights
+
+
+@njit(**FAST)
+def _blend_adjoint(first: int, last: int, means: np.ndarray, quats: np.ndarray, packed: np.ndarray, signs: np.ndarray,
+                   centre: np.ndarray, weights: np.ndarray, index: np.ndarray, g_moved: np.ndarray,
+                   g_turned: np.ndarray, g_means: np.ndarray, g_quats: np.ndarray, g_weights: np.ndarray,
+                   scattered: np.ndarray) -> None:  # fmt: skip
+    N, P = len(index), len(packed)
+    motion, g_motion = np.empty(16, packed.dtype), np.empty(16, packed.dtype)
+    for chunk in range(first, last):
         for n in range(chunk * N // CHUNKS, (chunk + 1) * N // CHUNKS):
             reference = _blended(packed, signs, weights, index, n, motion)
             for a in range(3):
@@ -220,29 +246,40 @@ def blend_adjoint(
                 signed, at = g * load(signs, LANES * _flips(packed, p, reference)), LANES * (chunk * P + p)
                 g_weights[n, k] = total(load(packed, LANES * p) * signed)
                 store(scattered, at, load(scattered, at) + signed * weights[n, k])
-    return g_means, g_quats, *_unpack_adjoint(points, packed, centre, scattered), g_weights
 
 
-@njit(parallel=True, **FAST)
 def blend_values(values: np.ndarray, weights: np.ndarray, index: np.ndarray) -> np.ndarray:
     """Weighted sums [N, C] of values [P, C] over weights and index [N, K]."""
-    (N, K), C = index.shape, values.shape[1]
-    blended = np.zeros((N, C), values.dtype)
-    for n in prange(N):
-        for k in range(K):
-            for c in range(C):
-                blended[n, c] += weights[n, k] * values[index[n, k], c]
+    blended = np.zeros((len(index), values.shape[1]), values.dtype)
+    spread(_blend_values, len(index), values, weights, index, blended)
     return blended
 
 
-@njit(parallel=True, **FAST)
+@njit(**FAST)
+def _blend_values(first: int, last: int, values: np.ndarray, weights: np.ndarray, index: np.ndarray,
+                  blended: np.ndarray) -> None:  # fmt: skip
+    K, C = index.shape[1], values.shape[1]
+    for n in range(first, last):
+        for k in range(K):
+            w, p = weights[n, k], index[n, k]
+            for c in range(C):
+                blended[n, c] += w * values[p, c]
+
+
 def blend_values_adjoint(g: np.ndarray, weights: np.ndarray, index: np.ndarray, P: int) -> np.ndarray:
     """Gradient [P, C] of the values, given that of the sums [N, C]."""
+    scattered = np.zeros((CHUNKS, P, g.shape[1]), g.dtype)
+    spread(_blend_values_adjoint, CHUNKS, g, weights, index, scattered)
+    return scattered.sum(axis=0)
+
+
+@njit(**FAST)
+def _blend_values_adjoint(first: int, last: int, g: np.ndarray, weights: np.ndarray, index: np.ndarray,
+                          scattered: np.ndarray) -> None:  # fmt: skip
     (N, K), C = index.shape, g.shape[1]
-    scattered = np.zeros((CHUNKS, P, C), g.dtype)
-    for chunk in prange(CHUNKS):
+    for chunk in range(first, last):
         for n in range(chunk * N // CHUNKS, (chunk + 1) * N // CHUNKS):
             for k in range(K):
+                w, p = weights[n, k], index[n, k]
                 for c in range(C):
-                    scattered[chunk, index[n, k], c] += weights[n, k] * g[n, c]
-    return scattered.sum(axis=0)
+                    scattered[chunk, p, c] += w * g[n, c]

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-FAST = {"cache": True, "fastmath": {"contract", "nsz", "arcp"}, "error_model": "numpy"}
+FAST = {"cache": True, "nogil": True, "fastmath": {"contract", "nsz", "arcp"}, "error_model": "numpy"}
 """Fused multiply-add and reciprocals; not the flags that assume away infinities and NaN."""
 ONE: Any = np.float32(1)  # an integer would turn what it is added to into float64
 Quaternion = tuple[float, float, float, float]
