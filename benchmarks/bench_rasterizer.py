@@ -52,7 +52,7 @@ def kernels(splats: dict[str, Tensor], gradients: tuple[np.ndarray, ...]) -> tup
     height, width = gradients[1].shape
     arrays = [splats[name].numpy() for name in ("centres", "factors", "opacities", "colours", "depths")]
     order = drawing_order(arrays[-1])
-    rows = raster_bins.gather(order, *arrays, height)
+    rows = raster_bins.gather(order, height, *arrays)
     starts, entries, slots = raster_bins.bin_tiles(rows, width, height)
     images = raster_kernels.composite(rows, starts, entries, np.zeros(3, np.float32), height, width)
     sums = raster_adjoint.composite_adjoint(rows, starts, entries, *images, *gradients)
@@ -126,7 +126,7 @@ def bench_rasterizer(N: int, width: int, height: int, rounds: int, flops: float)
     tiles = -(-width // 16) * -(-height // 16)
     weights = torch.tensor(random.normal(size=(tiles, 256, 5)), dtype=torch.float32)
     arrays = [splats[name].numpy() for name in ("centres", "factors", "opacities", "colours", "depths")]
-    rows = raster_bins.gather(drawing_order(arrays[-1]), *arrays, height)
+    rows = raster_bins.gather(drawing_order(arrays[-1]), height, *arrays)
     bins = raster_bins.bin_tiles(rows, width, height)
     pairs = contributing_pairs(rows, bins.starts, bins.entries[:, raster_bins.RANK].copy(), width, height)
     works = {

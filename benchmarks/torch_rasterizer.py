@@ -19,7 +19,7 @@ def tile_lists(splats: dict[str, Tensor], width: int, height: int) -> list[np.nd
     arrays = {name: value.detach().numpy() for name, value in splats.items()}
     order = drawing_order(arrays["depths"])
     names = ("centres", "factors", "opacities", "colours", "depths")
-    rows = raster_bins.gather(order, *(arrays[name] for name in names), height)
+    rows = raster_bins.gather(order, height, *(arrays[name] for name in names))
     bins = raster_bins.bin_tiles(rows, width, height)
     return [order[bins.entries[a:b, RANK]] for a, b in itertools.pairwise(bins.starts)]
 

@@ -8,9 +8,10 @@ computed in float64; memory is float32.
 """
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from stages.control.quaternion_kernels import FAST, Quaternion, row, unit, unit_adjoint
+from stages.shared.threads import spread
 
 BLOCK = 1024
 """Gaussians per task; the camera's gradient is summed per block, so it does not depend on the thread count."""
@@ -20,6 +21,7 @@ MARGIN = 0.3
 """J is evaluated inside the field of view widened by this share: beyond, the linearisation explodes (as in gsplat)."""
 Vector = tuple[float, float, float]
 Rows = tuple[Vector, Vector, Vector]
+Limits = tuple[float, float, float, float]
 """Tuples stay in registers; small arrays inside the loops would cost more than the arithmetic."""
 
 
@@ -92,18 +94,12 @@ def _rotation_adjoint(quat: Quaternion, g: Rows) -> Quaternion:
     )
 
 
-@njit(**FAST)
-def _limits(K: np.ndarray, width: int, height: int) -> tuple[float, float, float, float]:
+def _limits(K: np.ndarray, width: int, height: int) -> Limits:
     """Range of x/z and of y/z where J is evaluated; pixel centres at integers: the image spans -0.5 .. width - 0.5."""
-    left, right = (
-        (-0.5 - MARGIN * width / 2 - K[0, 2]) / K[0, 0],
-        (width - 0.5 + MARGIN * width / 2 - K[0, 2]) / K[0, 0],
-    )
-    top, bottom = (
-        (-0.5 - MARGIN * height / 2 - K[1, 2]) / K[1, 1],
-        (height - 0.5 + MARGIN * height / 2 - K[1, 2]) / K[1, 1],
-    )
-    return left, right, top, bottom
+    left, right = -0.5 - MARGIN * width / 2, width - 0.5 + MARGIN * width / 2
+    top, bottom = -0.5 - MARGIN * height / 2, height - 0.5 + MARGIN * height / 2
+    fx, fy, cx, cy = float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2])
+    return (left - cx) / fx, (right - cx) / fx, (top - cy) / fy, (bottom - cy) / fy
 
 
 @njit(**FAST)
@@ -116,8 +112,7 @@ def _to_camera(mean: Vector, viewmat: np.ndarray) -> Vector:
 
 
 @njit(**FAST)
-def _jacobian(p: Vector, K: np.ndarray, limits: tuple[float, float, float, float],
-              viewmat: np.ndarray) -> tuple[Vector, Vector]:  # fmt: skip
+def _jacobian(p: Vector, K: np.ndarray, limits: Limits, viewmat: np.ndarray) -> tuple[Vector, Vector]:  # fmt: skip
     """The two rows of W = J R."""
     slope_x = min(max(p[0] / p[2], limits[0]), limits[1])
     slope_y = min(max(p[1] / p[2], limits[2]), limits[3])
@@ -136,15 +131,22 @@ def _covariance(u: Vector, v: Vector) -> tuple[float, float, float, Vector]:
     return _dot(u, v), _dot(v, v) + BLUR, det, normal
 
 
-@njit(parallel=True, **FAST)
 def project(means: np.ndarray, quats: np.ndarray, scales: np.ndarray, viewmat: np.ndarray, K: np.ndarray, width: int,
             height: int, near_plane: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
     """Centres [N, 2] px, factors [N, 3], depths [N]; depth 0 (and centre, factor 0) marks what is not in front."""
     N = len(means)
     centres, factors = np.zeros((N, 2), np.float32), np.zeros((N, 3), np.float32)
     depths = np.zeros(N, np.float32)
-    limits = _limits(K, width, height)
-    for i in prange(N):
+    given = means, quats, scales, viewmat, K, _limits(K, width, height), near_plane
+    spread(_project, N, *given, centres, factors, depths)
+    return centres, factors, depths
+
+
+@njit(**FAST)
+def _project(first: int, last: int, means: np.ndarray, quats: np.ndarray, scales: np.ndarray, viewmat: np.ndarray,
+             K: np.ndarray, limits: Limits, near_plane: float, centres: np.ndarray, factors: np.ndarray,
+             depths: np.ndarray) -> None:  # fmt: skip
+    for i in range(first, last):
         p = _to_camera(_vector(means, i), viewmat)
         if p[2] <= near_plane:
             continue
@@ -156,7 +158,6 @@ def project(means: np.ndarray, quats: np.ndarray, scales: np.ndarray, viewmat: n
         f0 = np.sqrt(c / (2 * det))
         factors[i, 0], factors[i, 1], factors[i, 2] = f0, -b / c * f0, 1 / np.sqrt(2 * c)
         depths[i] = p[2]
-    return centres, factors, depths
 
 
 @njit(**FAST)
@@ -172,8 +173,8 @@ def _axes_adjoint(u: Vector, v: Vector, f: Vector, g: Vector) -> tuple[Vector, V
 
 
 @njit(**FAST)
-def _camera_adjoint(mean: Vector, p: Vector, K: np.ndarray, limits: tuple[float, float, float, float],
-                    viewmat: np.ndarray, g_W: tuple[Vector, Vector], g_centre: tuple[float, float], g_depth: float,
+def _camera_adjoint(mean: Vector, p: Vector, K: np.ndarray, limits: Limits, viewmat: np.ndarray,
+                    g_W: tuple[Vector, Vector], g_centre: tuple[float, float], g_depth: float,
                     g_view: np.ndarray) -> Vector:  # fmt: skip
     """Gradient of p from those of W, the centre and the depth; that of the camera is added to g_view [4, 4]."""
     g0, g1 = g_centre[0] * K[0, 0] / p[2], g_centre[1] * K[1, 1] / p[2]
@@ -198,7 +199,6 @@ def _camera_adjoint(mean: Vector, p: Vector, K: np.ndarray, limits: tuple[float,
     return g0, g1, g2
 
 
-@njit(parallel=True, **FAST)
 def project_adjoint(means: np.ndarray, quats: np.ndarray, scales: np.ndarray, viewmat: np.ndarray, K: np.ndarray,
                     width: int, height: int, factors: np.ndarray, depths: np.ndarray, g_centres: np.ndarray,
                     g_factors: np.ndarray, g_depths: np.ndarray
@@ -207,10 +207,19 @@ def project_adjoint(means: np.ndarray, quats: np.ndarray, scales: np.ndarray, vi
     N = len(means)
     g_means, g_quats = np.zeros((N, 3), np.float32), np.zeros((N, 4), np.float32)
     g_scales = np.zeros((N, 3), np.float32)
-    blocks = (N + BLOCK - 1) // BLOCK
-    g_views = np.zeros((blocks, 4, 4))
-    limits = _limits(K, width, height)
-    for block in prange(blocks):
+    g_views = np.zeros(((N + BLOCK - 1) // BLOCK, 4, 4))
+    given = means, quats, scales, viewmat, K, _limits(K, width, height), factors, depths, g_centres, g_factors, g_depths
+    spread(_project_adjoint, len(g_views), *given, g_means, g_quats, g_scales, g_views)
+    return g_means, g_quats, g_scales, g_views.sum(axis=0)
+
+
+@njit(**FAST)
+def _project_adjoint(first: int, last: int, means: np.ndarray, quats: np.ndarray, scales: np.ndarray,
+                     viewmat: np.ndarray, K: np.ndarray, limits: Limits, factors: np.ndarray, depths: np.ndarray,
+                     g_centres: np.ndarray, g_factors: np.ndarray, g_depths: np.ndarray, g_means: np.ndarray,
+                     g_quats: np.ndarray, g_scales: np.ndarray, g_views: np.ndarray) -> None:  # fmt: skip
+    N = len(means)
+    for block in range(first, last):
         g_view = g_views[block]
         for i in range(block * BLOCK, min(N, (block + 1) * BLOCK)):
             if depths[i] == 0:
@@ -237,4 +246,3 @@ def project_adjoint(means: np.ndarray, quats: np.ndarray, scales: np.ndarray, vi
             g_means[i, 0], g_means[i, 1], g_means[i, 2] = _times(
                 g_p, (_vector(viewmat, 0), _vector(viewmat, 1), _vector(viewmat, 2))
             )
-    return g_means, g_quats, g_scales, g_views.sum(axis=0)

@@ -11,9 +11,9 @@ D, D q, D p, D q^2, D q p and D p^2. Both q and p are bounded where the splat is
 from typing import Any
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
-from stages.gaussians.raster_bins import CHUNKS, FAST, LIMIT, MASK, ONE, RANK, SLOT, TILE, WIDTH, ZERO
+from stages.gaussians.raster_bins import FAST, LIMIT, MASK, ONE, RANK, SLOT, TILE, WIDTH, ZERO
 from stages.gaussians.raster_kernels import (
     AHEAD,
     CHECK,
@@ -26,6 +26,7 @@ from stages.gaussians.raster_kernels import (
     place,
 )
 from stages.shared.lanes import LANES, load, prefetch, store, totals, trailing_zeros, where
+from stages.shared.threads import spread
 
 NOTHING = np.zeros(LANES, np.float32)
 TWO = np.float32(2)
@@ -75,17 +76,26 @@ def _adjoint_tile(entries: np.ndarray, splats: np.ndarray, x0: int, y0: int, sta
             alive = blocks_alive(state[0])
 
 
-@njit(parallel=True, **FAST)
 def composite_adjoint(splats: np.ndarray, starts: np.ndarray, entries: np.ndarray, colour: np.ndarray,
                       depth: np.ndarray, transmittance: np.ndarray, g_colour: np.ndarray, g_depth: np.ndarray,
                       g_alpha: np.ndarray) -> np.ndarray:  # fmt: skip
     """Sums [entries, LANES] over the pixels of each tile, from what `composite` gave and its gradients."""
+    sums = np.empty((len(entries), LANES), np.float32)
+    images = colour, depth, transmittance, g_colour, g_depth, g_alpha
+    spread(_composite_adjoint, len(starts) - 1, splats, starts, entries, *images, sums)
+    return sums
+
+
+@njit(**FAST)
+def _composite_adjoint(first: int, last: int, splats: np.ndarray, starts: np.ndarray, entries: np.ndarray,
+                       colour: np.ndarray, depth: np.ndarray, transmittance: np.ndarray, g_colour: np.ndarray,
+                       g_depth: np.ndarray, g_alpha: np.ndarray, sums: np.ndarray) -> None:  # fmt: skip
     height, width = transmittance.shape
     columns = (width + TILE - 1) // TILE
-    sums = np.empty((len(entries), LANES), np.float32)
-    for tile in prange(len(starts) - 1):
+    state = np.empty((6, TILE * TILE), np.float32)
+    for tile in range(first, last):
         y0, x0 = tile // columns * TILE, tile % columns * TILE
-        state = np.zeros((6, TILE * TILE), np.float32)
+        state[:] = 0
         for y in range(y0, min(y0 + TILE, height)):
             for x in range(x0, min(x0 + TILE, width)):
                 at = place(y - y0, x - x0)
@@ -96,30 +106,34 @@ def composite_adjoint(splats: np.ndarray, starts: np.ndarray, entries: np.ndarra
                     remainder += g_colour[y, x, c] * colour[y, x, c]
                 state[1, at], state[5, at] = remainder, g_depth[y, x]
         _adjoint_tile(entries[starts[tile] : starts[tile + 1]], splats, x0, y0, state, sums)
-    return sums
 
 
 Gradients = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
-@njit(parallel=True, **FAST)
 def splat_gradients(order: np.ndarray, splats: np.ndarray, slots: np.ndarray, sums: np.ndarray, N: int) -> Gradients:
     """Gradients of centres [N, 2], factors [N, 3], opacities [N], colours [N, 3] and depths [N]; zero if not drawn."""
     centres, factors, opacities = np.zeros((N, 2), np.float32), np.zeros((N, 3), np.float32), np.zeros(N, np.float32)
     colours, depths = np.zeros((N, 3), np.float32), np.zeros(N, np.float32)
-    for chunk in prange(CHUNKS):
-        m = np.empty(LANES, np.float32)
-        for rank in range(chunk * len(order) // CHUNKS, (chunk + 1) * len(order) // CHUNKS):
-            if slots[rank] == slots[rank + 1]:
-                continue
-            summed = load(NOTHING, 0)
-            for slot in range(slots[rank], slots[rank + 1]):
-                summed = summed + load(sums, LANES * slot)
-            store(m, 0, summed)
-            i, f0, f1, f2 = order[rank], splats[rank, 2], splats[rank, 3], splats[rank, 4]
-            centres[i, 0], centres[i, 1] = TWO * f0 * m[1], TWO * (f1 * m[1] + f2 * m[2])
-            factors[i, 0] = TWO * (m[3] - f1 / f2 * m[4]) / f0
-            factors[i, 1], factors[i, 2] = TWO * m[4] / f2, TWO * m[5] / f2
-            opacities[i], depths[i] = -m[0] / splats[rank, 5], m[9]
-            colours[i, 0], colours[i, 1], colours[i, 2] = m[6], m[7], m[8]
+    spread(_splat_gradients, len(order), order, splats, slots, sums, centres, factors, opacities, colours, depths)
     return centres, factors, opacities, colours, depths
+
+
+@njit(**FAST)
+def _splat_gradients(first: int, last: int, order: np.ndarray, splats: np.ndarray, slots: np.ndarray,
+                     sums: np.ndarray, centres: np.ndarray, factors: np.ndarray, opacities: np.ndarray,
+                     colours: np.ndarray, depths: np.ndarray) -> None:  # fmt: skip
+    m = np.empty(LANES, np.float32)
+    for rank in range(first, last):
+        if slots[rank] == slots[rank + 1]:
+            continue
+        summed = load(NOTHING, 0)
+        for slot in range(slots[rank], slots[rank + 1]):
+            summed = summed + load(sums, LANES * slot)
+        store(m, 0, summed)
+        i, f0, f1, f2 = order[rank], splats[rank, 2], splats[rank, 3], splats[rank, 4]
+        centres[i, 0], centres[i, 1] = TWO * f0 * m[1], TWO * (f1 * m[1] + f2 * m[2])
+        factors[i, 0] = TWO * (m[3] - f1 / f2 * m[4]) / f0
+        factors[i, 1], factors[i, 2] = TWO * m[4] / f2, TWO * m[5] / f2
+        opacities[i], depths[i] = -m[0] / splats[rank, 5], m[9]
+        colours[i, 0], colours[i, 1], colours[i, 2] = m[6], m[7], m[8]

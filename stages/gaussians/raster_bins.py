@@ -13,7 +13,9 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
+
+from stages.shared.threads import spread
 
 BLOCK = 4
 """Side of a block in pixels: its 16 pixels are the lanes of one vector."""
@@ -32,7 +34,7 @@ MARGIN = np.float32(1e-3)
 RANK, MASK, SLOT = 0, 1, 2
 """Columns of an entry: the splat's rank in drawing order, which blocks of the tile it reaches, its row of gradients."""
 
-FAST = {"cache": True, "fastmath": True, "error_model": "numpy"}
+FAST = {"cache": True, "nogil": True, "fastmath": True, "error_model": "numpy"}
 ONE, ZERO = np.float32(1), np.float32(0)
 
 
@@ -49,12 +51,18 @@ class Bins(NamedTuple):
     slots: np.ndarray
 
 
-@njit(parallel=True, **FAST)
-def gather(order: np.ndarray, centres: np.ndarray, factors: np.ndarray, opacities: np.ndarray, colours: np.ndarray,
-           depths: np.ndarray, height: int) -> np.ndarray:  # fmt: skip
-    """Splats [V, WIDTH] in the order [V] of drawing."""
-    splats = np.zeros((len(order), WIDTH), np.float32)
-    for rank in prange(len(order)):
+def gather(order: np.ndarray, height: int, centres: np.ndarray, factors: np.ndarray, opacities: np.ndarray,
+           colours: np.ndarray, depths: np.ndarray) -> np.ndarray:  # fmt: skip
+    """Splats [V, WIDTH] in the order [V] of drawing, for an image of this height."""
+    splats = np.empty((len(order), WIDTH), np.float32)
+    spread(_gather, len(order), order, centres, factors, opacities, colours, depths, height, splats)
+    return splats
+
+
+@njit(**FAST)
+def _gather(first: int, last: int, order: np.ndarray, centres: np.ndarray, factors: np.ndarray, opacities: np.ndarray,
+            colours: np.ndarray, depths: np.ndarray, height: int, splats: np.ndarray) -> None:  # fmt: skip
+    for rank in range(first, last):
         i = order[rank]
         splats[rank, 0], splats[rank, 1] = centres[i, 0], centres[i, 1]
         splats[rank, 2], splats[rank, 3], splats[rank, 4] = factors[i, 0], factors[i, 1], factors[i, 2]
@@ -62,7 +70,8 @@ def gather(order: np.ndarray, centres: np.ndarray, factors: np.ndarray, opacitie
         splats[rank, 6], splats[rank, 7], splats[rank, 8] = colours[i, 0], colours[i, 1], colours[i, 2]
         splats[rank, 9] = depths[i]
         _set_reach(splats[rank], height)
-    return splats
+        for column in range(BOTTOM + 1, WIDTH):
+            splats[rank, column] = ZERO
 
 
 @njit(inline="always", **FAST)
@@ -76,28 +85,31 @@ def _set_reach(splat: np.ndarray, height: int) -> None:
 
 
 def bin_tiles(splats: np.ndarray, width: int, height: int) -> Bins:
-    """List the splats [V, WIDTH] of every tile, front to back; tiles row by row over the image."""
-    return Bins(*_bin(splats, width, height))
+    """List the splats [V, WIDTH] of every tile, front to back; tiles row by row over the image.
 
-
-@njit(parallel=True, **FAST)
-def _bin(splats: np.ndarray, width: int, height: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A counting sort by tile over CHUNKS runs of ranks, whose pairs of tile and mask are found first."""
+    A counting sort by tile over CHUNKS runs of ranks, whose pairs of tile and mask are found first.
+    """
     V, tiles = len(splats), ((width + TILE - 1) // TILE) * ((height + TILE - 1) // TILE)
     room, used = np.zeros(CHUNKS + 1, np.int64), np.zeros(CHUNKS + 1, np.int64)
-    for chunk in prange(CHUNKS):
-        room[chunk + 1] = _room(splats[chunk * V // CHUNKS : (chunk + 1) * V // CHUNKS], width)
+    spread(_room, CHUNKS, splats, width, room)
     room = np.cumsum(room)
     pairs = np.empty((room[-1], 2), np.int32)  # too long by far where needles lie askew, but then never touched
     counts, slots = np.zeros((CHUNKS, tiles), np.int64), np.zeros(V + 1, np.int64)
-    for chunk in prange(CHUNKS):
-        used[chunk + 1] = _visit(splats, chunk, width, pairs[room[chunk] : room[chunk + 1]], counts[chunk], slots)
+    spread(_visit, CHUNKS, splats, width, pairs, room, counts, slots, used)
     used = np.cumsum(used)
-    starts = np.zeros(tiles * CHUNKS + 1, np.int64)
-    starts[1:] = np.cumsum(counts.T.copy().ravel())
+    starts = np.append(0, np.cumsum(counts.T))
     entries = np.empty((used[-1], 3), np.int32)
     cursors = starts[:-1].reshape(-1, CHUNKS).T.copy()
-    for chunk in prange(CHUNKS):
+    spread(_sort, CHUNKS, pairs, room, used, slots, cursors, entries)
+    return Bins(starts[::CHUNKS].copy(), entries, np.cumsum(slots))
+
+
+@njit(**FAST)
+def _sort(first: int, last: int, pairs: np.ndarray, room: np.ndarray, used: np.ndarray, slots: np.ndarray,
+          cursors: np.ndarray, entries: np.ndarray) -> None:  # fmt: skip
+    """Move the pairs of some chunks to where their tiles' entries are."""
+    V = len(slots) - 1
+    for chunk in range(first, last):
         n, ahead = used[chunk], room[chunk] - used[chunk]
         for rank in range(chunk * V // CHUNKS, (chunk + 1) * V // CHUNKS):
             for _ in range(slots[rank + 1]):
@@ -106,41 +118,42 @@ def _bin(splats: np.ndarray, width: int, height: int) -> tuple[np.ndarray, np.nd
                 cursors[chunk, tile] = k + 1
                 entries[k, RANK], entries[k, MASK], entries[k, SLOT] = rank, mask, n
                 n += 1
-    return starts[::CHUNKS].copy(), entries, np.cumsum(slots)
 
 
 @njit(**FAST)
-def _room(splats: np.ndarray, width: int) -> int:
-    """No fewer than the tiles that the splats reach: those of their bounding boxes."""
-    total = 0
-    for rank in range(len(splats)):
-        splat = splats[rank]
-        f0, f1, f2, rows = splat[2], splat[3], splat[4], int(splat[BOTTOM]) // TILE - int(splat[TOP]) // TILE + 1
-        reach = math.sqrt(max(splat[LIMIT] + MARGIN, ZERO) * (f1 * f1 + f2 * f2)) / (f0 * f2)
-        left, right = max(splat[0] - reach, ZERO), min(splat[0] + reach, np.float32(width - 1))
-        if rows > 0 and left <= right:
-            total += rows * (int(right) // TILE - int(left) // TILE + 2)
-    return total
+def _room(begin: int, end: int, splats: np.ndarray, width: int, room: np.ndarray) -> None:
+    """No fewer than the tiles that the splats of each chunk reach: those of their bounding boxes."""
+    V = len(splats)
+    for chunk in range(begin, end):
+        for rank in range(chunk * V // CHUNKS, (chunk + 1) * V // CHUNKS):
+            splat = splats[rank]
+            f0, f1, f2, rows = splat[2], splat[3], splat[4], int(splat[BOTTOM]) // TILE - int(splat[TOP]) // TILE + 1
+            reach = math.sqrt(max(splat[LIMIT] + MARGIN, ZERO) * (f1 * f1 + f2 * f2)) / (f0 * f2)
+            left, right = max(splat[0] - reach, ZERO), min(splat[0] + reach, np.float32(width - 1))
+            if rows > 0 and left <= right:
+                room[chunk + 1] += rows * (int(right) // TILE - int(left) // TILE + 2)
 
 
 @njit(**FAST)
-def _visit(splats: np.ndarray, chunk: int, width: int, pairs: np.ndarray, counts: np.ndarray,
-           slots: np.ndarray) -> int:  # fmt: skip
-    """Write the tile and the mask of all tiles that a chunk's splats reach; count them by tile and by splat."""
-    columns, V, n = (width + TILE - 1) // TILE, len(splats), 0
+def _visit(begin: int, end: int, splats: np.ndarray, width: int, pairs: np.ndarray, room: np.ndarray,
+           counts: np.ndarray, slots: np.ndarray, used: np.ndarray) -> None:  # fmt: skip
+    """Write the tile and the mask of all tiles that a chunk's splats reach; count them by chunk, tile and splat."""
+    columns, V = (width + TILE - 1) // TILE, len(splats)
     strips = np.empty((BLOCKS, 2), np.int64)
-    for rank in range(chunk * V // CHUNKS, (chunk + 1) * V // CHUNKS):
-        before = n
-        for row in range(int(splats[rank, TOP]) // TILE, int(splats[rank, BOTTOM]) // TILE + 1):
-            first, last = _strip_ranges(splats[rank], row * TILE, width, strips)
-            for column in range(first // BLOCKS, last // BLOCKS + 1):
-                mask = _mask(strips, column * BLOCKS)
-                if mask:
-                    pairs[n, 0], pairs[n, 1] = row * columns + column, mask
-                    counts[row * columns + column] += 1
-                    n += 1
-        slots[rank + 1] = n - before
-    return n
+    for chunk in range(begin, end):
+        n = room[chunk]
+        for rank in range(chunk * V // CHUNKS, (chunk + 1) * V // CHUNKS):
+            before = n
+            for row in range(int(splats[rank, TOP]) // TILE, int(splats[rank, BOTTOM]) // TILE + 1):
+                first, last = _strip_ranges(splats[rank], row * TILE, width, strips)
+                for column in range(first // BLOCKS, last // BLOCKS + 1):
+                    mask = _mask(strips, column * BLOCKS)
+                    if mask:
+                        pairs[n, 0], pairs[n, 1] = row * columns + column, mask
+                        counts[chunk, row * columns + column] += 1
+                        n += 1
+            slots[rank + 1] = n - before
+        used[chunk + 1] = n - room[chunk]
 
 
 @njit(inline="always", **FAST)

@@ -7,10 +7,11 @@ see `raster_bins` for splats and blocks.
 from typing import Any
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from stages.gaussians.raster_bins import BLOCK, BLOCKS, FAST, LIMIT, MASK, ONE, RANK, TILE, WIDTH, ZERO
 from stages.shared.lanes import LANES, largest, load, prefetch, store, trailing_zeros, where
+from stages.shared.threads import spread
 
 MAX_ALPHA = np.float32(0.999)
 MIN_TRANSMITTANCE = np.float32(1e-4)
@@ -102,17 +103,26 @@ def _composite_tile(entries: np.ndarray, splats: np.ndarray, x0: int, y0: int, s
                 break
 
 
-@njit(parallel=True, **FAST)
 def composite(splats: np.ndarray, starts: np.ndarray, entries: np.ndarray, background: np.ndarray, height: int,
               width: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
     """Colour [H, W, 3] over `background` [3], accumulated depth [H, W] and transmittance [H, W]."""
     colour, depth = np.empty((height, width, 3), np.float32), np.empty((height, width), np.float32)
     transmittance = np.empty((height, width), np.float32)
+    spread(_composite, len(starts) - 1, splats, starts, entries, background, colour, depth, transmittance)
+    return colour, depth, transmittance
+
+
+@njit(**FAST)
+def _composite(first: int, last: int, splats: np.ndarray, starts: np.ndarray, entries: np.ndarray,
+               background: np.ndarray, colour: np.ndarray, depth: np.ndarray,
+               transmittance: np.ndarray) -> None:  # fmt: skip
+    height, width = transmittance.shape
     columns = (width + TILE - 1) // TILE
-    for tile in prange(len(starts) - 1):
+    state = np.empty((5, TILE * TILE), np.float32)
+    for tile in range(first, last):
         y0, x0 = tile // columns * TILE, tile % columns * TILE
         rows, row_length = min(TILE, height - y0), min(TILE, width - x0)
-        state = np.zeros((5, TILE * TILE), np.float32)  # outside the image no transmittance: nothing is drawn
+        state[:] = 0  # outside the image no transmittance: nothing is drawn
         for y in range(rows):
             for x in range(row_length):
                 state[0, place(y, x)] = ONE
@@ -125,4 +135,3 @@ def composite(splats: np.ndarray, starts: np.ndarray, entries: np.ndarray, backg
                 for c in range(3):
                     colour[y0 + y, x0 + x, c] = state[1 + c, at] + T * background[c]
                 depth[y0 + y, x0 + x] = state[4, at]
-    return colour, depth, transmittance

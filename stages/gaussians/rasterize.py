@@ -149,14 +149,16 @@ class _Project(torch.autograd.Function):
                 height: int, near_plane: float) -> tuple[Tensor, Tensor, Tensor]:  # fmt: skip
         gaussians = (_float32(means), _float32(quats), _float32(scales))
         camera = (viewmat.detach().double().numpy(), K.detach().double().numpy(), width, height)
-        centres, factors, depths = projection_kernels.project(*gaussians, *camera, near_plane)
+        given = (*gaussians, *camera, near_plane)
+        centres, factors, depths = projection_kernels.project(*given)
         ctx.saved = (*gaussians, *camera, factors, depths)
         return torch.from_numpy(centres[None]), torch.from_numpy(factors), torch.from_numpy(depths)
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
         g_centres, g_factors, g_depths = map(_float32, gradients)
-        *g_gaussians, g_viewmat = projection_kernels.project_adjoint(*ctx.saved, g_centres[0], g_factors, g_depths)
+        given = (*ctx.saved, g_centres[0], g_factors, g_depths)
+        *g_gaussians, g_viewmat = projection_kernels.project_adjoint(*given)
         g_view = torch.from_numpy(g_viewmat.astype(np.float32)) if ctx.needs_input_grad[3] else None
         return (*map(torch.from_numpy, g_gaussians), g_view, None, None, None, None)
 
@@ -170,7 +172,7 @@ class _Composite(torch.autograd.Function):
         ctx.set_materialize_grads(False)
         order = drawing_order(_float32(depths))
         arrays = [_float32(tensor) for tensor in (centres[0], factors, opacities, colours, depths)]
-        splats = raster_bins.gather(order, *arrays, height)
+        splats = raster_bins.gather(order, height, *arrays)
         bins = raster_bins.bin_tiles(splats, width, height)
         images = raster_kernels.composite(splats, bins.starts, bins.entries, _float32(background), height, width)
         ctx.saved = (order, splats, bins, images, len(depths))

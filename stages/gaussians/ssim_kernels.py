@@ -5,14 +5,16 @@ planes are [planes, H, W].
 """
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
+
+from stages.shared.threads import spread
 
 RADIUS = 5
 SIGMA_PX = 1.5
 C1, C2 = np.float32(0.01**2), np.float32(0.03**2)
 STRIP = 16
 """Rows per task of the separable blur."""
-FAST = {"cache": True, "fastmath": True, "error_model": "numpy"}
+FAST = {"cache": True, "nogil": True, "fastmath": True, "error_model": "numpy"}
 
 
 def window() -> np.ndarray:
@@ -21,16 +23,20 @@ def window() -> np.ndarray:
     return (weights / weights.sum()).astype(np.float32)
 
 
-@njit(parallel=True, **FAST)
 def blur(planes: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """Separable blur of planes [P, H, W] with zero padding: vertical into a padded row, then horizontal."""
-    P, H, W = planes.shape
-    strips = (H + STRIP - 1) // STRIP
     blurred = np.empty_like(planes)
-    w = weights
-    for task in prange(P * strips):
+    strips = (planes.shape[1] + STRIP - 1) // STRIP
+    spread(_blur, len(planes) * strips, planes, weights, strips, blurred)
+    return blurred
+
+
+@njit(**FAST)
+def _blur(first: int, last: int, planes: np.ndarray, w: np.ndarray, strips: int, blurred: np.ndarray) -> None:
+    _, H, W = planes.shape
+    row = np.zeros(W + 2 * RADIUS, np.float32)
+    for task in range(first, last):
         plane, strip = task // strips, task % strips
-        row = np.zeros(W + 2 * RADIUS, np.float32)
         for y in range(strip * STRIP, min(H, strip * STRIP + STRIP)):
             row[RADIUS : RADIUS + W] = 0
             for k in range(max(0, RADIUS - y), min(2 * RADIUS + 1, H + RADIUS - y)):
@@ -42,25 +48,28 @@ def blur(planes: np.ndarray, weights: np.ndarray) -> np.ndarray:
                     + w[5] * row[x + 5] + w[6] * row[x + 6] + w[7] * row[x + 7] + w[8] * row[x + 8] + w[9] * row[x + 9]
                     + w[10] * row[x + 10]
                 )  # fmt: skip
-    return blurred
 
 
-@njit(parallel=True, **FAST)
 def products(image: np.ndarray, target: np.ndarray) -> np.ndarray:
     """Planes [3 C, H, W]: image, image^2 and image x target."""
     H, W, C = image.shape
     planes = np.empty((3 * C, H, W), np.float32)
-    for y in prange(H):
+    spread(_products, H, image, target, planes)
+    return planes
+
+
+@njit(**FAST)
+def _products(first: int, last: int, image: np.ndarray, target: np.ndarray, planes: np.ndarray) -> None:
+    _, W, C = image.shape
+    for y in range(first, last):
         for c in range(C):
             for x in range(W):
                 a = image[y, x, c]
                 planes[c, y, x] = a
                 planes[C + c, y, x] = a * a
                 planes[2 * C + c, y, x] = a * target[y, x, c]
-    return planes
 
 
-@njit(parallel=True, **FAST)
 def similarity(moments: np.ndarray, target_moments: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Sum of SSIM per row [H] float64, and its derivative by the image's moments [3 C, H, W].
 
@@ -69,10 +78,17 @@ def similarity(moments: np.ndarray, target_moments: np.ndarray) -> tuple[np.ndar
 
     SSIM = a b / (d e) with a = 2 mx my + C1, b = 2 sxy + C2, d = mx^2 + my^2 + C1, e = sxx + syy + C2.
     """
-    C, H, W = len(moments) // 3, moments.shape[1], moments.shape[2]
-    sums = np.zeros(H)
-    derivative = np.empty_like(moments)
-    for y in prange(H):
+    sums, derivative = np.zeros(moments.shape[1]), np.empty_like(moments)
+    spread(_similarity, len(sums), moments, target_moments, sums, derivative)
+    return sums, derivative
+
+
+@njit(**FAST)
+def _similarity(
+    first: int, last: int, moments: np.ndarray, target_moments: np.ndarray, sums: np.ndarray, derivative: np.ndarray
+) -> None:
+    C, W = len(moments) // 3, moments.shape[2]
+    for y in range(first, last):
         for c in range(C):
             total = 0.0
             for x in range(W):
@@ -89,19 +105,29 @@ def similarity(moments: np.ndarray, target_moments: np.ndarray) -> tuple[np.ndar
                 derivative[C + c, y, x] = by_xx
                 derivative[c, y, x] = 2 * my * b * inverse - 2 * mx * value / d - my * by_xy - 2 * mx * by_xx
             sums[y] += total
-    return sums, derivative
 
 
-@njit(parallel=True, **FAST)
 def assemble(image: np.ndarray, target: np.ndarray, blurred: np.ndarray, scale: float) -> np.ndarray:
     """Gradient [H, W, C] of scale x sum of SSIM, from the blurred derivative by the moments (the blur is symmetric)."""
-    H, W, C = image.shape
     gradient = np.empty_like(image)
-    factor = np.float32(scale)
-    for y in prange(H):
+    spread(_assemble, len(image), image, target, blurred, np.float32(scale), gradient)
+    return gradient
+
+
+@njit(**FAST)
+def _assemble(
+    first: int,
+    last: int,
+    image: np.ndarray,
+    target: np.ndarray,
+    blurred: np.ndarray,
+    factor: np.float32,
+    gradient: np.ndarray,
+) -> None:
+    _, W, C = image.shape
+    for y in range(first, last):
         for c in range(C):
             for x in range(W):
                 by_square = 2 * image[y, x, c] * blurred[C + c, y, x]
                 by_product = target[y, x, c] * blurred[2 * C + c, y, x]
                 gradient[y, x, c] = factor * (blurred[c, y, x] + by_square + by_product)
-    return gradient
