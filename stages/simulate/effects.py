@@ -5,8 +5,9 @@ one picture [H, W, 3] in linear RGB.
 """
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
+from stages.shared.threads import spread
 from stages.simulate.effect_models import Defocus, Exposure, Flicker, Fog, Noise, Shadows, Specular, Vignette
 from stages.simulate.raycast import Hits, blocked
 from stages.simulate.scene import FRAMES_PER_SECOND, Lights
@@ -45,7 +46,9 @@ def fog(effect: Fog, radiance: np.ndarray, hits: Hits, centre: np.ndarray) -> np
 def defocus(effect: Defocus, picture: np.ndarray, depth: np.ndarray) -> np.ndarray:
     """Blur by the circle of confusion of each depth [H, W], radius aperture * |1 - focus / depth| pixels."""
     radius = effect.aperture_px * np.abs(1 - effect.focus / depth)
-    return np.asarray(_gather(picture, depth, np.minimum(radius, 2 * effect.aperture_px)))
+    blurred = np.empty_like(picture)
+    spread(_gather, len(picture), picture, depth, np.minimum(radius, 2 * effect.aperture_px), blurred)
+    return blurred
 
 
 def vignette(effect: Vignette, picture: np.ndarray) -> np.ndarray:
@@ -78,13 +81,14 @@ def noise(effect: Noise, picture: np.ndarray, frame: int, seed: int) -> np.ndarr
     return np.asarray(picture + deviation * rng.standard_normal(picture.shape))
 
 
-@njit(cache=True, parallel=True)
-def _gather(picture: np.ndarray, depth: np.ndarray, radius: np.ndarray) -> np.ndarray:
+@njit(cache=True, nogil=True)
+def _gather(
+    first: int, last: int, picture: np.ndarray, depth: np.ndarray, radius: np.ndarray, blurred: np.ndarray
+) -> None:
     """Each pixel averages those whose blur circle reaches it; one behind it counts only within its own circle."""
     height, width = depth.shape
     reach = int(np.ceil(radius.max()))
-    blurred = np.empty_like(picture)
-    for y in prange(height):
+    for y in range(first, last):
         for x in range(width):
             red, green, blue, weights = 0.0, 0.0, 0.0, 0.0
             for j in range(max(y - reach, 0), min(y + reach + 1, height)):
@@ -98,4 +102,3 @@ def _gather(picture: np.ndarray, depth: np.ndarray, radius: np.ndarray) -> np.nd
                         green += w * picture[j, i, 1]
                         blue += w * picture[j, i, 2]
             blurred[y, x, 0], blurred[y, x, 1], blurred[y, x, 2] = red / weights, green / weights, blue / weights
-    return blurred

@@ -3,8 +3,9 @@
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
+from stages.shared.threads import spread
 from stages.simulate.bvh import Tree, walk
 from stages.simulate.motion import View
 from stages.simulate.world import Snapshot, World
@@ -42,7 +43,9 @@ def cast(snapshot: Snapshot, view: View, uv: np.ndarray) -> Hits:
 
 def follow(hits: Hits, world: World, snapshot: Snapshot) -> np.ndarray:
     """Where the surface points of `hits` are in another snapshot, [n, 3]; the sky is at rest."""
-    return _follow(world.faces, snapshot.vertices, hits.face, hits.bary, hits.point)
+    moved = hits.point.copy()
+    spread(_follow, len(moved), world.faces, snapshot.vertices, hits.face, hits.bary, moved)
+    return moved
 
 
 def enclosing(world: World, snapshot: Snapshot, point: np.ndarray) -> str | None:
@@ -55,14 +58,29 @@ def enclosing(world: World, snapshot: Snapshot, point: np.ndarray) -> str | None
     return world.bodies[world.body[face]].name if np.cross(b - a, c - a) @ overhead[0] > 0 else None
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
 def _nearest(
     still: Tree, moving: Tree, centre: np.ndarray, directions: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     n = len(directions)
     depth, face, bary = np.empty(n), np.empty(n, np.int64), np.zeros((n, 2))
+    spread(_find_nearest, n, still, moving, centre, directions, depth, face, bary)
+    return depth, face, bary
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _find_nearest(
+    first: int,
+    last: int,
+    still: Tree,
+    moving: Tree,
+    centre: np.ndarray,
+    directions: np.ndarray,
+    depth: np.ndarray,
+    face: np.ndarray,
+    bary: np.ndarray,
+) -> None:
     ox, oy, oz = centre[0], centre[1], centre[2]
-    for k in prange(n):
+    for k in range(first, last):
         dx, dy, dz = directions[k, 0], directions[k, 1], directions[k, 2]
         t, hit, u, v = walk(still, ox, oy, oz, dx, dy, dz, FAR, False)
         face[k] = still.faces[hit] if hit >= 0 else SKY
@@ -74,10 +92,8 @@ def _nearest(
             inside = DOME_M * DOME_M - ox * ox - oy * oy - oz * oz
             t = (np.sqrt(half * half + square * inside) - half) / square
         depth[k], bary[k, 0], bary[k, 1] = t, u, v
-    return depth, face, bary
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
 def blocked(
     still: Tree, moving: Tree, points: np.ndarray, source: np.ndarray, directional: bool, slack: float
 ) -> np.ndarray:
@@ -85,9 +101,24 @@ def blocked(
 
     `slack` is how much of the way next to the point does not count, relative for a point source, metres otherwise.
     """
-    n = len(points)
-    between = np.empty(n, np.bool_)
-    for k in prange(n):
+    between = np.empty(len(points), np.bool_)
+    spread(_find_blocked, len(points), still, moving, points, source, directional, slack, between)
+    return between
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _find_blocked(
+    first: int,
+    last: int,
+    still: Tree,
+    moving: Tree,
+    points: np.ndarray,
+    source: np.ndarray,
+    directional: bool,
+    slack: float,
+    between: np.ndarray,
+) -> None:
+    for k in range(first, last):
         px, py, pz = points[k, 0], points[k, 1], points[k, 2]
         if directional:
             dx, dy, dz = source[0], source[1], source[2]
@@ -99,18 +130,21 @@ def blocked(
         if hit < 0:
             hit = walk(moving, ox, oy, oz, dx, dy, dz, reach, True)[1]
         between[k] = hit >= 0
-    return between
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True)
 def _follow(
-    faces: np.ndarray, vertices: np.ndarray, face: np.ndarray, bary: np.ndarray, point: np.ndarray
-) -> np.ndarray:
-    moved = point.copy()
-    for k in prange(len(face)):
+    first: int,
+    last: int,
+    faces: np.ndarray,
+    vertices: np.ndarray,
+    face: np.ndarray,
+    bary: np.ndarray,
+    moved: np.ndarray,
+) -> None:
+    for k in range(first, last):
         if face[k] >= 0:
             a, b, c = faces[face[k], 0], faces[face[k], 1], faces[face[k], 2]
             v, w = bary[k, 0], bary[k, 1]
             for axis in range(3):
                 moved[k, axis] = (1 - v - w) * vertices[a, axis] + v * vertices[b, axis] + w * vertices[c, axis]
-    return moved

@@ -3,8 +3,9 @@
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
+from stages.shared.threads import spread
 from stages.simulate.raycast import Hits
 from stages.simulate.scene import Lights
 from stages.simulate.textures import ROUGH, fractal, noise, pattern
@@ -33,17 +34,24 @@ def surfaces(
     """Texture and orientation at `hits`, seen from a camera at `centre` [3]."""
     sky = np.array([lights.horizon, lights.zenith], float)
     mesh = (world.faces, world.body, world.rest, snapshot.normals)
-    return Surface(*_surfaces(mesh, world.materials, hits, centre, focal_px, sky, lights.clouds))
+    n = len(hits.face)
+    surface = Surface(np.empty((n, 3)), np.zeros((n, 3)), np.zeros(n))
+    spread(_surfaces, n, mesh, world.materials, hits, centre, focal_px, sky, lights.clouds, surface)
+    return surface
 
 
 def lit(surface: Surface, lights: Lights, sunlight: np.ndarray) -> np.ndarray:
     """Radiance [n, 3] under sun and sky; `sunlight` [n] is the share of the sun that arrives."""
     colours = (np.array(lights.sun), np.array(lights.sky, float), np.array(lights.bounce, float))
-    return np.asarray(_lit(surface.albedo, surface.normal, sun_direction(lights), colours, sunlight))
+    radiance = np.empty_like(surface.albedo)
+    spread(_lit, len(radiance), surface.albedo, surface.normal, sun_direction(lights), colours, sunlight, radiance)
+    return radiance
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def _surfaces(
+    first: int,
+    last: int,
     mesh: tuple[np.ndarray, ...],
     materials: Materials,
     hits: Hits,
@@ -51,12 +59,12 @@ def _surfaces(
     focal: float,
     sky: np.ndarray,
     clouds: float,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    surface: Surface,
+) -> None:
     faces, body, rest, normals = mesh
     depth, face, bary, point = hits
-    n = len(face)
-    albedo, normal, gloss = np.empty((n, 3)), np.zeros((n, 3)), np.zeros(n)
-    for k in prange(n):
+    albedo, normal, gloss = surface
+    for k in range(first, last):
         dx, dy, dz = point[k, 0] - centre[0], point[k, 1] - centre[1], point[k, 2] - centre[2]
         distance = np.sqrt(dx * dx + dy * dy + dz * dz)
         if face[k] < 0:
@@ -72,7 +80,6 @@ def _surfaces(
         footprint = depth[k] / focal / max(np.sqrt(abs(facing)), 0.3)
         _texture(materials, m, _blend(rest, a, b, c, v, w), _widest(rest, a, b, c), footprint, albedo[k])
         gloss[k] = materials.gloss[m]
-    return albedo, normal, gloss
 
 
 @njit(cache=True, inline="always")
@@ -132,18 +139,23 @@ def _sky(x: float, y: float, z: float, sky: np.ndarray, clouds: float, footprint
         out[c] = clear + cover * (0.85 - clear)
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True)
 def _lit(
-    albedo: np.ndarray, normal: np.ndarray, sun: np.ndarray, colours: tuple[np.ndarray, ...], sunlight: np.ndarray
-) -> np.ndarray:
+    first: int,
+    last: int,
+    albedo: np.ndarray,
+    normal: np.ndarray,
+    sun: np.ndarray,
+    colours: tuple[np.ndarray, ...],
+    sunlight: np.ndarray,
+    radiance: np.ndarray,
+) -> None:
     direct, above, below = colours
-    radiance = np.empty_like(albedo)
-    for k in prange(len(albedo)):
-        nx, ny, nz = normal[k]
+    for k in range(first, last):
+        nx, ny, nz = normal[k, 0], normal[k, 1], normal[k, 2]
         emits = nx == 0.0 and ny == 0.0 and nz == 0.0
         lambert = max(nx * sun[0] + ny * sun[1] + nz * sun[2], 0.0) * sunlight[k]
         up = 0.5 + 0.5 * nz
         for c in range(3):
             light = lambert * direct[c] + up * above[c] + (1 - up) * below[c]
             radiance[k, c] = albedo[k, c] if emits else albedo[k, c] * light
-    return radiance

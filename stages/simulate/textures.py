@@ -5,7 +5,9 @@ fade slowly; one finer than two pixels would alias and is left out (Perlin 1985,
 """
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
+
+from stages.shared.threads import spread
 
 PERSISTENCE = 0.78
 """Contrast of an octave relative to the next coarser one."""
@@ -66,13 +68,17 @@ def fractal(x: float, y: float, z: float, footprint: float) -> float:
     return total
 
 
-@njit(cache=True, parallel=True)
 def fractal_field(points: np.ndarray, footprint: float) -> np.ndarray:
     """`fractal` at points [n, 3] -> [n]."""
     values = np.empty(len(points))
-    for n in prange(len(points)):
-        values[n] = fractal(points[n, 0], points[n, 1], points[n, 2], footprint)
+    spread(_fractal_field, len(points), points, footprint, values)
     return values
+
+
+@njit(cache=True, nogil=True)
+def _fractal_field(first: int, last: int, points: np.ndarray, footprint: float, values: np.ndarray) -> None:
+    for n in range(first, last):
+        values[n] = fractal(points[n, 0], points[n, 1], points[n, 2], footprint)
 
 
 @njit(cache=True, inline="always")
