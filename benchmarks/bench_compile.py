@@ -42,7 +42,7 @@ def stage_commands(folder: Path) -> list[list[str]]:
     command = [sys.executable, "-m", "snakemake", "-s", str(REPO / "Snakefile"), "--directory", str(folder)]
     command += ["--cores", str(os.cpu_count()), "--dry-run", "--printshellcmds", "--configfile", "mine.yaml"]
     plan = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True)
-    return [shlex.split(line) for line in re.findall(r"python -m (stages\..*)", plan.stdout + plan.stderr)]
+    return [shlex.split(line) for line in re.findall(r"python -m (stages\..*?) 2>>", plan.stdout + plan.stderr)]
 
 
 def run_recorded(record: Path, module: str, *flags: str) -> None:

@@ -19,6 +19,9 @@ from snakemake_interface_logger_plugins.base import LogHandlerBase
 from snakemake_interface_logger_plugins.common import LogEvent
 from tqdm import tqdm
 
+from stages import kernels_compiled
+
+COMPILING = "First run on this machine: kernels are compiled on the way, once, about a minute of CPU time in all."
 REFRESH_S = 0.5
 BAR = "{percentage:3.0f} % |{bar:20}| {n_fmt} of {total_fmt} jobs, {elapsed}{postfix}"
 PROGRESS = re.compile(r": (\d+) of (\d+)$", re.MULTILINE)
@@ -117,6 +120,8 @@ class LogHandler(LogHandlerBase):
 
     def _start(self, total: int) -> None:
         """Show the bar, where there is a terminal to show it on."""
+        if total and not kernels_compiled():
+            self._print(COMPILING)
         if self.bar is not None or not total or not self.stream.isatty():
             return
         self.bar = tqdm(total=total, file=self.stream, bar_format=BAR, leave=False, disable=False)

@@ -16,3 +16,8 @@ os.environ["OPENBLAS_NUM_THREADS"] = "1"
 os.environ.setdefault("OMP_NUM_THREADS", str(os.cpu_count() or 1))
 os.environ.setdefault("NUMBA_NUM_THREADS", os.environ["OMP_NUM_THREADS"])
 os.environ.setdefault("NUMBA_CACHE_DIR", str(Path(sys.prefix) / "numba_cache"))
+
+
+def kernels_compiled() -> bool:
+    """Whether this machine keeps compiled kernels already: a run that finds none compiles them, once."""
+    return next(Path(os.environ["NUMBA_CACHE_DIR"]).glob("*/*.nbc"), None) is not None

@@ -12,7 +12,7 @@ import pytest
 from snakemake.settings.types import OutputSettings
 from snakemake_interface_logger_plugins.common import LogEvent
 
-from snakemake_logger_plugin_motionsplat import LogHandler
+from snakemake_logger_plugin_motionsplat import COMPILING, LogHandler
 from stages.shared import log
 
 
@@ -23,9 +23,10 @@ class Terminal(io.StringIO):
         return True
 
 
-def handler(stream: io.StringIO, monkeypatch: pytest.MonkeyPatch) -> LogHandler:
-    """The handler of a run whose standard error is `stream`."""
+def handler(stream: io.StringIO, monkeypatch: pytest.MonkeyPatch, compiled: bool = True) -> LogHandler:
+    """The handler of a run whose standard error is `stream`, on a machine that has compiled kernels or none."""
     monkeypatch.setattr(sys, "stderr", stream)
+    monkeypatch.setattr("snakemake_logger_plugin_motionsplat.kernels_compiled", lambda: compiled)
     made = LogHandler(OutputSettings(), None)
     made.setFormatter(logging.Formatter("%(message)s"))
     return made
@@ -69,6 +70,14 @@ def test_a_finished_stage_is_one_line_with_its_seconds_and_its_result(
     assert [" ".join(line.split()) for line in lines[:1]] == ["ba demo fast round1 4.4 s 14 of 14 frames"]
     assert lines[1].startswith("report ")
     assert lines[2:] == ["warning: demo fast round1: ba: demo: doubtful: rough path", f"The report: {page}"]
+
+
+def test_the_first_run_on_a_machine_says_once_that_kernels_are_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
+    stream = io.StringIO()
+    shown = handler(stream, monkeypatch, compiled=False)
+    tell(shown, LogEvent.RUN_INFO, stats={"total": 5})
+    shown.close()
+    assert stream.getvalue().splitlines() == [COMPILING]
 
 
 def test_a_failed_stage_is_told_with_the_last_words_of_its_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

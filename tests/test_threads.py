@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stages.shared.threads import kernels_compiled, spread
+from stages import kernels_compiled
+from stages.shared.threads import spread
 
 
 @pytest.mark.parametrize("threads", ["1", "2", "7"])

@@ -4,7 +4,6 @@ import functools
 import os
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 from typing import Any, TypeVar
 
 import cv2
@@ -57,8 +56,3 @@ def spread(kernel: Callable[..., Any], count: int, *arguments: Any) -> None:
 @functools.cache
 def _pool(threads: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(threads)
-
-
-def kernels_compiled() -> bool:
-    """Whether this machine keeps compiled kernels already: a run that finds none compiles them, once."""
-    return next(Path(os.environ["NUMBA_CACHE_DIR"]).glob("*/*.nbc"), None) is not None
