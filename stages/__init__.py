@@ -10,7 +10,7 @@ START_S = time.perf_counter()
 
 # Read once, when libgomp and OpenBLAS load, hence before numpy or torch:
 # spinning OpenMP threads cost 2-20x when two jobs share two cores, and a multi-threaded BLAS
-# inside a numba prange costs 5-10x. Snakemake sets OMP_NUM_THREADS from `threads:`.
+# below our own threads costs 5-10x. Snakemake sets OMP_NUM_THREADS from `threads:`.
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 os.environ["OPENBLAS_NUM_THREADS"] = "1"
 os.environ.setdefault("OMP_NUM_THREADS", str(os.cpu_count() or 1))
