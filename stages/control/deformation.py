@@ -4,9 +4,10 @@ Both map times 0..1 to a rotation and a translation per control point, relative 
 """
 
 import abc
+import contextlib
 import itertools
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -114,7 +115,7 @@ class TableDeformation(Deformation):
 
     def raw_motion(self, times: Tensor) -> Tensor:
         basis = spline_basis(self.knots, times.detach().cpu().numpy())
-        return torch.einsum("bf,fpc->bpc", basis.to(self.table), self.table)
+        return at_times(basis, self.table)
 
     def bending(self) -> Tensor:
         """Mean squared second difference of the translations between knots, in squared scene units; 0 below 3 knots."""
@@ -123,6 +124,41 @@ class TableDeformation(Deformation):
         steps = torch.diff(self.knots).to(self.table) * (len(self.knots) - 1)
         speeds = torch.diff(self.table[..., 4:], dim=0) * self.extent / steps[:, None, None]
         return torch.diff(speeds, dim=0).square().sum(-1).mean()
+
+
+@contextlib.contextmanager
+def one_torch_thread() -> Iterator[None]:
+    """Torch on one thread, as block or decorator: with more, its sums and products round by their number.
+
+    For tensors that are too small for more threads to pay; compiled kernels keep theirs.
+    """
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+def at_times(basis: Tensor, table: Tensor) -> Tensor:
+    """Values [B, P, C] of a table [F, P, C] at knots, at the times whose weights `spline_basis` [B, F] gives."""
+    values: Tensor = _AtTimes.apply(basis.to(table), table)  # type: ignore[no-untyped-call]
+    return values
+
+
+class _AtTimes(torch.autograd.Function):
+    """On one thread also backwards: products of matrices of this shape round by the number of threads."""
+
+    @staticmethod
+    def forward(ctx: Any, basis: Tensor, table: Tensor) -> Tensor:
+        ctx.save_for_backward(basis)
+        with one_torch_thread():
+            return torch.einsum("bf,fpc->bpc", basis, table)
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[None, Tensor]:
+        with one_torch_thread():
+            return None, torch.einsum("bf,bpc->fpc", *ctx.saved_tensors, gradients[0])
 
 
 def spline_basis(knots: Tensor, times: np.ndarray) -> Tensor:

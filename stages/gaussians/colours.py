@@ -4,7 +4,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from stages.control.deformation import spline_basis
+from stages.control.deformation import at_times, spline_basis
 from stages.control.lbs import blend_values
 
 
@@ -29,5 +29,5 @@ class ColourTable(torch.nn.Module):
             weights: [N, K] skinning weights; they get no gradient, so that colour never drives the motion's kernels.
             index: [N, K] control points.
         """
-        of_points = torch.einsum("f,fpc->pc", spline_basis(self.knots, np.array([time]))[0].to(self.table), self.table)
-        return blend_values(of_points, weights, index)
+        of_points = at_times(spline_basis(self.knots, np.array([time])), self.table)
+        return blend_values(of_points[0], weights, index)

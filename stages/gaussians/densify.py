@@ -58,7 +58,7 @@ def densify(cloud: Cloud, gradient: Tensor, max_gaussians: int) -> tuple[Cloud, 
     alive = torch.nonzero(cloud.logits.sigmoid() > MIN_OPACITY)[:, 0]
     room = max(0, min(int(GROWTH * len(alive)), max_gaussians - len(alive)))
     pulled = gradient[alive]
-    wanted = int((pulled > MIN_GRADIENT * pulled.mean()).sum()) if len(alive) else 0
+    wanted = int((pulled > MIN_GRADIENT * float(pulled.cpu().numpy().mean())).sum()) if len(alive) else 0
     chosen = alive[pulled.topk(min(room, wanted)).indices]
     is_chosen = torch.zeros_like(cloud.dynamic)
     is_chosen[chosen] = True

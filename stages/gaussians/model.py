@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from stages.control.deformation import Deformation
+from stages.control.deformation import Deformation, one_torch_thread
 from stages.control.lbs import blend, lbs_weights, neighbours
 from stages.gaussians.colours import ColourTable
 from stages.gaussians.exposure import Exposure
@@ -140,11 +140,13 @@ class GaussianScene(torch.nn.Module):
         means, quats, sh_dc = self.at(time, detach)
         values = self.gaussians
         sh = sh_dc if self.sh_degree == 0 else torch.cat([sh_dc, values["sh_rest"]], dim=1)
+        with one_torch_thread():  # what is left over beside whole vectors is rounded otherwise, and threads move it
+            scales, opacities = values["log_scales"].exp(), values["logits"].sigmoid()
         rendering = rasterize(
             means,
             quats,
-            values["log_scales"].exp(),
-            values["logits"].sigmoid(),
+            scales,
+            opacities,
             sh,
             viewmat[None],
             K[None],

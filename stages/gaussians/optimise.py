@@ -53,6 +53,11 @@ class History:
     seconds: list[float] = field(default_factory=list)
 
 
+def mean_by_rows(image: Tensor) -> Tensor:
+    """Mean of an image [H, W, C], row by row: a sum over all of it torch would split by the number of its threads."""
+    return image.mean(dim=(1, 2)).mean()
+
+
 class Trainer:
     """The scene with its optimiser; `step` runs from 0 to options.steps and everything else follows from it."""
 
@@ -93,7 +98,7 @@ class Trainer:
         view.centres[0].retain_grad()
         image, weight = view.colour[0], self.options.ssim_weight
         difference = image - target.image
-        loss = (1 - weight) * difference.abs().mean() + weight * (1 - ssim(image, target))
+        loss = (1 - weight) * mean_by_rows(difference.abs()) + weight * (1 - ssim(image, target))
         if self.motion is not None and self.arap_weight > 0:
             loss = loss + self.arap_weight * arap_loss(self.motion, self._arap_times(f))
         if self.scene.poses is not None:
@@ -103,7 +108,7 @@ class Trainer:
         self.optimiser.zero_grad()
         if view.centres[0].grad is not None:
             self.record.add(view.centres[0].grad)
-        return float(loss.detach()), psnr_db(float(difference.detach().square().mean()))
+        return float(loss.detach()), psnr_db(float(mean_by_rows(difference.detach().square())))
 
     def _frame_of_step(self) -> int:
         """Frames in random order, each once per round; a function of seed and step alone, so that runs can resume."""
