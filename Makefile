@@ -4,6 +4,8 @@ VENV := .venv
 BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
 LIBRARY := library
+# Of the demo and of the results: fast, balanced (what plain `snakemake` runs) or accurate.
+PRESET := fast
 
 .PHONY: install demo results test test-long bench lint clean
 
@@ -18,13 +20,14 @@ $(INSTALLED): requirements.lock pyproject.toml
 	touch $@
 
 demo: $(INSTALLED)
-	$(BIN)/snakemake
+	$(BIN)/snakemake --config preset=$(PRESET)
 
 # The whole scene library and its page of figures; begun again, it goes on where it stopped.
 results: $(INSTALLED)
-	$(BIN)/snakemake --directory $(LIBRARY) --config scenes=all; ended=$$?; \
+	$(BIN)/snakemake --directory $(LIBRARY) --config scenes=all preset=$(PRESET); ended=$$?; \
 	$(BIN)/python -m stages.eval.results --results $(LIBRARY)/results/simulated --manifests $(LIBRARY)/simulated \
-		--scenes stages/simulate/scenes --output docs/results.md --readme README.md && exit $$ended
+		--scenes stages/simulate/scenes --output docs/results.md --readme README.md \
+		--command "make results PRESET=$(PRESET)" && exit $$ended
 
 test: lint
 	$(BIN)/pytest

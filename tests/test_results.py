@@ -11,8 +11,11 @@ import yaml
 from conftest import REPO
 
 from stages.eval import made_under, results, results_tables, scorecard
+from stages.eval.options import ResultsOptions
 from stages.shared.artifacts import write_json
 from stages.shared.errors import InputError
+
+OPTIONS = ResultsOptions(command="make results PRESET=fast")
 
 
 def _scene(name: str, status: str = "ok", **figures: Any) -> dict[str, Any]:
@@ -38,8 +41,12 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def _write(root: Path, **more: Path) -> str:
     output = root / "page.md"
-    results.main(root / "results", output, scenes=root / "scenes", manifests=root / "simulated", **more)
+    results.main(root / "results", output, OPTIONS, scenes=root / "scenes", manifests=root / "simulated", **more)
     return output.read_text()
+
+
+def test_the_page_says_by_which_command_it_was_made(finished: Path) -> None:
+    assert "`make results PRESET=fast`, 20" in _write(finished)
 
 
 def test_scenes_without_results_are_failures_and_no_scene_is_dropped(finished: Path) -> None:
@@ -114,12 +121,12 @@ def test_a_sweep_stands_on_the_page_only_if_it_belongs_to_the_run(finished: Path
 def test_data_of_ones_own_without_truth_have_a_page_too(tmp_path: Path) -> None:
     folder = run.finish(tmp_path, "mine", truth=False)
     write_json(folder / "stats/evaluate.json", {"stage": "eval.evaluate", "code": "abc", "options": {}})
-    results.main(folder.parent, tmp_path / "page.md")
+    results.main(folder.parent, tmp_path / "page.md", ResultsOptions())
     text = (tmp_path / "page.md").read_text()
     assert "| mine | 8 | moving | flagged, no truth, older code |" in text
     assert "mask IoU" not in text.partition("## Medians")[2]
     with pytest.raises(InputError, match="name a folder results/<dataset>"):
-        results.main(tmp_path, tmp_path / "other.md")
+        results.main(tmp_path, tmp_path / "other.md", ResultsOptions())
 
 
 def test_the_readme_says_what_the_page_says() -> None:

@@ -49,3 +49,9 @@ class ReportOptions(Options):
     """The HTML report."""
 
     title: str = Field("motionsplat report", description="title of the page")
+
+
+class ResultsOptions(Options):
+    """The page of results."""
+
+    command: str = Field("", description="what made the results, as the page shall say it, e.g. make results")

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Annotated
 
 from stages.eval import made_under, provenance, results_tables, summaries, tradeoff, tradeoff_report
+from stages.eval.options import ResultsOptions
 from stages.eval.results_tables import PARTS
 from stages.eval.score_images import SPLITS
 from stages.eval.scorecard import score_rows
@@ -37,29 +38,32 @@ frames, precision and recall are over the pixels of all frames; where nothing mo
 def main(
     results: Annotated[Path, In("results/<dataset>, evaluated")],
     output: Annotated[Path, Out("the page, Markdown")],
+    options: ResultsOptions,
     readme: Annotated[Path | None, In("file whose lines between the two marks are replaced by the summary")] = None,
     scenes: Annotated[Path | None, In("folder of the scene files that were to run: one without results failed")] = None,
     manifests: Annotated[Path | None, In("folder with what the simulator drew, <sequence>.json")] = None,
-) -> None:
+) -> str:
     """Write the page of results from the tables of an evaluation, and its summary into the README."""
     rows = score_rows(results, scenes, manifests)
     if not rows:
         raise InputError(results, "a result folder with sequences", "none", "name a folder results/<dataset>")
-    block = summary(rows)
+    block = summary(rows, options.command)
     with atomic(output) as partial:
         partial.write_text(page(rows, block, results))
     if readme:
         text = with_block(readme, block)
         with atomic(readme) as partial:
             partial.write_text(text)
+    return f"{len(rows)} sequences"
 
 
-def summary(rows: Sequence[Row]) -> str:
+def summary(rows: Sequence[Row], command: str) -> str:
     """The lines between the marks: where the figures come from, and the most important ones of each part."""
     parts, about = results_tables.parts_of(rows), provenance.about_run()
     commit, _, changed = about["commit"].partition(" ")
     where = f"commit {commit[:12]} {changed}".strip()
-    lines = [f"{about['written']}, {where}, {about['machine']}; {threads_of(rows)}.", ""]
+    made = [f"`{command}`"] if command else []
+    lines = [f"{', '.join([*made, about['written'], where, about['machine']])}; {threads_of(rows)}.", ""]
     lines += [f"- {PARTS[split]}: {results_tables.counts(part)}" for split, part in parts.items()]
     table = results_tables.figure_table(parts, results_tables.HEADLINE)
     return "\n".join([BEGIN, *lines, "", table.markdown(), END])
