@@ -6,6 +6,7 @@ found in their time files (`summary` and `warnings` of stats/<stage>.json) and w
 
 import json
 import logging
+import os
 import re
 import sys
 import threading
@@ -15,6 +16,7 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from snakemake.logging import DefaultFilter
+from snakemake.settings.enums import Quietness
 from snakemake_interface_logger_plugins.base import LogHandlerBase
 from snakemake_interface_logger_plugins.common import LogEvent
 from tqdm import tqdm
@@ -68,6 +70,7 @@ class LogHandler(LogHandlerBase):
             self.common_settings.dryrun,
             self.common_settings.printshellcmds,
         )
+        self.quiet = bool({Quietness.ALL, Quietness.RULES} & set(self.common_settings.quiet or ()))
         self.running: dict[int, Job] = {}
         self.last_words: dict[str, list[str]] = {"failed": [], "warning": []}
         self.page: Path | None = None
@@ -78,7 +81,13 @@ class LogHandler(LogHandlerBase):
     has_filter, has_formatter, needs_rulegraph = True, False, False
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Print what the record says to a reader, if anything."""
+        """Print what the record says to a reader, if anything. A record that cannot be read stops no others."""
+        try:
+            self._show(record)
+        except Exception:
+            self.handleError(record)
+
+    def _show(self, record: logging.LogRecord) -> None:
         event = getattr(record, "event", None)
         if self.plain:
             self._pass_on(record)
@@ -92,15 +101,22 @@ class LogHandler(LogHandlerBase):
             self._fail(vars(record)["jobid"])
         elif event == LogEvent.PROGRESS:
             self._advance(vars(record)["done"], vars(record)["total"])
+        elif record.getMessage().startswith("Nothing to be done"):
+            self._pass_on(record)
+            self.page = _page_there()
         elif event not in SILENT and not NOISE.match(record.getMessage().strip()):
             self._pass_on(record)
 
     def close(self) -> None:
         """Print what a reader must know in the end. Snakemake closes its handlers more than once."""
         self.stopped.set()
-        if self.bar is not None:
-            self.bar.close()
-            self.bar = None
+        self.acquire()
+        try:
+            if self.bar is not None:
+                self.bar.close()
+                self.bar = None
+        finally:
+            self.release()
         for kind, lines in self.last_words.items():
             for line in dict.fromkeys(lines):
                 self._print(f"{kind}: {line}")
@@ -120,9 +136,11 @@ class LogHandler(LogHandlerBase):
 
     def _start(self, total: int) -> None:
         """Show the bar, where there is a terminal to show it on."""
-        if total and not kernels_compiled():
+        if self.bar is not None or not total or self.quiet:
+            return
+        if not kernels_compiled():
             self._print(COMPILING)
-        if self.bar is not None or not total or not self.stream.isatty():
+        if not self.stream.isatty():
             return
         self.bar = tqdm(total=total, file=self.stream, bar_format=BAR, leave=False, disable=False)
         threading.Thread(target=self._refresh, daemon=True).start()
@@ -143,8 +161,9 @@ class LogHandler(LogHandlerBase):
         if job is None or job.log is None:
             return  # a target such as `all`
         stats = _read(job.stats)
-        seconds = stats.get("wall_s", time.monotonic() - job.started_s)
-        self._print(f"{job.rule:<10} {job.about:<16} {seconds:7.1f} s  {stats.get('summary') or ''}".rstrip())
+        seconds = stats.get("wall_s") or time.monotonic() - job.started_s
+        if not self.quiet:
+            self._print(f"{job.rule:<10} {job.about:<16} {seconds:7.1f} s  {stats.get('summary') or ''}".rstrip())
         self.last_words["warning"] += [f"{job.about}: {line}" for line in stats.get("warnings", [])]
         self.page = job.page or self.page
 
@@ -177,11 +196,17 @@ def _job(said: dict[str, Any]) -> Job:
     )
 
 
+def _page_there() -> Path | None:
+    """The report of an earlier run, where the workflow says that it lies; None where there is none."""
+    page = Path(os.environ.get("MOTIONSPLAT_REPORT", ""))
+    return page if page.is_file() else None
+
+
 def _read(stats: Path | None) -> dict[str, Any]:
     """The time file of a job; nothing where there is none, as for the report."""
     try:
         return dict(json.loads(stats.read_text(encoding="utf-8"))) if stats else {}
-    except (OSError, ValueError):  # on a cluster it may arrive later than the news of it
+    except (OSError, ValueError, TypeError):  # on a cluster it may arrive later than the news of it
         return {}
 
 

@@ -18,7 +18,7 @@ SIZES = {
 """The stage and the file that shows how large each thing that grows has become."""
 CONVERGENCE = "gaussians/convergence.parquet"
 SCORES = ("poses", "images", "masks", "time")
-MEASURED = tuple(stage for stage in UPSTREAM if stage not in ("colmap", "evaluate"))
+MEASURED = tuple(stage for stage in UPSTREAM if stage != "evaluate")
 """Stages whose options and code bear on what a comparison finds."""
 
 

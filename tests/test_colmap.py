@@ -54,7 +54,8 @@ def test_both_mappers_find_the_cameras_and_repeat_themselves(sequence: Path, tmp
         assert candidate.failure is None
         assert candidate.cameras is not None
         assert len(candidate.cameras.numbers) == candidate.total == len(frames.frames)
-        assert candidate.wall_s > 0
+        assert candidate.wall_s is None  # it gives way to other work: only its CPU time says something
+        assert candidate.cpu_s > 0
         errors = trajectory.pose_errors(candidate.cameras.cam_from_world, truth.cam_from_world, truth.numbers)
         assert errors.ate_percent < 1
         assert abs(trajectory.focal_error_percent(candidate.cameras.Ks, truth.Ks)) < 10

@@ -135,6 +135,7 @@ def test_every_stage_says_what_it_cost(finished: Path) -> None:
     assert stages <= {str(stage).rsplit("/", maxsplit=1)[-1] for stage in table["stage"]}
     assert np.all(table["wall_s"] > 0)
     assert np.all(table["peak_mb"] > 20)
+    assert np.all(table["threads"] >= 1)
 
 
 def test_a_sweep_runs_what_differs_and_joins_the_report(finished: Path) -> None:

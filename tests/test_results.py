@@ -54,7 +54,7 @@ def test_scenes_without_results_are_failures_and_no_scene_is_dropped(finished: P
     test, tuned = text.partition("## Test scenes")[2].split("## Tuned scenes")
     assert "| wall | 8 | moving | flagged" in test
     assert "| never_begun |  |  | failed: no results of inspect |" in test
-    assert "2 scenes: failed or partial 1 (never_begun), flagged by the adjustment 1 (wall)." in test
+    assert "2 scenes: failed or partial 1 (never_begun), flagged by the adjustment 1 (wall), " in test
     assert "| stopped | failed: no results of gaussians |" in tuned
     assert "wall" not in tuned.partition("## Medians")[0]
 
@@ -88,10 +88,13 @@ def test_medians_and_means_count_what_they_leave_out() -> None:
     assert found["rotation error where no ATE is defined, degrees"] == ("0.500", "0.500", "1 of 6")
     assert list(results_tables.parts_of([_scene("g") | {"split": "new"}, *rows])) == ["test", scorecard.OWN]
     told = results_tables.counts(rows)
-    assert told.startswith("6 scenes: failed or partial 2 (c, d), flagged by the adjustment 1 (e).")
+    assert told.startswith(
+        "6 scenes: failed or partial 2 (c, d), flagged by the adjustment 1 (e), wrong and not flagged 2 (b, f)."
+    )
     # Of a, b, c and e, for which COLMAP ran on a curved path: a is more accurate, b alone has a path.
     assert "Lower than the best of COLMAP without masks on 2 of 4 sequences" in told
-    assert results_tables.result_of(rows[5]) == "ok, straight camera"
+    assert results_tables.result_of(rows[5]) == "wrong, not flagged, straight camera"
+    assert results_tables.result_of(rows[0]) == "ok"
 
 
 def test_the_block_of_the_readme_is_replaced_and_nothing_else(finished: Path) -> None:

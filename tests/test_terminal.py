@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from snakemake.settings.enums import Quietness
 from snakemake.settings.types import OutputSettings
 from snakemake_interface_logger_plugins.common import LogEvent
 
@@ -23,11 +24,11 @@ class Terminal(io.StringIO):
         return True
 
 
-def handler(stream: io.StringIO, monkeypatch: pytest.MonkeyPatch, compiled: bool = True) -> LogHandler:
+def handler(stream: io.StringIO, monkeypatch: pytest.MonkeyPatch, compiled: bool = True, **settings: Any) -> LogHandler:
     """The handler of a run whose standard error is `stream`, on a machine that has compiled kernels or none."""
     monkeypatch.setattr(sys, "stderr", stream)
     monkeypatch.setattr("snakemake_logger_plugin_motionsplat.kernels_compiled", lambda: compiled)
-    made = LogHandler(OutputSettings(), None)
+    made = LogHandler(OutputSettings(**settings), None)
     made.setFormatter(logging.Formatter("%(message)s"))
     return made
 
@@ -78,6 +79,42 @@ def test_the_first_run_on_a_machine_says_once_that_kernels_are_compiled(monkeypa
     tell(shown, LogEvent.RUN_INFO, stats={"total": 5})
     shown.close()
     assert stream.getvalue().splitlines() == [COMPILING]
+
+
+def test_nothing_to_do_still_says_where_the_report_lies(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    page, stream = tmp_path / "index.html", io.StringIO()
+    monkeypatch.setenv("MOTIONSPLAT_REPORT", str(page))
+    for there in (False, True):
+        if there:
+            page.touch()
+        shown = handler(stream, monkeypatch)
+        tell(shown, None, "Nothing to be done (all requested files are present and up to date).")
+        shown.close()
+    nothing = "Nothing to be done (all requested files are present and up to date)."
+    assert stream.getvalue().splitlines() == [nothing, nothing, f"The report: {page}"]
+
+
+def test_quiet_leaves_failures_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    stream = Terminal()
+    shown = handler(stream, monkeypatch, compiled=False, quiet={Quietness.ALL})
+    tell(shown, LogEvent.RUN_INFO, stats={"total": 5})
+    start(shown, 1, "ba", tmp_path, seq="demo")
+    tell(shown, LogEvent.JOB_FINISHED, job_id=1)
+    assert stream.getvalue() == ""
+    start(shown, 2, "flow", tmp_path, seq="demo")
+    tell(shown, LogEvent.JOB_ERROR, jobid=2)
+    assert "flow" in stream.getvalue()
+
+
+def test_a_record_that_cannot_be_read_stops_no_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    stream = io.StringIO()
+    shown = handler(stream, monkeypatch)
+    tell(shown, LogEvent.JOB_FINISHED)  # without a number
+    start(shown, 1, "ba", tmp_path, seq="demo")
+    (tmp_path / "stats").mkdir()
+    (tmp_path / "stats/ba.json").write_text('["no object"]')
+    tell(shown, LogEvent.JOB_FINISHED, job_id=1)
+    assert stream.getvalue().splitlines()[-1].startswith("ba ")
 
 
 def test_a_failed_stage_is_told_with_the_last_words_of_its_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -24,6 +24,8 @@ PACKAGES = (
     "pycolmap",
     "snakemake",
 )
+WRITTEN = ("README.md", "docs")
+"""What the commands that measure write themselves."""
 PREDICTIONS = ("ba/poses.parquet", "masks", "gaussians/gaussians.ply", "gaussians/model.safetensors", "renders")
 
 
@@ -81,7 +83,7 @@ def about_run() -> dict[str, str]:
 
 
 def commit() -> str:
-    """The git commit of this code, with "and local changes" where the tree differs from it."""
+    """The git commit of this code, with "and local changes" where more of the tree differs than what results write."""
 
     def git(*words: str) -> str:
         return subprocess.run(
@@ -89,7 +91,8 @@ def commit() -> str:
         ).stdout.strip()
 
     try:
-        return git("rev-parse", "HEAD") + (" and local changes" if git("status", "--porcelain", "-uno") else "")
+        changed = git("status", "--porcelain", "-uno", "--", ":/", *(f":(exclude,top){path}" for path in WRITTEN))
+        return git("rev-parse", "HEAD") + (" and local changes" if changed else "")
     except (OSError, subprocess.CalledProcessError):
         return "unknown (not a git checkout)"
 

@@ -15,6 +15,8 @@ PARTS = {
     OWN: "Scenes without a split",
 }
 SHORT = {"test": "test", "tuned": "tuned", OWN: "no split"}
+WRONG_ATE_PERCENT, WRONG_ROTATION_DEG, WRONG_FOCAL_PERCENT = 1.0, 0.1, 10.0
+"""Errors beyond which a scene is called wrong: of the path, from frame to frame, of the focal length."""
 SCENE = Column("scene", "scene")
 CAMERAS = (
     SCENE,
@@ -29,7 +31,7 @@ CAMERAS = (
     Column("recall", "recall", "", 2),
     Column("still", "nothing moves: masked"),
     Column("spent", "to poses: wall / CPU, s"),
-    Column("colmap_spent", "COLMAP: wall / CPU, s"),
+    Column("colmap_cpu_s", "COLMAP: CPU", "s", 1),
     Column("flags", "flags"),
 )
 VIEWS = (
@@ -58,7 +60,6 @@ FIGURES: tuple[tuple[str, str, int], ...] = (
     ("wall_s", "all our stages, s", 0),
     ("cpu_s", "all our stages, CPU s", 0),
     ("poses_s", "to poses, s", 1),
-    ("colmap_s", "COLMAP to poses, s", 1),
     ("poses_cpu_s", "to poses, CPU s", 1),
     ("colmap_cpu_s", "COLMAP to poses, CPU s", 1),
 )
@@ -81,8 +82,7 @@ def camera_table(rows: Sequence[Row]) -> Table:
     shown = []
     for row in rows:
         words = {"scene": row["sequence"], "result": result_of(row), "still": _still(row)}
-        spent = {"spent": _spent(row, "poses"), "colmap_spent": _spent(row, "colmap")}
-        shown.append(row | words | spent)
+        shown.append(row | words | {"spent": _spent(row)})
     return Table("cameras", "Cameras and masks", "", CAMERAS, shown)
 
 
@@ -116,11 +116,24 @@ def counts(rows: Sequence[Row]) -> str:
     """How many scenes ended how, by name where not well, and on how many of them COLMAP is beaten."""
     failed = _named(rows, lambda row: row["status"] in ("failed", "partial"))
     flagged = _named(rows, lambda row: bool(row.get("doubts")) and row["status"] not in ("failed", "partial"))
+    silent = _named(rows, is_wrong_unflagged)
     told = (
-        f"{len(rows)} scene{'s' * (len(rows) != 1)}: failed or partial {failed}, flagged by the adjustment {flagged}."
+        f"{len(rows)} scene{'s' * (len(rows) != 1)}: failed or partial {failed}, flagged by the adjustment {flagged}, "
+        f"wrong and not flagged {silent}."
     )
+    given = sorted({str(row["given"]) for row in rows if row.get("given")})
+    told += f" Given as truth: {', '.join(given)}." if given else ""
     rivals = [_pair(row) for row in rows if row.get("colmap_error") and _has_path(row)]
     return f"{told} {ratios.counts(rivals)}".strip()
+
+
+def is_wrong_unflagged(row: Row) -> bool:
+    """Whether the truth shows an error that no user would expect from an unflagged result."""
+    if row["status"] in ("failed", "partial") or row.get("doubts"):
+        return False
+    limits = {"ate_percent": WRONG_ATE_PERCENT, "rotation_deg": WRONG_ROTATION_DEG}
+    limits["focal_error_percent"] = WRONG_FOCAL_PERCENT
+    return any(row.get(key) is not None and abs(row[key]) > limit for key, limit in limits.items())
 
 
 def _pair(row: Row) -> Row:
@@ -135,7 +148,7 @@ def result_of(row: Row) -> str:
     """How a scene ended, in a word or two."""
     if row["status"] in ("failed", "partial"):
         return f"{row['status']}: {row['failure']}" if row.get("failure") else str(row["status"])
-    words = ["flagged" if row.get("doubts") else "ok"]
+    words = ["flagged" if row.get("doubts") else "wrong, not flagged" if is_wrong_unflagged(row) else "ok"]
     words += [str(row["status"]).removeprefix("degenerate truth: ")] if row["status"] != "ok" else []
     words += [f"given {row['given']}"] if row.get("given") else []
     words += ["older code"] if row.get("old") else []
@@ -169,9 +182,9 @@ def _still(row: Row) -> str:
     return "" if masked is None else f"{decimal(masked, 2)} %"
 
 
-def _spent(row: Row, whose: str) -> str:
+def _spent(row: Row) -> str:
     """Wall and CPU seconds from the frames to the poses."""
-    seconds = [row.get(f"{whose}_{kind}") for kind in ("s", "cpu_s")]
+    seconds = [row.get(key) for key in ("poses_s", "poses_cpu_s")]
     return " / ".join(decimal(value, 1) for value in seconds if value is not None)
 
 

@@ -24,8 +24,8 @@ class Candidate:
     Attributes:
         cameras: the k <= total registered frames, ascending; None if there is none.
         failure: why there is none.
-        wall_s, cpu_s, threads: seconds of the whole method, and how many threads it had at most; COLMAP's are both CPU
-            seconds of its one thread.
+        wall_s, cpu_s, threads: seconds of the whole method, and how many threads it had at most. COLMAP gives way to
+            our stages: its wall seconds say nothing and are None; its one thread takes its CPU seconds on a quiet core.
         given: what it took from the truth, in words.
         decided: what our adjustment decided, the columns adjustment.DECISIONS; a baseline says nothing of it.
     """
@@ -35,7 +35,7 @@ class Candidate:
     total: int
     cameras: Cameras | None
     failure: str | None
-    wall_s: float
+    wall_s: float | None
     cpu_s: float
     threads: int
     given: str | None = None
@@ -81,7 +81,7 @@ def _variants(table: Path) -> Iterator[Candidate]:
             Ks = intrinsics(chosen["fx"], chosen["fy"], chosen["cx"], chosen["cy"])
             cameras = make_cameras(lie.from_parts(R, t), Ks, chosen["frame"])
         names = variant["method"], variant["protocol"], variant["total"]
-        costs = variant["cpu_s"], variant["cpu_s"], variant["threads"]
+        costs = None, variant["cpu_s"], variant["threads"]
         yield Candidate(*names, cameras, variant["failure"], *costs, variant["given"])
 
 
@@ -142,5 +142,5 @@ def _degenerate(error: DegenerateError, cameras: Cameras, true: Cameras) -> dict
 
 def select(cameras: Cameras, chosen: np.ndarray) -> Cameras:
     """The cameras of the frames in `chosen` [T] bool."""
-    fields = ("cam_from_world", "Ks", "numbers", "covariance", "status")
+    fields = ("cam_from_world", "Ks", "numbers", "covariance", "status", "masks_trusted")
     return replace(cameras, **{name: getattr(cameras, name)[chosen] for name in fields})

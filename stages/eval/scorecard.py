@@ -83,7 +83,6 @@ def _camera_scores(poses: Sequence[Row]) -> Row:
         "colmap": rival["method"] if rival else None,
         "colmap_percent": rival["ate_percent"] if rival else None,
         "colmap_error": error_in_words(rival) if rival else _incomplete(rivals),
-        "colmap_s": rival["wall_s"] if rival else None,
         "colmap_cpu_s": rival["cpu_s"] if rival else None,
         "colmap_threads": max((row["threads"] for row in rivals), default=None),
     }

@@ -47,7 +47,8 @@ def draw_overall(points: Sequence[Point], presets: Sequence[Point], rivals: Sequ
             _annotate(axes, point, measure)
         for k, rival in enumerate(rivals):
             _scatter(axes, [rival], measure, OTHERS[k % len(OTHERS)], 34, RIVAL_MARKERS[k % 8], label=rival.name)
-        axes.set(xlabel="wall seconds", ylabel=measure.label, xscale="log")
+        beside = "; COLMAP: CPU seconds of its one thread" if rivals else ""
+        axes.set(xlabel=f"wall seconds{beside}", ylabel=measure.label, xscale="log")
         axes.margins(x=0.12, y=0.1)
         if not measure.decibel:
             axes.set_yscale("log")

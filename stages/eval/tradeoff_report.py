@@ -160,7 +160,7 @@ def _point(row: Row, measure: Measure) -> Point | None:
 def _rivals(rows: Sequence[Row]) -> list[Point]:
     means = [row for row in summaries.pose_means(list(rows)) if row["ate_percent"] is not None]
     return [
-        Point(row["wall_s"], row["ate_percent"], row["method"], row["method"], row["failed"] + row["partial"] == 0)
+        Point(row["cpu_s"], row["ate_percent"], row["method"], row["method"], row["failed"] + row["partial"] == 0)
         for row in means
     ]
 

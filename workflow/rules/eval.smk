@@ -18,7 +18,7 @@ rule colmap:
         flags=flags("colmap"),
         masks="",
     shell:
-        "nice -n 19 python -m stages.eval.colmap --sequence {input.sequence:q} --output {output.poses:q}"
+        "OMP_NUM_THREADS=1 nice -n 19 python -m stages.eval.colmap --sequence {input.sequence:q} --output {output.poses:q}"
         " {params.masks} {params.flags} --log {log:q} --stats {output.stats:q} 2>> {log:q}"
 
 

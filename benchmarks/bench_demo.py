@@ -1,0 +1,69 @@
+"""How long `make demo` takes on a machine that has compiled no kernel yet, and on one that has.
+
+Run as `python -m benchmarks.bench_demo`; with a file, e.g. `docs/demo_times.md`, the table is written there too.
+Both runs start in an empty folder, the first with an empty cache of kernels, the second with the one it left.
+Installation is no part of it. Wall seconds mean something on an otherwise idle machine alone.
+"""
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from stages.eval.provenance import about_run
+from stages.eval.scorecard import score_row
+
+REPO = Path(__file__).parents[1]
+GOALS_S = {"no kernel compiled": 240.0, "kernels compiled": 90.0}
+
+
+def run_demo(folder: Path, cache: Path) -> tuple[float, float]:
+    """Wall and CPU seconds of the demo in an empty folder."""
+    command = [sys.executable, "-m", "snakemake", "-s", str(REPO / "Snakefile"), "--directory", str(folder)]
+    before, start_s = os.times(), time.perf_counter()
+    subprocess.run(
+        [*command, "--config", "preset=fast"],
+        cwd=REPO,
+        env=os.environ | {"NUMBA_CACHE_DIR": str(cache)},
+        check=True,
+        capture_output=True,
+    )
+    wall_s, after = time.perf_counter() - start_s, os.times()
+    return wall_s, after.children_user + after.children_system - before.children_user - before.children_system
+
+
+def main() -> None:
+    """Print the table, write it where a file is named, and fail where a goal is missed."""
+    about = about_run()
+    lines = [
+        "# How long the demo takes",
+        "",
+        "Written by `python -m benchmarks.bench_demo docs/demo_times.md`; not edited by hand.",
+        "",
+        f"{about['written']}, commit {about['commit']}, {about['machine']}; preset `fast`, installation not counted.",
+        "",
+        "| `make demo` with | wall, s | CPU, s | of it our stages / COLMAP, CPU s | goal, wall s |",
+        "| --- | ---: | ---: | --- | ---: |",
+    ]
+    missed = []
+    with tempfile.TemporaryDirectory() as name:
+        for words, goal_s in GOALS_S.items():
+            folder = Path(name) / words.replace(" ", "_")
+            folder.mkdir()
+            wall_s, cpu_s = run_demo(folder, Path(name) / "cache")
+            row = score_row(folder / "results/simulated/demo")
+            shares = f"{row['cpu_s']:.0f} / {row['colmap_cpu_s']:.0f}"
+            lines.append(f"| {words} | {wall_s:.0f} | {cpu_s:.0f} | {shares} | {goal_s:.0f} |")
+            missed += [words] if wall_s > goal_s else []
+    text = "\n".join(lines) + "\n"
+    print(text)
+    if len(sys.argv) > 1:
+        Path(sys.argv[1]).write_text(text)
+    if missed:
+        raise SystemExit(f"longer than its goal: {', '.join(missed)}")
+
+
+if __name__ == "__main__":
+    main()
