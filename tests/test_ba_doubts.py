@@ -13,8 +13,8 @@ from stages.shared import lie
 
 TWISTS = np.arange(8)[:, None] * np.array([0.1, 0, 0.02, 0, 0.01, 0])
 BEND = (1 - np.cos(np.arange(8)))[:, None] * np.array([0, 0.1, 0, 0, 0, 0])
-MOVING = Statistics(5, 2.0, 1.0, 4.0, 0.1, 3.0, 0.2, 6.0)
-STILL = replace(MOVING, flow_px=0.1, rotation_px=0.05)
+MOVING = Statistics(5, 2.0, 1.0, 4.0, 0.1, 0.1, 3.0, 0.2, 6.0)
+STILL = replace(MOVING, flow_px=0.1, rotation_1_px=0.05, rotation_px=0.05)
 RIVAL = "rival costs the same"
 
 

@@ -107,6 +107,20 @@ def test_noise_does_not_hide_that_a_camera_travels(motion: str) -> None:
     assert classify.measure(graph, None, 0).camera == "moving"
 
 
+def test_a_fast_camera_is_told_by_neighbours_where_only_the_distance_is_matched_further() -> None:
+    """What it passes leaves the picture or blurs: over several frames a rotation explains what is left."""
+    scene = make_scene(motion="curve", size=(160, 400), T=10)
+    turning = scene.cam_from_world.copy()
+    turning[:, :3, 3] = 0
+    views = (scene, replace(scene, cam_from_world=turning))
+    graph, turned = (observe(view, offsets=(1, 5), stride=10, noise_px=0.05) for view in views)
+    far = (np.abs(graph.target - graph.source) > 1)[:, None, None]
+    mixed = replace(graph, matches=np.where(far, turned.matches, graph.matches))
+    statistics = classify.measure(mixed, scene.focal_px, 0)
+    assert statistics.rotation_px < statistics.rotation_1_px
+    assert statistics.camera == "moving"
+
+
 def test_a_pan_is_not_taken_for_a_mover_that_it_follows() -> None:
     """Four matches in ten rest in the picture, where a fit that starts from no rotation stays."""
     rng, focal_px = np.random.default_rng(0), 400.0

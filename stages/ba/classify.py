@@ -46,7 +46,8 @@ class Statistics:
         flow_px: length of the flow between neighbours.
         rotation_1_px, rotation_px: what a rotation leaves unexplained, between neighbours and over the long baseline,
             at the focal length that explains all pairs best.
-        sampson_px, homography_px: the same for epipolar geometry and for a homography, over the long baseline.
+        sampson_1_px, sampson_px: the same for epipolar geometry.
+        homography_px: for a homography, over the long baseline.
         most_sampson_px, most_homography_px: what these leave of four matches in five, at most.
     """
 
@@ -54,6 +55,7 @@ class Statistics:
     flow_px: float
     rotation_1_px: float
     rotation_px: float
+    sampson_1_px: float
     sampson_px: float
     homography_px: float
     most_sampson_px: float
@@ -64,9 +66,12 @@ class Statistics:
         """Class of the camera motion: "moving", "rotating" or "near-still".
 
         It is moving if what a rotation leaves is of another kind than the noise of the flow. The noise is what epipolar
-        geometry leaves of the same matches, and so grows with the length of the flow as theirs does.
+        geometry leaves of the same matches, and so grows with the length of the flow as theirs does. Neighbours decide
+        as well as the long baseline: what a fast camera passes is matched between neighbours alone, and over several
+        frames only the distance is left, which turns.
         """
-        if self.rotation_px >= RESIDUAL_RATIO * NOISE_RATIO * max(self.sampson_px, FLOOR_PX):
+        pairs = (self.rotation_1_px, self.sampson_1_px), (self.rotation_px, self.sampson_px)
+        if any(turned >= RESIDUAL_RATIO * NOISE_RATIO * max(noise, FLOOR_PX) for turned, noise in pairs):
             return "moving"
         return "rotating" if self.flow_px > STILL_PX else "near-still"
 
@@ -105,6 +110,7 @@ def measure(graph: FlowGraph, focal_px: float | None, seed: int, baseline: int =
         _median(flow),
         _median([_rotation(graph, pair, best) for pair in near]),
         _median([_rotation(graph, pair, best) for pair in far]),
+        _median([np.median(_sampson(graph, pair, best, seed)) for pair in near]),
         _median([np.median(residuals) for residuals in sampson]),
         _median([np.median(residuals) for residuals in homography]),
         _median([np.percentile(residuals, MOST, method="lower") for residuals in sampson]),

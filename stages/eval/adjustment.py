@@ -31,13 +31,18 @@ STATISTICS: Mapping[str, tuple[str, str, str]] = {
     "rotation_1_px": (
         "left by a rotation, neighbouring frames",
         "px",
-        "Nothing by itself: the next line shows how the camera's travel adds up.",
+        "At the focal length that suits a rotation best. Up to seven times what the epipolar geometry leaves of the "
+        "same frames can be noise: more, here or on the next line, and the camera is moving.",
     ),
     "rotation_px": (
         "left by a rotation, long baseline",
         "px",
-        "At the focal length that suits it best. Up to seven times the epipolar residual can be noise: more, and the "
-        "camera is moving.",
+        "The same over more frames, where slow travel adds up.",
+    ),
+    "sampson_1_px": (
+        "left by the epipolar geometry (Sampson), neighbouring frames",
+        "px",
+        "The noise of the flow between neighbours.",
     ),
     "sampson_px": (
         "left by the epipolar geometry (Sampson), median",
