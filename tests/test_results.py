@@ -53,9 +53,10 @@ def test_scenes_without_results_are_failures_and_no_scene_is_dropped(finished: P
     text = _write(finished)
     test, tuned = text.partition("## Test scenes")[2].split("## Tuned scenes")
     assert "| wall | 8 | moving | flagged" in test
-    assert "| never_begun |  |  | failed: no results of inspect |" in test
-    assert "2 scenes: failed or partial 1 (never_begun), flagged by the adjustment 1 (wall), " in test
-    assert "| stopped | failed: no results of gaussians |" in tuned
+    assert "| never_begun |  |  | no results of inspect |" in test
+    assert "2 scenes: failed or partial 0, flagged by the adjustment 1 (wall), " in test
+    assert "without results of every stage 1 (never_begun)." in test
+    assert "| stopped | no results of gaussians |" in tuned
     assert "wall" not in tuned.partition("## Medians")[0]
 
 
@@ -89,7 +90,7 @@ def test_medians_and_means_count_what_they_leave_out() -> None:
     assert list(results_tables.parts_of([_scene("g") | {"split": "new"}, *rows])) == ["test", scorecard.OWN]
     told = results_tables.counts(rows)
     assert told.startswith(
-        "6 scenes: failed or partial 2 (c, d), flagged by the adjustment 1 (e), wrong and not flagged 2 (b, f)."
+        "6 scenes: failed or partial 2 (c, d), flagged by the adjustment 1 (e), wrong and not flagged 2 (b, f),"
     )
     # Of a, b, c and e, for which COLMAP ran on a curved path: a is more accurate, b alone has a path.
     assert "Lower than the best of COLMAP without masks on 2 of 4 sequences" in told

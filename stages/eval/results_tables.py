@@ -114,12 +114,13 @@ def figure_table(parts: dict[str, list[Row]], keys: Sequence[str] = ()) -> Table
 
 def counts(rows: Sequence[Row]) -> str:
     """How many scenes ended how, by name where not well, and on how many of them COLMAP is beaten."""
-    failed = _named(rows, lambda row: row["status"] in ("failed", "partial"))
+    failed = _named(rows, lambda row: row["status"] in ("failed", "partial") and not row.get("missing"))
+    missing = _named(rows, lambda row: bool(row.get("missing")))
     flagged = _named(rows, lambda row: bool(row.get("doubts")) and row["status"] not in ("failed", "partial"))
     silent = _named(rows, is_wrong_unflagged)
     told = (
         f"{len(rows)} scene{'s' * (len(rows) != 1)}: failed or partial {failed}, flagged by the adjustment {flagged}, "
-        f"wrong and not flagged {silent}."
+        f"wrong and not flagged {silent}, without results of every stage {missing}."
     )
     given = sorted({str(row["given"]) for row in rows if row.get("given")})
     told += f" Given as truth: {', '.join(given)}." if given else ""
@@ -146,6 +147,8 @@ def _pair(row: Row) -> Row:
 
 def result_of(row: Row) -> str:
     """How a scene ended, in a word or two."""
+    if row.get("missing"):
+        return f"no results of {row['missing']}"
     if row["status"] in ("failed", "partial"):
         return f"{row['status']}: {row['failure']}" if row.get("failure") else str(row["status"])
     words = ["flagged" if row.get("doubts") else "wrong, not flagged" if is_wrong_unflagged(row) else "ok"]

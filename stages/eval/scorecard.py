@@ -46,11 +46,11 @@ def _split(name: str, promised: Mapping[str, Path], manifests: Path | None) -> s
 
 
 def score_row(folder: Path) -> Row:
-    """What a run reached on one sequence; `status` is "failed" with the reason in `flags` where it has no end."""
+    """What a run reached on one sequence; where it has no end, `missing` is the first stage without results."""
     ended = [stage for stage in STAGES if (folder / f"stats/{stage}.json").exists()]
     if len(ended) < len(STAGES):
         missing = next(stage for stage in STAGES if stage not in ended)
-        return {"status": "failed", "failure": f"no results of {missing}"}
+        return {"status": "failed", "missing": missing}
     tables = {kind: read_rows(folder / f"eval/{kind}.parquet") for kind in ("poses", "images", "masks", "time")}
     times = [row for row in tables["time"] if costs.is_ours(row)]
     row: Row = {"frames": len(read_json(folder / "sequence.json")["numbers"])}
