@@ -1,6 +1,6 @@
 """How long `make demo` takes on a machine that has compiled no kernel yet, and on one that has.
 
-Run as `python -m benchmarks.bench_demo`; with a file, e.g. `docs/demo_times.md`, the table is written there too.
+Run as `python -m benchmarks.bench_demo`; with the name of a file the table is written there too.
 Both runs start in an empty folder, the first with an empty cache of kernels, the second with the one it left.
 Installation is no part of it. Wall seconds mean something on an otherwise idle machine alone.
 """
@@ -40,7 +40,7 @@ def main() -> None:
     lines = [
         "# How long the demo takes",
         "",
-        "Written by `python -m benchmarks.bench_demo docs/demo_times.md`; not edited by hand.",
+        "Written by `python -m benchmarks.bench_demo`; not edited by hand.",
         "",
         f"{about['written']}, commit {about['commit']}, {about['machine']}; preset `fast`, installation not counted.",
         "",
