@@ -30,9 +30,8 @@ NO_EFFECT = 1e-3
 NOTE = (
     "Unweighted means over the swept sequences; seconds are wall and CPU time of all stages up to the result, shared "
     "ones counted in full, COLMAP and evaluation left out; to poses: up to the last adjustment. "
-    "Charts show wall seconds, which other load on the machine lengthens; on how many threads we and COLMAP ran, the "
-    "tables of poses and of time say. "
-    "PSNR and SSIM of "
+    "Charts show wall seconds, of COLMAP CPU seconds of its one thread; other load on the machine lengthens wall "
+    "seconds; on how many threads we and COLMAP ran, the tables of poses and of time say. PSNR and SSIM of "
     "held-out frames. Scored: sequences with an ATE; failed: no or partial poses."
 )
 GROWTH_NOTE = (
