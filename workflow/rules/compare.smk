@@ -3,7 +3,7 @@ TABLES = {
     "sweep": f"<results>/{DATASET}/sweep/costs.parquet",
     "scaling": f"<results>/{DATASET}/scaling/growth.parquet",
 }
-os.environ["MOTIONSPLAT_REPORT"] = f"results/{DATASET}/report/index.html"
+os.environ.update(MOTIONSPLAT_REPORT=f"results/{DATASET}/report/index.html")
 EVERY_SETTING = list(SETTINGS.values())
 
 
