@@ -7,7 +7,7 @@ import pytest
 import torch
 from numpy.lib.stride_tricks import sliding_window_view
 
-from stages import config as configuration
+from stages.configuration import config as configuration
 from stages.eval.lpips import load_lpips
 from stages.eval.options import EvaluateOptions
 from stages.eval.score_images import score_images

@@ -9,11 +9,12 @@ import pytest
 import yaml
 from conftest import REPO
 
-from stages import config as settings
+from stages.configuration import config as configuration
+from stages.configuration import datasets
 from stages.shared.errors import InputError
 from stages.shared.options import Options, to_flags, validate
 
-SECTIONS = [name for name, field in settings.Config.model_fields.items() if isinstance(field.default, Options)]
+SECTIONS = [name for name, field in configuration.Config.model_fields.items() if isinstance(field.default, Options)]
 LIGHT_SCRIPTS = [
     *("inspect.check", "flow.estimate", "flow.motion", "segment.refine", "ba.solve", "scene.decide"),
     *("eval.colmap", "eval.evaluate", "eval.report", "simulate.render"),
@@ -23,16 +24,16 @@ SCRIPTS = [*LIGHT_SCRIPTS, "control.fit", "gaussians.train", "gaussians.render"]
 
 def test_schema_is_the_committed_one() -> None:
     committed = json.loads((REPO / "workflow/schemas/config.schema.json").read_text())
-    fresh = settings.Config.model_json_schema(by_alias=True)
-    assert committed == fresh, "run: python -m stages.config > workflow/schemas/config.schema.json"
+    fresh = configuration.Config.model_json_schema(by_alias=True)
+    assert committed == fresh, "run: python -m stages.configuration > workflow/schemas/config.schema.json"
 
 
 def test_shipped_config_states_every_option_with_its_default() -> None:
     shipped = yaml.safe_load((REPO / "config.yaml").read_text())
     comparisons = {name: shipped[name] for name in ("sweep", "scaling")}  # listed there alone
-    assert settings.load(shipped) == settings.load(comparisons)
-    inherited = set(settings.SHARED_KEYS)
-    for name, field in settings.Config.model_fields.items():
+    assert configuration.load(shipped) == configuration.load(comparisons)
+    inherited = set(configuration.SHARED_KEYS)
+    for name, field in configuration.Config.model_fields.items():
         if name in SECTIONS:
             fields = set(type(field.default).model_fields) - inherited
             assert fields == set(shipped.get(name, {})), name
@@ -48,25 +49,27 @@ def test_shipped_config_explains_every_option() -> None:
 
 @pytest.mark.parametrize("name", SECTIONS)
 def test_every_option_has_a_description(name: str) -> None:
-    for option, field in type(getattr(settings.Config(), name)).model_fields.items():
+    for option, field in type(getattr(configuration.Config(), name)).model_fields.items():
         assert field.description, f"{name}.{option}"
 
 
 def test_flags_rebuild_the_options() -> None:
-    config = settings.load({"flow": {"offsets": [1, 4]}, "seed": 3})
-    assert "--offsets 1 4" in settings.flags(config, "flow")
-    assert "--seed 3" in settings.flags(config, "ba")
+    config = configuration.load({"flow": {"offsets": [1, 4]}, "seed": 3})
+    assert "--offsets 1 4" in configuration.flags(config, "flow")
+    assert "--seed 3" in configuration.flags(config, "ba")
 
 
 def test_a_section_overrides_a_shared_key() -> None:
-    config = settings.load({"seed": 3, "ba": {"seed": 4}})
-    assert "--seed 4" in settings.flags(config, "ba")
-    assert "--seed 3" in settings.flags(config, "control")
+    config = configuration.load({"seed": 3, "ba": {"seed": 4}})
+    assert "--seed 4" in configuration.flags(config, "ba")
+    assert "--seed 3" in configuration.flags(config, "control")
 
 
 def test_scenes_by_split() -> None:
     """The two words part the library: what was tuned on, and what nobody tunes on."""
-    every, tuned, test = (settings.scene_files(settings.load({"scenes": word})) for word in ("all", "tuned", "test"))
+    every, tuned, test = (
+        datasets.scene_files(configuration.load({"scenes": word})) for word in ("all", "tuned", "test")
+    )
     assert "demo" in tuned
     assert "ruin_walk" in test
     assert not tuned.keys() & test.keys()

@@ -9,9 +9,9 @@ import pytest
 import yaml
 from conftest import REPO
 
-from stages import config as configuration
-from stages import settings
-from stages.presets import PRESETS, override, value_of
+from stages.configuration import config as configuration
+from stages.configuration import datasets, plan, settings, truth_inputs
+from stages.configuration.presets import PRESETS, override, value_of
 from stages.shared import sintel
 from stages.shared.cameras import centred_intrinsics
 from stages.shared.errors import InputError
@@ -28,8 +28,8 @@ def homes(stage: str, number: int = 0, **raw: Any) -> dict[str, str]:
     """Where the results of a stage lie, by name of the setting; of the last round unless one is given."""
     raw = {"sweep": SWEEP} | raw
     every = [settings.configured(raw), *settings.compared(raw)[0]]
-    ran = [s for s in every[1:] if not number or number in settings.rounds_of(s, stage)]
-    return {s.name: settings.find_home(every, s, stage, number or s.config.rounds) for s in ran}
+    ran = [s for s in every[1:] if not number or number in plan.rounds_of(s, stage)]
+    return {s.name: plan.find_home(every, s, stage, number or s.config.rounds) for s in ran}
 
 
 def test_a_preset_sets_what_the_user_did_not() -> None:
@@ -97,19 +97,19 @@ def test_the_first_round_may_go_without_masks() -> None:
     """Then its poses depend on flow alone: no change of masks is a reason to find them again."""
     runs = {"a": {"none": {"first_masks": "none"}, "smooth": {"first_masks": "none", "segment.smoothness": 5}}}
     (plain, smooth), _ = settings.compared({"sweep": {"runs": runs, "presets": [], "knobs": {}}})
-    assert list(settings.rounds_of(plain, "motion")) == list(settings.rounds_of(plain, "segment")) == [2]
-    assert list(settings.rounds_of(plain, "ba")) == [1, 2]
+    assert list(plan.rounds_of(plain, "motion")) == list(plan.rounds_of(plain, "segment")) == [2]
+    assert list(plan.rounds_of(plain, "ba")) == [1, 2]
     every = [plain, smooth]
-    assert settings.find_home(every, smooth, "ba", 1) == "settings/a-none/round1/"
-    assert settings.find_home(every, smooth, "motion", 2) == "settings/a-none/"
-    assert settings.find_home(every, smooth, "segment", 2) == "settings/a-smooth/"
-    with pytest.raises(KeyError):
-        settings.find_home(every, smooth, "segment", 1)
+    assert plan.find_home(every, smooth, "ba", 1) == "settings/a-none/round1/"
+    assert plan.find_home(every, smooth, "motion", 2) == "settings/a-none/"
+    assert plan.find_home(every, smooth, "segment", 2) == "settings/a-smooth/"
+    with pytest.raises(ValueError, match="not in"):
+        plan.find_home(every, smooth, "segment", 1)
 
 
 def test_a_single_round_has_masks_whatever_the_first_does() -> None:
     setting = settings.configured({"first_masks": "none", "rounds": 1})
-    assert list(settings.rounds_of(setting, "segment")) == [1]
+    assert list(plan.rounds_of(setting, "segment")) == [1]
 
 
 def test_two_settings_share_what_differs_from_the_configured_run() -> None:
@@ -169,8 +169,8 @@ def test_a_setting_that_takes_truth_needs_it() -> None:
     bare = Sequence("clip", list(files.values()), list(files), 4, 4)
     full = replace(bare, truth={"motion_mask": files})
     gap = replace(bare, truth={"motion_mask": {1: files[1]}})
-    assert [settings.lacks_truth(masks, s) for s in (bare, full, gap)] == [True, False, True]
-    assert not settings.lacks_truth(none, bare)
+    assert [truth_inputs.lacks_truth(masks, s) for s in (bare, full, gap)] == [True, False, True]
+    assert not truth_inputs.lacks_truth(none, bare)
 
 
 def test_a_setting_that_takes_true_cameras_needs_one_focal_length(tmp_path: Path) -> None:
@@ -184,6 +184,9 @@ def test_a_setting_that_takes_true_cameras_needs_one_focal_length(tmp_path: Path
             path.parent.mkdir(exist_ok=True)
             sintel.write_cam(path, centred_intrinsics(90 * zoom**number, 96, 64), np.eye(3, 4))
         sequences.append(Sequence(name, list(files.values()), list(files), 96, 64, {"camdata_left": files}))
-    assert [[settings.lacks_truth(s, sequence) for s in wanted] for sequence in sequences] == [[False] * 2, [True] * 2]
+    assert [[truth_inputs.lacks_truth(s, sequence) for s in wanted] for sequence in sequences] == [
+        [False] * 2,
+        [True] * 2,
+    ]
     simulated = configuration.load({"scenes": ["demo", "glossy_zoom"]})
-    assert [configuration.zooms(simulated, name) for name in simulated.scenes] == [False, True]
+    assert [datasets.zooms(simulated, name) for name in simulated.scenes] == [False, True]

@@ -6,9 +6,10 @@ from pathlib import Path
 
 from stages.eval.tables import Row
 from stages.shared.artifacts import read_json
+from stages.shared.chain import AFTER, BEFORE, REPEATED
 
-BEFORE, REPEATED = ("inspect", "flow"), ("motion", "segment", "ba")
-AFTER = ("scene", "control", "gaussians", "render", "colmap", "colmap_masked")
+LAST = (*AFTER[:-1], "colmap", "colmap_masked")
+"""What follows the rounds, as tables list it."""
 
 
 def time_rows(name: str, files: Sequence[Path]) -> list[Row]:
@@ -53,4 +54,4 @@ def _stage_order(row: Row) -> tuple[int, ...]:
     if stage in REPEATED:
         return 1, row["round"], REPEATED.index(stage)
     before = stage in BEFORE
-    return 0 if before else 2, (BEFORE if before else AFTER).index(stage)
+    return 0 if before else 2, (BEFORE if before else LAST).index(stage)

@@ -11,12 +11,11 @@ from stages.eval.score_images import REGIONS
 from stages.eval.score_masks import PRIOR
 from stages.eval.tables import Row, decimal, read_rows
 from stages.shared.artifacts import read_json
+from stages.shared.chain import STAGES
 from stages.shared.digest import code_digest
 
 OWN = "own"
 """The split of a scene that names none."""
-STAGES = (*costs.BEFORE, *costs.REPEATED, "scene", "control", "gaussians", "render", "evaluate")
-"""In the order in which they run; each leaves a time file."""
 MOVING_PERCENT = 0.01
 """A scene in which less than this share of the pixels truly moves has no mask to overlap with."""
 

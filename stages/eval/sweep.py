@@ -5,12 +5,12 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any
 
+from stages.configuration.settings import is_baseline
 from stages.eval import made_under
 from stages.eval.costs import is_ours
 from stages.eval.score_masks import PRIOR
 from stages.eval.tables import Row, read_rows, write_rows
 from stages.eval.training_speed import compare_training
-from stages.settings import is_baseline
 from stages.shared import cli
 from stages.shared.artifacts import read_json, read_table
 from stages.shared.cli import In, Out

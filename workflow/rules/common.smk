@@ -11,8 +11,16 @@ from snakemake.utils import update_config
 REPO = Path(workflow.basedir)
 sys.path.insert(0, str(REPO))
 
-from stages import config as configuration, runs, settings
+from stages.configuration import (
+    compared_runs,
+    config as configuration,
+    datasets,
+    plan,
+    settings,
+    truth_inputs,
+)
 from stages.shared.artifacts import write_json
+from stages.shared.chain import MEASURED
 from stages.shared.digest import code_digest
 from stages.shared.errors import InputError
 
@@ -39,8 +47,8 @@ try:
     MINE = own_values()
     CONFIGURED = settings.configured(config, MINE)
     CONFIG = CONFIGURED.config
-    SEQUENCES = configuration.find_sequences(CONFIG)
-    FOLDERS = configuration.frame_folders(CONFIG)
+    SEQUENCES = datasets.find_sequences(CONFIG)
+    FOLDERS = datasets.frame_folders(CONFIG)
     SWEPT, SCALED = settings.compared(config, MINE)
     SWEPT_SEQUENCES = settings.choose_sequences(CONFIG.sweep, SEQUENCES)
     SCALED_SEQUENCES = settings.choose_sequences(CONFIG.scaling, SEQUENCES)
@@ -48,7 +56,7 @@ except InputError as error:
     sys.stderr.write(f"{error}\n")
     sys.exit(2)
 
-DATASET = configuration.dataset_name(CONFIG)
+DATASET = datasets.dataset_name(CONFIG)
 SETTINGS = {setting.folder: setting for setting in [CONFIGURED, *SWEPT, *SCALED]}
 
 
@@ -77,9 +85,7 @@ def round_number(wildcards):
 
 def artifact_path(wildcards, stage, name, number):
     """A file or folder that a stage makes in a round under the job's setting, where the stage is run for it."""
-    home = settings.find_home(
-        list(SETTINGS.values()), setting_of(wildcards), stage, number
-    )
+    home = plan.find_home(list(SETTINGS.values()), setting_of(wildcards), stage, number)
     return f"<results>/{wildcards.dataset}/{wildcards.seq}/{home}{name}"
 
 
@@ -94,7 +100,7 @@ def artifacts(stage, name):
     """The input function of what a stage makes in all of its rounds, in order; in the last if they do not repeat it."""
 
     def of_rounds(wildcards):
-        numbers = settings.rounds_of(setting_of(wildcards), stage)
+        numbers = plan.rounds_of(setting_of(wildcards), stage)
         return [artifact_path(wildcards, stage, name, number) for number in numbers]
 
     return of_rounds
@@ -120,7 +126,7 @@ def optional(stage, name, before=0):
 
     def of_job(wildcards):
         number = round_number(wildcards) - before
-        if number not in settings.rounds_of(setting_of(wildcards), stage):
+        if number not in plan.rounds_of(setting_of(wildcards), stage):
             return []
         return artifact_path(wildcards, stage, name, number)
 
@@ -141,7 +147,7 @@ def optional_flags(*names):
 
 def scene_file(wildcards):
     """The scene file of a simulated sequence."""
-    return configuration.scene_files(CONFIG)[wildcards.seq]
+    return datasets.scene_files(CONFIG)[wildcards.seq]
 
 
 def frame_folder(wildcards):
@@ -160,8 +166,7 @@ def stage_stats(wildcards):
     """The time files of every stage up to the evaluation, those of a repeated stage in the order of the rounds."""
     return [
         path
-        for stage in settings.UPSTREAM
-        if stage != "evaluate"
+        for stage in MEASURED
         for path in artifacts(stage, f"stats/{stage}.json")(wildcards)
     ]
 

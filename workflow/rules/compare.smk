@@ -11,14 +11,16 @@ def can_run(sequence, setting):
     """Whether the sequence has the truth that the setting takes as input; simulated ones have all, but may zoom."""
     if CONFIG.dataset == configuration.SIMULATED:
         return not (
-            settings.takes_one_camera(setting) and configuration.zooms(CONFIG, sequence)
+            truth_inputs.takes_one_camera(setting) and datasets.zooms(CONFIG, sequence)
         )
-    return not settings.lacks_truth(setting, SEQUENCES[sequence])
+    return not truth_inputs.lacks_truth(setting, SEQUENCES[sequence])
 
 
 def needed_by(listed):
     """All files that runs are collected from, each once."""
-    files = dict.fromkeys(path for run in listed for path in runs.needed_files(run))
+    files = dict.fromkeys(
+        path for run in listed for path in compared_runs.needed_files(run)
+    )
     return [f"<results>/{DATASET}/{path}" for path in files]
 
 

@@ -1,13 +1,13 @@
 # The same sequences under other settings: what accuracy costs (sweep), and how cost grows (scaling).
 RUNS = {
     "sweep": [
-        runs.swept_run(EVERY_SETTING, setting, name)
+        compared_runs.swept_run(EVERY_SETTING, setting, name)
         for name in SWEPT_SEQUENCES
         for setting in SWEPT
         if can_run(name, setting)
     ],
     "scaling": [
-        runs.scaled_run(EVERY_SETTING, setting, name)
+        compared_runs.scaled_run(EVERY_SETTING, setting, name)
         for name in SCALED_SEQUENCES
         for setting in SCALED
         if can_run(name, setting)

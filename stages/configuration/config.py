@@ -1,33 +1,25 @@
-"""The whole configuration: one section per script, shared keys on top, checked before any work.
+"""The whole configuration: one section per stage, shared keys on top, checked before any work."""
 
-`python -m stages.config` prints the JSON schema; workflow/schemas/config.schema.json is its committed copy.
-"""
-
-import functools
-import json
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any, Literal
 
 from pydantic import Field, field_validator
 
 from stages.ba.options import BAOptions
-from stages.comparisons import ScalingOptions, SweepOptions
+from stages.configuration.comparison_options import ScalingOptions, SweepOptions
+from stages.configuration.presets import PRESETS, Preset, override, value_of
 from stages.control.options import ControlOptions
 from stages.eval.options import ColmapOptions, EvaluateOptions, ReportOptions
 from stages.flow.options import FlowOptions, MotionOptions
 from stages.gaussians.options import GaussiansOptions, RenderOptions
 from stages.inspect.options import InspectOptions
-from stages.presets import PRESETS, Preset, override, value_of
 from stages.scene.options import SceneOptions
 from stages.segment.options import SegmentOptions
-from stages.shared.errors import InputError
 from stages.shared.options import Options, to_flags, validate
-from stages.shared.sequences import Sequence, check_sequence, choose, sequence_folders
 from stages.simulate.options import SimulateOptions
 
 SIMULATED = "simulated"
-SCENES = Path(__file__).parent / "simulate" / "scenes"
+"""The dataset of the scenes that the simulator renders."""
 
 
 class Config(Options):
@@ -107,76 +99,3 @@ def section(config: Config, name: str) -> Options:
 def flags(config: Config, name: str) -> str:
     """The command-line flags of one script."""
     return to_flags(section(config, name))
-
-
-def dataset_name(config: Config) -> str:
-    """The folder name under results/."""
-    return SIMULATED if config.dataset == SIMULATED else Path(config.dataset).resolve().name
-
-
-def find_sequences(config: Config) -> dict[str, Sequence]:
-    """The chosen sequences with frames and sizes; simulated ones as their scene files promise.
-
-    Raises:
-        InputError: for missing folders, unknown names and unreadable frames.
-    """
-    if config.dataset == SIMULATED:
-        return {name: _promised(name, scene_files(config)[name]) for name in frame_folders(config)}
-    return {name: check_sequence(name, Path(folder)) for name, folder in frame_folders(config).items()}
-
-
-def frame_folders(config: Config) -> dict[str, str]:
-    """The folder of frames of every chosen sequence; simulated ones lie under simulated/."""
-    dataset = Path(config.dataset)
-    if config.dataset == SIMULATED:
-        folders = {name: Path(SIMULATED, "training", config.pass_, name) for name in scene_files(config)}
-    else:
-        folders = sequence_folders(dataset, config.pass_)
-    return {name: str(folder) for name, folder in choose(config.sequences, folders, dataset).items()}
-
-
-def scene_files(config: Config) -> dict[str, Path]:
-    """The scenes to render, by name: the whole library or one split of it, names from it, or paths of YAML files."""
-    library = {path.stem: path for path in sorted(SCENES.glob("*.yaml"))}
-    if config.scenes == "all":
-        return library
-    if isinstance(config.scenes, str):
-        return {name: path for name, path in library.items() if _split(path) == config.scenes}
-    own = {Path(name).stem: Path(name) for name in config.scenes if name.endswith((".yaml", ".yml"))}
-    for path in own.values():
-        if not path.is_file():
-            raise InputError(path, "a scene file", "nothing there", f"library scenes: {', '.join(library)}")
-    named = [name for name in config.scenes if not name.endswith((".yaml", ".yml"))]
-    return choose(named, library, SCENES) | own
-
-
-@functools.cache
-def _split(scene: Path) -> str | None:
-    """Which part of the library a scene belongs to; remembered, as every job asks."""
-    from stages.simulate.scene import load_scene
-
-    return load_scene(scene).split
-
-
-def zooms(config: Config, name: str) -> bool:
-    """Whether the camera of a simulated sequence changes its focal length."""
-    from stages.simulate.scene import load_scene
-
-    return len({key.zoom for key in load_scene(scene_files(config)[name]).camera.keys}) > 1
-
-
-def _promised(name: str, scene: Path) -> Sequence:
-    from stages.simulate.scene import load_scene
-
-    promise = load_scene(scene)
-    numbers = list(range(1, promise.frames + 1))
-    return Sequence(name, [Path(f"frame_{n:04d}.png") for n in numbers], numbers, promise.width, promise.height)
-
-
-def main() -> None:
-    """Print the JSON schema of config.yaml."""
-    print(json.dumps(Config.model_json_schema(by_alias=True), indent=2))
-
-
-if __name__ == "__main__":
-    main()

@@ -1,49 +1,16 @@
 """Settings: sets of overrides under which the same sequences run again, sharing every stage that does not differ."""
 
-import functools
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from stages import config as configuration
-from stages.comparisons import Knobs, ScalingOptions, SweepOptions
-from stages.config import SHARED_KEYS, Config
-from stages.presets import Overrides, override, value_of
-from stages.shared import sintel
+from stages.configuration import config as configuration
+from stages.configuration.comparison_options import Knobs, ScalingOptions, SweepOptions
+from stages.configuration.config import SHARED_KEYS, Config
+from stages.configuration.presets import Overrides, override, value_of
+from stages.shared.chain import MEASURED
 from stages.shared.errors import InputError
-from stages.shared.sequences import Sequence as ImageSequence
-
-UPSTREAM = {
-    "inspect": None,
-    "colmap": "inspect",
-    "flow": "inspect",
-    "motion": "flow",
-    "segment": "motion",
-    "ba": "segment",
-    "scene": "ba",
-    "control": "scene",
-    "gaussians": "control",
-    "render": "gaussians",
-    "evaluate": "render",
-}
-"""The stage that each stage follows. What it reads from others lies further up; COLMAP aside, it is one chain."""
-
-REPEATED = ("motion", "segment", "ba")
-"""Stages that rounds repeat."""
-
-TRUTH = {
-    "intrinsics": ("camdata_left",),
-    "flow.source": ("flow", "depth", "camdata_left"),
-    "segment.source": ("motion_mask",),
-    "ba.poses_from": ("camdata_left",),
-    "ba.depth_from": ("depth",),
-}
-"""The kinds of truth that an option set to "truth" needs."""
-
-
-ONE_CAMERA = ("intrinsics", "ba.poses_from")
-"""Options that, set to "truth", need a true camera with one focal length throughout."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +98,7 @@ def _setting(
 def _refuse_data(option: str, where: str, is_knob: bool) -> None:
     """A setting changes how a sequence is processed, not which sequences there are; COLMAP is no knob of ours."""
     section, _, _ = option.partition(".")
-    stages = [stage for stage in UPSTREAM if not (is_knob and stage == "colmap")]
+    stages = [stage for stage in (*MEASURED, "evaluate") if not (is_knob and stage == "colmap")]
     if section not in (*stages, *SHARED_KEYS, "rounds", "first_masks", "preset"):
         expected = f"an option of {', '.join(stages)}, or one of {', '.join(SHARED_KEYS)}, rounds, first_masks"
         raise InputError(where, expected, f"'{option}'", "write it as section.option")
@@ -164,27 +131,6 @@ def runs_masked_baseline(setting: Setting) -> bool:
     return bool(chosen and setting.config.colmap.upsample_masked)
 
 
-def lacks_truth(setting: Setting, sequence: ImageSequence) -> bool:
-    """Whether a setting takes truth as input that the sequence has not got, or none that the adjustment can take."""
-    wanted = [option for option, value in setting.overrides.items() if value == "truth"]
-    if not all(sequence.has_truth(kind) for option in wanted for kind in TRUTH.get(option, ())):
-        return True
-    return takes_one_camera(setting) and not _has_one_camera(sequence)
-
-
-def takes_one_camera(setting: Setting) -> bool:
-    """Whether a setting takes true cameras for the adjustment, which knows one focal length for all frames."""
-    return any(setting.overrides.get(option) == "truth" for option in ONE_CAMERA)
-
-
-def _has_one_camera(sequence: ImageSequence) -> bool:
-    try:
-        sintel.read_shared_intrinsics(sequence.truth_files("camdata_left"))
-    except InputError:
-        return False
-    return True
-
-
 def _refuse_equal_folders(settings: Sequence[Setting]) -> None:
     found: dict[str, Setting] = {}
     for setting in settings:
@@ -193,51 +139,3 @@ def _refuse_equal_folders(settings: Sequence[Setting]) -> None:
             raise InputError(
                 "config.yaml: sweep", "names that differ", f"'{other.name}', '{setting.name}'", "rename one"
             )
-
-
-def rounds_of(setting: Setting, stage: str) -> range:
-    """The rounds in which a setting runs a stage: the last one for stages that rounds do not repeat.
-
-    The first of several rounds goes without masks if `first_masks` is "none".
-    """
-    rounds, without = setting.config.rounds, setting.config.first_masks == "none"
-    if stage not in REPEATED:
-        return range(rounds, rounds + 1)
-    return range(2 if stage != "ba" and without and rounds > 1 else 1, rounds + 1)
-
-
-def find_home(settings: Sequence[Setting], setting: Setting, stage: str, number: int) -> str:
-    """Where the results of a stage under a setting lie: in the folder of the first setting that makes the same ones.
-
-    Args:
-        settings: all, the configured one first.
-        number: the round that is meant, one of `rounds_of`; ignored by stages that rounds do not repeat.
-
-    Returns:
-        "", or a prefix that ends with "/": "settings/<name>/", "round1/", "settings/<name>/round1/".
-
-    Raises:
-        KeyError: if `setting` is none of the settings, or does not run the stage in that round.
-    """
-    wanted = identity(setting, stage, number)
-    for other in settings:
-        if (stage not in REPEATED or number in rounds_of(other, stage)) and identity(other, stage, number) == wanted:
-            last = stage not in REPEATED or number == other.config.rounds
-            return other.folder + ("" if last else f"round{number}/")
-    raise KeyError(f"{stage}, round {number}, under {setting.folder!r}")
-
-
-@functools.cache
-def identity(setting: Setting, stage: str, number: int) -> tuple[Any, ...]:
-    """All flags that the results of a stage depend on: its own and those of every stage before it."""
-    flags = configuration.flags(setting.config, stage)
-    if stage == "evaluate" and is_baseline(setting.overrides):  # the one stage that reads what COLMAP made
-        flags += configuration.flags(setting.config, "colmap")
-    before = "ba" if stage == "motion" and number > 1 else UPSTREAM[stage]
-    if before == "segment" and number not in rounds_of(setting, before):
-        before = "flow"
-    if before is None:
-        return stage, flags
-    if before == "ba":
-        number = number - 1 if stage == "motion" else setting.config.rounds
-    return stage, flags, identity(setting, before, number)

@@ -6,8 +6,10 @@ All paths start in the folder of the dataset under results/.
 from collections.abc import Sequence
 from typing import Any
 
-from stages.comparisons import GROWING
-from stages.settings import UPSTREAM, Setting, find_home, rounds_of
+from stages.configuration.comparison_options import GROWING
+from stages.configuration.plan import find_home, rounds_of
+from stages.configuration.settings import Setting
+from stages.shared.chain import MEASURED
 
 SIZES = {
     "frames": ("inspect", "sequence.json"),
@@ -18,8 +20,6 @@ SIZES = {
 """The stage and the file that shows how large each thing that grows has become."""
 CONVERGENCE = "gaussians/convergence.parquet"
 SCORES = ("poses", "images", "masks", "time")
-MEASURED = tuple(stage for stage in UPSTREAM if stage != "evaluate")
-"""Stages whose options and code bear on what a comparison finds."""
 
 
 def swept_run(settings: Sequence[Setting], setting: Setting, sequence: str) -> dict[str, Any]:

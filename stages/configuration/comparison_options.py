@@ -4,7 +4,7 @@ from typing import Any, Literal
 
 from pydantic import Field
 
-from stages.presets import Overrides, Preset
+from stages.configuration.presets import Overrides, Preset
 from stages.shared.options import Options
 
 Knobs = dict[str, list[Any]]

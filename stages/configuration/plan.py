@@ -1,0 +1,72 @@
+"""The steps of a setting, and where the results of each lie: settings share the steps in which they do not differ.
+
+Snakemake knows the order of stages within one setting from its files. Across settings it cannot tell that two results
+would be equal: that depends on options alone, and is decided here.
+"""
+
+import functools
+from collections.abc import Sequence
+
+from stages.configuration import config as configuration
+from stages.configuration.settings import Setting, is_baseline
+from stages.shared.chain import AFTER, BEFORE, REPEATED
+
+Step = tuple[str, int]
+"""A stage and the round in which it runs, 1, 2, ...; the last round for stages that rounds do not repeat."""
+
+
+def rounds_of(setting: Setting, stage: str) -> range:
+    """The rounds in which a setting runs a stage: the last one for stages that rounds do not repeat.
+
+    The first of several rounds goes without masks if `first_masks` is "none".
+    """
+    rounds, without = setting.config.rounds, setting.config.first_masks == "none"
+    if stage not in REPEATED:
+        return range(rounds, rounds + 1)
+    return range(2 if stage != "ba" and without and rounds > 1 else 1, rounds + 1)
+
+
+@functools.cache
+def steps(setting: Setting, stage: str) -> tuple[Step, ...]:
+    """All steps of a setting in their order, as far as a stage or its last round: each reads what some before it made.
+
+    COLMAP stands beside the chain: it reads the frames alone.
+    """
+    last = setting.config.rounds
+    if stage == "colmap":
+        return (("inspect", last), ("colmap", last))
+    repeated = [(name, n) for n in range(1, last + 1) for name in REPEATED if n in rounds_of(setting, name)]
+    chain = [*((name, last) for name in BEFORE), *repeated, *((name, last) for name in AFTER)]
+    return tuple(chain[: chain.index((stage, last)) + 1])
+
+
+@functools.cache
+def _flags_up_to(setting: Setting, stage: str, number: int) -> tuple[tuple[str, str], ...]:
+    """Every step up to one of them with its flags: equal for two settings, the results are equal."""
+    chain = steps(setting, stage)
+    chain = chain[: chain.index((stage, number)) + 1]
+    if stage == "evaluate" and is_baseline(setting.overrides):  # the one stage that reads what COLMAP made
+        chain = (*chain, ("colmap", number))
+    return tuple((name, configuration.flags(setting.config, name)) for name, _ in chain)
+
+
+def find_home(settings: Sequence[Setting], setting: Setting, stage: str, number: int) -> str:
+    """Where the results of a stage under a setting lie: in the folder of the first setting that makes the same ones.
+
+    Args:
+        settings: all, the configured one first.
+        number: the round that is meant, one of `rounds_of`; ignored by stages that rounds do not repeat.
+
+    Returns:
+        "", or a prefix that ends with "/": "settings/<name>/", "round1/", "settings/<name>/round1/".
+
+    Raises:
+        ValueError: if `setting` is none of the settings, or does not run the stage in that round.
+    """
+    wanted = _flags_up_to(setting, stage, number if stage in REPEATED else setting.config.rounds)
+    for other in settings:
+        last = other.config.rounds
+        same_round = number if stage in REPEATED else last
+        if same_round in rounds_of(other, stage) and _flags_up_to(other, stage, same_round) == wanted:
+            return other.folder + ("" if same_round == last else f"round{same_round}/")
+    raise ValueError(f"{setting.folder!r} is none of the settings")
