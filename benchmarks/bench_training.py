@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from stages.control import arap, lbs_kernels
-from stages.control.deformation import TableDeformation
+from stages.deformation import arap, lbs_kernels
+from stages.deformation.model import TableDeformation
 from stages.gaussians import projection_kernels, raster_adjoint, raster_bins, raster_kernels, ssim_kernels
 from stages.gaussians.colours import ColourTable
 from stages.gaussians.model import Cloud, GaussianScene

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from stages.control.deformation import TableDeformation
+from stages.deformation.model import TableDeformation
 from stages.gaussians.observations import Observations
 from stages.shared.artifacts import write_dense, write_json
 from stages.shared.cameras import centred_intrinsics, make_cameras, pixel_grid, write_cameras

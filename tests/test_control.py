@@ -11,18 +11,17 @@ import torch
 from scipy.spatial.transform import Rotation
 from square_inputs import write_inputs
 
-from stages.control import arap, fit
-from stages.control.deformation import (
-    Deformation,
-    MLPDeformation,
-    TableDeformation,
+from stages.control import fit
+from stages.control.options import ControlOptions
+from stages.deformation import arap
+from stages.deformation.model import Deformation, MLPDeformation, TableDeformation
+from stages.deformation.storage import (
     deformation_from_tensors,
     deformation_tensors,
     load_deformation,
     save_deformation,
     save_points,
 )
-from stages.control.options import ControlOptions
 from stages.shared.artifacts import read_metadata, read_model, read_table, write_dense
 from stages.shared.cameras import read_cameras
 from stages.shared.cli import run

@@ -11,8 +11,8 @@ from gaussian_training import psnr
 from PIL import Image
 
 from stages.control import fit
-from stages.control.deformation import save_deformation, save_points
 from stages.control.options import ControlOptions
+from stages.deformation.storage import save_deformation, save_points
 from stages.gaussians import checkpoint, render, train, view
 from stages.gaussians.checkpoint import Checkpoint
 from stages.gaussians.inputs import read_observations

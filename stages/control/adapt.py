@@ -4,9 +4,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from stages.control import lbs
 from stages.control.canonical import kernel_radii
-from stages.control.deformation import TableDeformation
+from stages.deformation import lbs
+from stages.deformation.model import TableDeformation
 
 
 def weighted_gradient(weights: Tensor, index: Tensor, gradients: Tensor, P: int) -> Tensor:

@@ -36,7 +36,7 @@ def main(
     say so.
     """
     from stages.control import picture, stage1
-    from stages.control.deformation import save_deformation, save_points
+    from stages.deformation.storage import save_deformation, save_points
 
     content, cameras, decision = read_sequence(sequence), read_cameras(poses), read_json(scene)
     failed = "failed" in cameras.status

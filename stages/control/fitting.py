@@ -11,8 +11,8 @@ import torch
 from torch import Tensor
 from torch.nn.functional import smooth_l1_loss
 
-from stages.control import arap, lbs
-from stages.control.deformation import Deformation, TableDeformation
+from stages.deformation import lbs
+from stages.deformation.model import Deformation, TableDeformation
 from stages.shared.log import progress
 
 NEIGHBOURS = 4
@@ -88,7 +88,7 @@ def _loss(
     loss = loss + DEPTH_WEIGHT * smooth_l1_loss(depths, torch.zeros_like(depths))
     spacing_sq = deformation.log_radii.detach().exp().square().mean()
     if arap_weight > 0:
-        loss = loss + arap_weight * arap.arap_loss(deformation, seen.times[frames[:2]])
+        loss = loss + arap_weight * deformation.arap_loss(seen.times[frames[:2]])
     if isinstance(deformation, TableDeformation):
         loss = loss + BENDING_WEIGHT * deformation.bending() / spacing_sq
     return loss

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import torch
 
-from stages.control.deformation import Deformation
+from stages.deformation.model import Deformation
 from stages.shared import figures, images
 from stages.shared.cameras import Cameras, project
 from stages.shared.sequences import Sequence

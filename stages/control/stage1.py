@@ -6,11 +6,12 @@ from typing import Any
 import numpy as np
 import torch
 
-from stages.control import adapt, canonical, distil, fitting, lbs
-from stages.control.deformation import Deformation, MLPDeformation, TableDeformation
+from stages.control import adapt, canonical, distil, fitting
 from stages.control.fitting import NEIGHBOURS, Observations
 from stages.control.options import ControlOptions
 from stages.control.sightings import Sightings
+from stages.deformation import lbs
+from stages.deformation.model import Deformation, MLPDeformation, TableDeformation
 from stages.shared.cameras import Cameras
 from stages.shared.log import logger
 

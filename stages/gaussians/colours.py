@@ -4,8 +4,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from stages.control.deformation import at_times, spline_basis
-from stages.control.lbs import blend_values
+from stages.deformation.lbs import blend_values
+from stages.deformation.splines import at_times, spline_basis
 
 
 class ColourTable(torch.nn.Module):

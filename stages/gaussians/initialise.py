@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import torch
 
-from stages.control.deformation import Deformation
+from stages.deformation.model import Deformation
 from stages.gaussians import sh
 from stages.gaussians.model import Cloud
 from stages.gaussians.observations import Observations

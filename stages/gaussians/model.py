@@ -5,12 +5,13 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from stages.control.deformation import Deformation, one_torch_thread
-from stages.control.lbs import blend, lbs_weights, neighbours
+from stages.deformation.lbs import blend, lbs_weights, neighbours
+from stages.deformation.model import Deformation
 from stages.gaussians.colours import ColourTable
 from stages.gaussians.exposure import Exposure
 from stages.gaussians.poses import PoseTable
 from stages.gaussians.rasterize import Rendering, rasterize
+from stages.shared.torch_threads import one_torch_thread
 
 
 @dataclass

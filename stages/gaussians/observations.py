@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from scipy.spatial import cKDTree
 
-from stages.control.deformation import Deformation
+from stages.deformation.model import Deformation
 from stages.shared.cameras import project, unproject
 
 COLOUR_STD = 0.06

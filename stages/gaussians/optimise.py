@@ -8,7 +8,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from stages.control.arap import arap_loss
 from stages.gaussians.densify import GradientRecord, densify
 from stages.gaussians.model import GaussianScene
 from stages.gaussians.observations import Observations
@@ -100,7 +99,7 @@ class Trainer:
         difference = image - target.image
         loss = (1 - weight) * mean_by_rows(difference.abs()) + weight * (1 - ssim(image, target))
         if self.motion is not None and self.arap_weight > 0:
-            loss = loss + self.arap_weight * arap_loss(self.motion, self._arap_times(f))
+            loss = loss + self.arap_weight * self.motion.arap_loss(self._arap_times(f))
         if self.scene.poses is not None:
             loss = loss + POSE_WEIGHT * self.scene.poses.size()
         loss.backward()  # type: ignore[no-untyped-call]

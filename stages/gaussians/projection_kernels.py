@@ -10,7 +10,7 @@ computed in float64; memory is float32.
 import numpy as np
 from numba import njit
 
-from stages.control.quaternion_kernels import FAST, Quaternion, row, unit, unit_adjoint
+from stages.deformation.quaternion_kernels import FAST, Quaternion, row, unit, unit_adjoint
 from stages.shared.threads import spread
 
 BLOCK = 1024

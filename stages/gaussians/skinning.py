@@ -4,8 +4,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from stages.control.deformation import Deformation
-from stages.control.lbs import blend, inverse_blend, lbs_weights, neighbours
+from stages.deformation.lbs import blend, inverse_blend, lbs_weights, neighbours
+from stages.deformation.model import Deformation
 
 MAX_ERROR = 0.5
 """The inverse is accepted if skinning takes it this close to the point, in median kernel radii."""

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from stages.control.deformation import deformation_from_tensors, deformation_tensors
+from stages.deformation.storage import deformation_from_tensors, deformation_tensors
 from stages.gaussians.colours import ColourTable
 from stages.gaussians.exposure import Exposure
 from stages.gaussians.model import Cloud, GaussianScene

@@ -14,7 +14,7 @@ from stages.shared.cli import In, Out
 from stages.shared.log import logger
 
 if TYPE_CHECKING:
-    from stages.control.deformation import Deformation
+    from stages.deformation.model import Deformation
     from stages.gaussians.colours import ColourTable
     from stages.gaussians.exposure import Exposure
     from stages.gaussians.model import GaussianScene
@@ -101,7 +101,7 @@ def _with_motion(
     seen: "Observations", needs: dict[str, Any], sequence: Path, points: Path, deformation: Path
 ) -> tuple["Observations", "Deformation | None", int]:
     """The observations with the movers' depth, the motion (None: nothing moves), and the row of the canonical frame."""
-    from stages.control.deformation import load_deformation
+    from stages.deformation.storage import load_deformation
     from stages.gaussians.inputs import canonical_row
     from stages.gaussians.observations import with_movers
 

@@ -5,11 +5,12 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from stages.control import arap, fitting, lbs, stage1
-from stages.control.arap_kernels import best_rotations
-from stages.control.deformation import MLPDeformation, TableDeformation
+from stages.control import fitting, stage1
 from stages.control.options import ControlOptions
 from stages.control.sightings import Sightings
+from stages.deformation import arap, lbs
+from stages.deformation.arap_kernels import best_rotations
+from stages.deformation.model import MLPDeformation, TableDeformation
 from stages.shared.cameras import centred_intrinsics, make_cameras, project
 
 DOUBLE = torch.float64
@@ -104,7 +105,7 @@ def test_models_do_not_depend_on_the_unit(scale: float) -> None:
                     if name != "log_radii":
                         parameter += 0.05 * torch.randn(parameter.shape)
                 motions.append(model(times)[1] / size)
-                losses.append(arap.arap_loss(model, times))
+                losses.append(model.arap_loss(times))
         torch.testing.assert_close(*motions, rtol=1e-3, atol=1e-4)
         torch.testing.assert_close(*losses, rtol=1e-2, atol=1e-6)
 
@@ -119,7 +120,7 @@ def test_no_gaussian_and_one_control_point(N: int) -> None:
     moved, turned = lbs.blend(means, quats, model.points, point_quats[0], translations[0], weights, index)
     assert moved.shape == (N, 3)
     assert turned.shape == (N, 4)
-    (moved.sum() + turned.sum() + arap.arap_loss(model, torch.tensor([0.5])) + model.bending()).backward()
+    (moved.sum() + turned.sum() + model.arap_loss(torch.tensor([0.5])) + model.bending()).backward()
     assert model.table.grad is not None
     assert torch.isfinite(model.table.grad).all()
     inverse, remoteness = lbs.inverse_blend(

@@ -5,8 +5,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from stages.control import arap, canonical, lbs, quaternions
-from stages.control.deformation import TableDeformation
+from stages.control import canonical
+from stages.deformation import lbs, quaternions
+from stages.deformation.model import TableDeformation
 
 DOUBLE = torch.float64
 Arguments = tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]
@@ -104,7 +105,7 @@ def test_coincident_control_points() -> None:
     weights = lbs.lbs_weights(sq_dist, torch.zeros(2), index)
     torch.testing.assert_close(weights, torch.full((1, 2), 0.5))
     table = TableDeformation(torch.zeros(5, 3), torch.from_numpy(np.log(radii)).float(), torch.linspace(0, 1, 3))
-    loss = arap.arap_loss(table, torch.tensor([0.5]))
+    loss = table.arap_loss(torch.tensor([0.5]))
     loss.backward()
     assert float(loss.detach()) == 0.0
     assert table.table.grad is not None

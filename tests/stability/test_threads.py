@@ -14,7 +14,8 @@ from synthetic import flow_arrays, make_scene
 
 from stages.ba.options import BAOptions
 from stages.ba.solve import main as solve
-from stages.control.deformation import at_times, save_deformation, save_points
+from stages.deformation.splines import at_times
+from stages.deformation.storage import save_deformation, save_points
 from stages.gaussians.model import Cloud, GaussianScene
 from stages.shared.artifacts import read_metadata, read_model, read_table
 

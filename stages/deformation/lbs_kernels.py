@@ -8,7 +8,7 @@ adds K weighted rows: each row is one vector.
 import numpy as np
 from numba import njit
 
-from stages.control.quaternion_kernels import FAST, Quaternion, conjugate, product, row, unit, unit_adjoint
+from stages.deformation.quaternion_kernels import FAST, Quaternion, conjugate, product, row, unit, unit_adjoint
 from stages.shared.lanes import LANES, load, store, total
 from stages.shared.threads import spread
 

@@ -1,15 +1,12 @@
 """As rigid as possible: neighbouring control points should turn together (paper; Sorkine and Alexa 2007)."""
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from stages.control import arap_kernels
-
-if TYPE_CHECKING:
-    from stages.control.deformation import Deformation
+from stages.deformation import arap_kernels
 
 NEIGHBOURS = 8
 
@@ -63,24 +60,6 @@ class _Energy(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
         return gradients[0] * ctx.gradient, None, None
-
-
-def arap_loss(deformation: "Deformation", times: Tensor) -> Tensor:
-    """ARAP energy from the canonical frame to times[0], to times[1], ... in units of the mean squared kernel radius.
-
-    Args:
-        times: [B] in 0..1, B >= 1.
-
-    Returns:
-        A scalar with gradient to the motion; 0 for a single control point, which has no neighbour.
-    """
-    points = deformation.points
-    if len(points) == 1:
-        return deformation.log_radii.sum() * 0
-    _, translations = deformation(times)
-    states = torch.cat([points[None], points + translations])
-    energy = arap_energy(states, deformation.graph_index, deformation.graph_weights)
-    return energy / deformation.log_radii.detach().exp().square().mean()
 
 
 def arap_graph(points: Tensor) -> tuple[Tensor, Tensor]:

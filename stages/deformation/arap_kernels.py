@@ -3,7 +3,7 @@
 import numpy as np
 from numba import njit
 
-from stages.control.quaternion_kernels import FAST
+from stages.deformation.quaternion_kernels import FAST
 
 SWEEPS = 10
 """Jacobi's method converges quadratically: six sweeps of a 4 x 4 matrix reach float64's last digits."""

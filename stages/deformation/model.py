@@ -1,24 +1,18 @@
-"""Motion of the control points over time: two models behind one interface, and their file.
+"""Motion of the control points over time: two models behind one interface.
 
 Both map times 0..1 to a rotation and a translation per control point, relative to the canonical frame.
 """
 
 import abc
-import contextlib
 import itertools
 import math
-from collections.abc import Iterator, Mapping
-from pathlib import Path
-from typing import Any
 
-import numpy as np
 import torch
-from scipy.interpolate import CubicSpline
 from torch import Tensor
 
-from stages.control import quaternions
-from stages.control.arap import arap_graph
-from stages.shared.artifacts import read_model, read_table, refuse_infinite, write_model, write_table
+from stages.deformation import quaternions
+from stages.deformation.arap import arap_energy, arap_graph
+from stages.deformation.splines import at_times, spline_basis
 
 
 class Deformation(torch.nn.Module, abc.ABC):
@@ -63,6 +57,22 @@ class Deformation(torch.nn.Module, abc.ABC):
         raw = self.raw_motion(times)
         identity = raw.new_tensor([1.0, 0.0, 0.0, 0.0])
         return quaternions.normalise(raw[..., :4] + identity), raw[..., 4:] * self.extent
+
+    def arap_loss(self, times: Tensor) -> Tensor:
+        """ARAP energy from the canonical frame to times[0], to times[1], ... over the mean squared kernel radius.
+
+        Args:
+            times: [B] in 0..1, B >= 1.
+
+        Returns:
+            A scalar with gradient to the motion; 0 for a single control point, which has no neighbour.
+        """
+        if len(self.points) == 1:
+            return self.log_radii.sum() * 0
+        _, translations = self(times)
+        states = torch.cat([self.points[None], self.points + translations])
+        energy = arap_energy(states, self.graph_index, self.graph_weights)
+        return energy / self.log_radii.detach().exp().square().mean()
 
 
 class MLPDeformation(Deformation):
@@ -126,96 +136,7 @@ class TableDeformation(Deformation):
         return torch.diff(speeds, dim=0).square().sum(-1).mean()
 
 
-@contextlib.contextmanager
-def one_torch_thread() -> Iterator[None]:
-    """Torch on one thread, as block or decorator: with more, its sums and products round by their number.
-
-    For tensors that are too small for more threads to pay; compiled kernels keep theirs.
-    """
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
-
-
-def at_times(basis: Tensor, table: Tensor) -> Tensor:
-    """Values [B, P, C] of a table [F, P, C] at knots, at the times whose weights `spline_basis` [B, F] gives."""
-    values: Tensor = _AtTimes.apply(basis.to(table), table)  # type: ignore[no-untyped-call]
-    return values
-
-
-class _AtTimes(torch.autograd.Function):
-    """On one thread also backwards: products of matrices of this shape round by the number of threads."""
-
-    @staticmethod
-    def forward(ctx: Any, basis: Tensor, table: Tensor) -> Tensor:
-        ctx.save_for_backward(basis)
-        with one_torch_thread():
-            return torch.einsum("bf,fpc->bpc", basis, table)
-
-    @staticmethod
-    def backward(ctx: Any, *gradients: Tensor) -> tuple[None, Tensor]:
-        with one_torch_thread():
-            return None, torch.einsum("bf,bpc->fpc", *ctx.saved_tensors, gradients[0])
-
-
-def spline_basis(knots: Tensor, times: np.ndarray) -> Tensor:
-    """Weights [B, F] of the values at F >= 2 ascending knots in a natural cubic spline at times [B].
-
-    Times before the first and after the last knot take its value.
-    """
-    ascending = knots.cpu().numpy().astype(float)
-    inside = np.clip(times.astype(float), ascending[0], ascending[-1])
-    return torch.as_tensor(CubicSpline(ascending, np.eye(len(ascending)), bc_type="natural")(inside))
-
-
 def _encode(x: Tensor, frequencies: int) -> Tensor:
     """x [..., D] with sin and cos of pi 2^l x for l < frequencies: [..., D (1 + 2 frequencies)]."""
     angles = (x[..., None] * (math.pi * 2.0 ** torch.arange(frequencies, device=x.device))).flatten(-2)
     return torch.cat([x, angles.sin(), angles.cos()], dim=-1)
-
-
-def deformation_tensors(deformation: Deformation) -> dict[str, np.ndarray]:
-    """Every tensor of the model by name, enough to rebuild it; the names tell the kind."""
-    return {name: tensor.detach().cpu().numpy() for name, tensor in deformation.state_dict().items()}
-
-
-def deformation_from_tensors(tensors: Mapping[str, np.ndarray]) -> Deformation:
-    """Rebuild the model that `deformation_tensors` took apart."""
-    state = {name: torch.from_numpy(np.array(values)) for name, values in tensors.items()}
-    points, log_radii = state["points"], state["log_radii"]
-    model: Deformation
-    if "knots" in state:
-        model = TableDeformation(points, log_radii, state["knots"])
-    else:
-        width, depth = len(state["hidden.0.weight"]), sum(name.endswith(".weight") for name in state) - 1
-        model = MLPDeformation(points, log_radii, width, depth, *state["frequencies"].tolist())
-    model.load_state_dict(state)
-    return model
-
-
-def save_points(path: Path, deformation: Deformation | None, metadata: Mapping[str, Any]) -> None:
-    """Write `control/points.parquet`: x y z radius, in scene units of the canonical frame; no row without motion."""
-    points = np.zeros((0, 3), np.float32) if deformation is None else deformation.points.cpu().numpy()
-    radii = np.zeros(0, np.float32) if deformation is None else deformation.log_radii.detach().exp().cpu().numpy()
-    columns = {name: points[:, axis] for axis, name in enumerate("xyz")} | {"radius": radii}
-    write_table(path, columns, {"units": "scene units, canonical frame", **metadata})
-
-
-def save_deformation(path: Path, deformation: Deformation | None, metadata: Mapping[str, Any]) -> None:
-    """Write `control/deformation.safetensors`: the motion without the points; no tensor without motion."""
-    tensors = {} if deformation is None else deformation_tensors(deformation)
-    motion = {name: values for name, values in tensors.items() if name not in ("points", "log_radii")}
-    write_model(path, motion, metadata)
-
-
-def load_deformation(path: Path, points_path: Path) -> Deformation | None:
-    """Read what `save_deformation` and `save_points` wrote; None for a scene without moving parts."""
-    table = read_table(points_path)
-    refuse_infinite(points_path, table)
-    if len(table["x"]) == 0:
-        return None
-    points = np.stack([table[name] for name in "xyz"], axis=-1)
-    return deformation_from_tensors(read_model(path) | {"points": points, "log_radii": np.log(table["radius"])})

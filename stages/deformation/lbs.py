@@ -11,7 +11,7 @@ import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from stages.control import lbs_kernels, quaternions
+from stages.deformation import lbs_kernels, quaternions
 
 INVERSE_STEPS = 4
 
