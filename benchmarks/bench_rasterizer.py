@@ -15,10 +15,10 @@ from torch import Tensor
 
 from benchmarks import torch_rasterizer
 from benchmarks.timing import alternated
-from stages.gaussians import raster_adjoint, raster_bins, raster_kernels
-from stages.gaussians.rasterize import drawing_order
 from stages.gaussians.ssim import Target, ssim, ssim_torch
 from stages.shared.lanes import LANES, load, store
+from stages.splatting import raster_adjoint, raster_bins, raster_kernels
+from stages.splatting.rasterize import drawing_order
 
 FLOP_PER_PAIR = 93
 """Forward 31 and backward 62 per (pixel, Gaussian) pair that contributes, counted by hand over the inner loops."""

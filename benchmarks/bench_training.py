@@ -17,13 +17,14 @@ import torch
 
 from stages.deformation import arap, lbs_kernels
 from stages.deformation.model import TableDeformation
-from stages.gaussians import projection_kernels, raster_adjoint, raster_bins, raster_kernels, ssim_kernels
-from stages.gaussians.colours import ColourTable
-from stages.gaussians.model import Cloud, GaussianScene
-from stages.gaussians.observations import Observations
+from stages.gaussians import ssim_kernels
 from stages.gaussians.optimise import Trainer
 from stages.gaussians.options import GaussiansOptions
+from stages.gaussians.training_frames import TrainingFrames
 from stages.shared.cameras import centred_intrinsics
+from stages.splatting import projection_kernels, raster_adjoint, raster_bins, raster_kernels
+from stages.splatting.colours import ColourTable
+from stages.splatting.model import Cloud, GaussianScene
 
 N, N_DYNAMIC, P, WIDTH, HEIGHT, F = 50_000, 5_000, 512, 512, 218, 4
 STEPS, WARM_UP = 30, 3
@@ -68,7 +69,7 @@ def random_trainer(n: int) -> Trainer:
     empty = np.zeros((F, HEIGHT, WIDTH))
     K = centred_intrinsics(focal_px, WIDTH, HEIGHT)
     poses, Ks = np.tile(np.eye(4), (F, 1, 1)), np.tile(K, (F, 1, 1))
-    seen = Observations(images, empty > 0, empty + 5, empty > 0, poses, Ks, np.linspace(0, 1, F))
+    seen = TrainingFrames(images, empty > 0, empty + 5, empty > 0, poses, Ks, np.linspace(0, 1, F))
     colours = ColourTable(torch.linspace(0, 1, F), P)
     scene = GaussianScene(cloud, motion, torch.zeros(3), 0.05, neighbours=4, colours=colours)
     return Trainer(scene, seen, GaussiansOptions(steps=1000, densify=False), arap_weight=0.01)

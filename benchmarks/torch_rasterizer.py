@@ -6,9 +6,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from stages.gaussians import raster_bins
-from stages.gaussians.raster_bins import RANK, TILE
-from stages.gaussians.rasterize import drawing_order
+from stages.splatting import raster_bins
+from stages.splatting.raster_bins import RANK, TILE
+from stages.splatting.rasterize import drawing_order
 
 BATCH_PAIRS = 2_000_000
 """Padded (Gaussian, pixel) pairs per batch x 16: bounds the memory to some hundred MB."""

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from stages.deformation.model import TableDeformation
-from stages.gaussians.observations import Observations
+from stages.gaussians.training_frames import TrainingFrames
 from stages.shared.artifacts import write_dense, write_json
 from stages.shared.cameras import centred_intrinsics, make_cameras, pixel_grid, write_cameras
 from stages.shared.images import write_image
@@ -52,13 +52,13 @@ def ray_cast(cam_from_world: np.ndarray, time: float) -> tuple[np.ndarray, np.nd
     return image.astype(np.float32), depth.astype(np.float32), mask
 
 
-def observations(frames: list[int], unit: float = 1.0) -> Observations:
+def observations(frames: list[int], unit: float = 1.0) -> TrainingFrames:
     """The truth of `frames`, as the training sees it."""
     poses = cameras()
     images, depths, masks = (np.stack(x) for x in zip(*(ray_cast(poses[k], TIMES[k]) for k in frames), strict=True))
     guessed = np.zeros_like(masks)
     Ks = np.tile(K, (len(frames), 1, 1))
-    return Observations(images, masks, unit * depths, guessed, cameras(unit)[frames], Ks, TIMES[frames])
+    return TrainingFrames(images, masks, unit * depths, guessed, cameras(unit)[frames], Ks, TIMES[frames])
 
 
 def true_motion(unit: float = 1.0) -> TableDeformation:

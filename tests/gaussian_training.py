@@ -5,17 +5,17 @@ import numpy as np
 import torch
 
 from stages.gaussians.initialise import initial_cloud, near_plane_of
-from stages.gaussians.model import GaussianScene
-from stages.gaussians.observations import Observations
 from stages.gaussians.optimise import Trainer
 from stages.gaussians.options import GaussiansOptions
+from stages.gaussians.training_frames import TrainingFrames
+from stages.splatting.model import GaussianScene
 
 TRAIN = [k for k in range(truth.T) if k != 4]
 CANONICAL = TRAIN.index(truth.T // 2)
 OPTIONS = GaussiansOptions(steps=40)
 
 
-def new_scene(seen: Observations, moving: bool = True) -> GaussianScene:
+def new_scene(seen: TrainingFrames, moving: bool = True) -> GaussianScene:
     motion = truth.true_motion() if moving else None
     cloud = initial_cloud(seen, motion, CANONICAL, stride_px=2, K=4, sh_degree=0)
     background = torch.tensor(seen.images.mean(axis=(0, 1, 2)))

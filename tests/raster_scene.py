@@ -5,7 +5,7 @@ import reference_rasterizer as reference
 import torch
 from torch import Tensor
 
-from stages.gaussians.rasterize import rasterize
+from stages.splatting.rasterize import rasterize
 
 WIDTH, HEIGHT = 53, 37  # neither a multiple of the tile
 NAMES = ("means", "quats", "scales", "opacities", "colours", "viewmat")

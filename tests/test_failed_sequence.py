@@ -15,12 +15,16 @@ from stages.control import fit
 from stages.control.options import ControlOptions
 from stages.eval import colmap, evaluate, report
 from stages.eval.options import ColmapOptions, EvaluateOptions, ReportOptions
-from stages.flow import estimate, motion
-from stages.flow.options import FlowOptions, MotionOptions
-from stages.gaussians import render, train
-from stages.gaussians.options import GaussiansOptions, RenderOptions
+from stages.flow import estimate
+from stages.flow.options import FlowOptions
+from stages.gaussians import train
+from stages.gaussians.options import GaussiansOptions
 from stages.inspect import check
 from stages.inspect.options import InspectOptions
+from stages.motion import estimate as motion
+from stages.motion.options import MotionOptions
+from stages.render import render
+from stages.render.options import RenderOptions
 from stages.scene import decide
 from stages.scene.options import SceneOptions
 from stages.segment import refine

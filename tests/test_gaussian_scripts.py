@@ -13,19 +13,21 @@ from PIL import Image
 from stages.control import fit
 from stages.control.options import ControlOptions
 from stages.deformation.storage import save_deformation, save_points
-from stages.gaussians import checkpoint, render, train, view
+from stages.gaussians import checkpoint, train
 from stages.gaussians.checkpoint import Checkpoint
 from stages.gaussians.inputs import read_observations
 from stages.gaussians.optimise import Trainer
-from stages.gaussians.options import GaussiansOptions, RenderOptions, ViewOptions
-from stages.gaussians.ply import read_ply
-from stages.gaussians.rasterize import rasterize
-from stages.gaussians.video import MAX_BYTES, write_gif
+from stages.gaussians.options import GaussiansOptions
+from stages.render import render, view
+from stages.render.options import RenderOptions, ViewOptions
+from stages.render.video import MAX_BYTES, write_gif
 from stages.shared.artifacts import read_json, read_metadata, read_model, read_table, write_model, write_table
 from stages.shared.cameras import make_cameras, read_cameras, write_cameras
 from stages.shared.errors import InputError
 from stages.shared.images import read_rgb
 from stages.shared.split import SplitOptions
+from stages.splatting.ply import read_ply
+from stages.splatting.rasterize import rasterize
 
 
 def test_the_video_fits_and_has_every_frame(tmp_path: Path) -> None:

@@ -11,17 +11,17 @@ from gaussian_training import CANONICAL, OPTIONS, TRAIN, image_at, new_scene, ps
 from scipy.ndimage import binary_dilation
 
 from stages.gaussians import checkpoint, optimise
-from stages.gaussians.colours import ColourTable
 from stages.gaussians.densify import densify
-from stages.gaussians.exposure import Exposure
 from stages.gaussians.initialise import initial_cloud
-from stages.gaussians.model import Cloud, GaussianScene
-from stages.gaussians.observations import Observations
 from stages.gaussians.optimise import Trainer
 from stages.gaussians.options import GaussiansOptions
-from stages.gaussians.poses import PoseTable
-from stages.gaussians.storage import halved, scene_from_tensors, scene_tensors
+from stages.gaussians.training_frames import TrainingFrames
 from stages.shared.artifacts import read_metadata, read_model, write_model
+from stages.splatting.colours import ColourTable
+from stages.splatting.gains import Exposure
+from stages.splatting.model import Cloud, GaussianScene
+from stages.splatting.pose_table import PoseTable
+from stages.splatting.storage import halved, scene_from_tensors, scene_tensors
 
 
 def test_held_out_frame_is_rendered_and_the_mover_needs_its_motion() -> None:
@@ -69,7 +69,7 @@ def test_densify_keeps_the_cap() -> None:
     assert len(densify(small_cloud(), gradient, max_gaussians=10)[0].means) == 200
 
 
-def coloured_scene(seen: Observations) -> GaussianScene:
+def coloured_scene(seen: TrainingFrames) -> GaussianScene:
     """A new scene whose control points may change colour."""
     scene = new_scene(seen)
     assert scene.deformation is not None

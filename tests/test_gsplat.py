@@ -10,8 +10,8 @@ import torch
 from raster_scene import BACKGROUND, HEIGHT, NAMES, WIDTH, intrinsics, loss, render_kernels, render_reference, scene
 from torch import Tensor
 
-from stages.gaussians import projection_kernels
-from stages.gaussians.rasterize import _render_cuda, rasterize
+from stages.splatting import projection_kernels
+from stages.splatting.rasterize import _render_cuda, rasterize
 
 
 def test_the_adapter_puts_pixel_centres_where_gsplat_has_them(monkeypatch: pytest.MonkeyPatch) -> None:

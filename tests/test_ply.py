@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import torch
 
-from stages.gaussians.ply import read_ply, write_ply
-from stages.gaussians.rasterize import rasterize
 from stages.shared.errors import InputError
+from stages.splatting.ply import read_ply, write_ply
+from stages.splatting.rasterize import rasterize
 
 N = 40
 

@@ -6,10 +6,10 @@ import torch
 from raster_scene import HEIGHT, NAMES, WIDTH, intrinsics, loss, render_kernels, render_reference, scene
 from torch import Tensor
 
-from stages.gaussians import sh
-from stages.gaussians.rasterize import choose_device, drawing_order, rasterize
 from stages.gaussians.ssim import Target, ssim, ssim_torch
 from stages.shared.errors import InputError
+from stages.splatting import sh
+from stages.splatting.rasterize import choose_device, drawing_order, rasterize
 
 
 def gradients(tensors: dict[str, Tensor], kernels: bool) -> dict[str, Tensor]:

@@ -6,8 +6,8 @@ import gaussian_scene as truth
 import numpy as np
 import pytest
 
-from stages.gaussians.shots import right_cameras
-from stages.gaussians.views import novel_path, right_eye
+from stages.render.shots import right_cameras
+from stages.render.viewpoints import novel_path, right_eye
 from stages.shared import lie
 from stages.shared.sequences import Sequence
 from stages.shared.sintel import write_cam

@@ -215,9 +215,9 @@ def _objective(graph: FlowGraph, state: State, sigma_px: float, unknowns: Unknow
     return cost
 
 
-def observations(graph: FlowGraph) -> kernel.Observations:
+def observations(graph: FlowGraph) -> kernel.EdgeMatches:
     """The graph as the kernels take it."""
-    return kernel.Observations(graph.pointer, graph.source, graph.pixels, graph.matches, graph.weights)
+    return kernel.EdgeMatches(graph.pointer, graph.source, graph.pixels, graph.matches, graph.weights)
 
 
 def geometry(graph: FlowGraph, state: State) -> kernel.Geometry:

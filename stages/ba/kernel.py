@@ -20,7 +20,7 @@ MIN_DEPTH_RATIO = 0.1
 FAST = {"cache": True, "nogil": True, "fastmath": True, "error_model": "numpy"}
 
 
-class Observations(NamedTuple):
+class EdgeMatches(NamedTuple):
     """What is fixed: edges pointer[i]..pointer[i + 1] leave frame i; see `stages.ba.graph.FlowGraph`."""
 
     pointer: np.ndarray
@@ -41,7 +41,7 @@ class Geometry(NamedTuple):
 
 @njit(**FAST)
 def _linearise(
-    data: Observations, at: Geometry, sigma: float, i: int, e: int, first: int, J: np.ndarray, D: np.ndarray
+    data: EdgeMatches, at: Geometry, sigma: float, i: int, e: int, first: int, J: np.ndarray, D: np.ndarray
 ) -> None:
     """Fill J [8, 2 BLOCK] (twist, log focal, residual) and D [2 BLOCK] (inverse depth) for pixels from `first` on.
 
@@ -112,7 +112,7 @@ def _eliminate(coupling: np.ndarray, curvature: np.ndarray, scaled: np.ndarray, 
 def _add_frames(
     begin: int,
     end: int,
-    data: Observations,
+    data: EdgeMatches,
     at: Geometry,
     scales: np.ndarray,
     hessians: np.ndarray,
@@ -146,7 +146,7 @@ def _add_frames(
 
 
 def normal_equations(
-    data: Observations, at: Geometry, sigma: float, damping: float, depth_prior: float
+    data: EdgeMatches, at: Geometry, sigma: float, damping: float, depth_prior: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Local normal equations of every edge, and what eliminating the inverse depths subtracts from them.
 
@@ -170,7 +170,7 @@ def normal_equations(
 
 @njit(**FAST)
 def _explain(
-    begin: int, end: int, data: Observations, at: Geometry, sigma: float, step: np.ndarray, out: np.ndarray
+    begin: int, end: int, data: EdgeMatches, at: Geometry, sigma: float, step: np.ndarray, out: np.ndarray
 ) -> None:
     """Add to `out` [T, P] what the local steps [E, 7] explain of the depth gradients of frames begin..end."""
     P = len(data.pixels)
@@ -185,7 +185,7 @@ def _explain(
 
 
 def depth_steps(
-    data: Observations,
+    data: EdgeMatches,
     at: Geometry,
     sigma: float,
     curvatures: np.ndarray,

@@ -3,14 +3,14 @@
 import numpy as np
 from numba import njit
 
-from stages.ba.kernel import BLOCK, FAST, MIN_DEPTH_RATIO, Geometry, Observations
+from stages.ba.kernel import BLOCK, FAST, MIN_DEPTH_RATIO, EdgeMatches, Geometry
 from stages.shared.threads import spread
 
 BEHIND_PX = 1e6
 """The length of a residual whose point is behind the target camera."""
 
 
-def errors_px(data: Observations, at: Geometry) -> np.ndarray:
+def errors_px(data: EdgeMatches, at: Geometry) -> np.ndarray:
     """Lengths of the residuals [E, P] float32 in px; BEHIND_PX where the point is behind the target camera."""
     errors = np.empty(data.weights.shape, np.float32)
     spread(_errors_px, len(errors), data, at, errors)
@@ -18,7 +18,7 @@ def errors_px(data: Observations, at: Geometry) -> np.ndarray:
 
 
 @njit(**FAST)
-def _errors_px(begin: int, end: int, data: Observations, at: Geometry, errors: np.ndarray) -> None:
+def _errors_px(begin: int, end: int, data: EdgeMatches, at: Geometry, errors: np.ndarray) -> None:
     focal, cx, cy = at.lens[0], at.lens[1], at.lens[2]
     n = errors.shape[1]
     x, y, match_u, match_v = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
@@ -39,7 +39,7 @@ def _errors_px(begin: int, end: int, data: Observations, at: Geometry, errors: n
 
 
 def sweep_depth(
-    data: Observations,
+    data: EdgeMatches,
     at: Geometry,
     sigma: float,
     candidates: np.ndarray,
@@ -66,7 +66,7 @@ def sweep_depth(
 def _sweep_depth(
     begin: int,
     end: int,
-    data: Observations,
+    data: EdgeMatches,
     at: Geometry,
     sigma: float,
     candidates: np.ndarray,

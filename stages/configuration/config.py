@@ -10,9 +10,11 @@ from stages.configuration.comparison_options import ScalingOptions, SweepOptions
 from stages.configuration.presets import PRESETS, Preset, override, value_of
 from stages.control.options import ControlOptions
 from stages.eval.options import ColmapOptions, EvaluateOptions, ReportOptions
-from stages.flow.options import FlowOptions, MotionOptions
-from stages.gaussians.options import GaussiansOptions, RenderOptions
+from stages.flow.options import FlowOptions
+from stages.gaussians.options import GaussiansOptions
 from stages.inspect.options import InspectOptions
+from stages.motion.options import MotionOptions
+from stages.render.options import RenderOptions
 from stages.scene.options import SceneOptions
 from stages.segment.options import SegmentOptions
 from stages.shared.options import Options, to_flags, validate

@@ -29,7 +29,7 @@ NOISE_PX = 0.2
 
 
 @dataclass(frozen=True)
-class Observations:
+class TrackPositions:
     """What the tracks saw: M sightings of n tracked points in F training frames.
 
     Attributes:
@@ -51,7 +51,7 @@ class Observations:
 
 
 def fit(
-    deformation: Deformation, seen: Observations, steps: int, learning_rate: float, arap_weight: float, seed: int
+    deformation: Deformation, seen: TrackPositions, steps: int, learning_rate: float, arap_weight: float, seed: int
 ) -> None:
     """Train `deformation` in place with Adam, the learning rate decaying to a twentieth."""
     generator = torch.Generator().manual_seed(seed)
@@ -75,7 +75,7 @@ def fit(
 
 def _loss(
     deformation: Deformation,
-    seen: Observations,
+    seen: TrackPositions,
     frames: Tensor,
     rows: Tensor,
     index: Tensor,
@@ -97,7 +97,7 @@ def _loss(
 def _residuals(
     deformation: Deformation,
     motion: tuple[Tensor, Tensor],
-    seen: Observations,
+    seen: TrackPositions,
     frames: Tensor,
     rows: Tensor,
     index: Tensor,
@@ -130,14 +130,14 @@ def _residuals(
     return uv - seen.uv[rows], (xyz[:, 2] / observed - 1) / relative_std
 
 
-def _all_residuals(deformation: Deformation, motion: tuple[Tensor, Tensor], seen: Observations) -> Tensor:
+def _all_residuals(deformation: Deformation, motion: tuple[Tensor, Tensor], seen: TrackPositions) -> Tensor:
     """Reprojection error [M, 2] in pixels of every sighting, given the motion at all training frames."""
     index, sq_dist = lbs.neighbours(deformation.points, seen.canonical, NEIGHBOURS)
     frames, rows = torch.arange(len(seen.times)), torch.arange(len(seen.track))
     return _residuals(deformation, motion, seen, frames, rows, index, sq_dist)[0]
 
 
-def position_gradients(deformation: Deformation, seen: Observations) -> Tensor:
+def position_gradients(deformation: Deformation, seen: TrackPositions) -> Tensor:
     """Gradient [n, 3] of the image-plane loss over all sightings by where the tracked points lie at rest."""
     positions = seen.canonical.clone().requires_grad_()
     with torch.no_grad():
@@ -152,7 +152,7 @@ def _to_camera(points: Tensor, cam_from_world: Tensor) -> Tensor:
     return torch.einsum("mab,mb->ma", cam_from_world[:, :3, :3], points) + cam_from_world[:, :3, 3]
 
 
-def residual_report(deformation: Deformation, seen: Observations) -> dict[str, float | bool]:
+def residual_report(deformation: Deformation, seen: TrackPositions) -> dict[str, float | bool]:
     """How well the fitted motion explains the tracks, against points at rest, and whether it got stuck.
 
     Returns:

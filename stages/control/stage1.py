@@ -7,7 +7,7 @@ import numpy as np
 import torch
 
 from stages.control import adapt, canonical, distil, fitting
-from stages.control.fitting import NEIGHBOURS, Observations
+from stages.control.fitting import NEIGHBOURS, TrackPositions
 from stages.control.options import ControlOptions
 from stages.control.sightings import Sightings
 from stages.deformation import lbs
@@ -114,7 +114,7 @@ def _fit(
 def _fit_table(
     rest: np.ndarray,
     sightings: Sightings,
-    seen: Observations,
+    seen: TrackPositions,
     attempt: _Attempt,
     max_arap: float,
     options: ControlOptions,
@@ -137,7 +137,7 @@ def _fit_table(
     return table, arap_weight
 
 
-def _with_more_points(table: TableDeformation, seen: Observations, count: int) -> TableDeformation:
+def _with_more_points(table: TableDeformation, seen: TrackPositions, count: int) -> TableDeformation:
     """The table with `count` points: added where the gradient is high, less those among nobody's nearest."""
     P = len(table.points)
     index, sq_dist = lbs.neighbours(table.points, seen.canonical, NEIGHBOURS)
@@ -159,13 +159,13 @@ def _new_table(rest: np.ndarray, sightings: Sightings, count: int) -> TableDefor
     return table
 
 
-def _observations(rest: np.ndarray, sightings: Sightings, cameras: Cameras) -> Observations:
+def _observations(rest: np.ndarray, sightings: Sightings, cameras: Cameras) -> TrackPositions:
     track, frame = np.nonzero(sightings.visible)
 
     def tensor(values: np.ndarray) -> torch.Tensor:
         return torch.from_numpy(np.ascontiguousarray(values, np.float32))
 
-    return Observations(
+    return TrackPositions(
         torch.from_numpy(rest),
         torch.from_numpy(track),
         torch.from_numpy(frame),

@@ -1,4 +1,4 @@
-"""Options of optical flow and of the motion prior."""
+"""Options of optical flow."""
 
 from typing import Annotated, Literal
 
@@ -39,9 +39,3 @@ class FlowOptions(Options):
         if 1 not in value:
             raise ValueError("1 among the frame distances")
         return value
-
-
-class MotionOptions(Options):
-    """Probability that a pixel moves in the world, from geometry alone."""
-
-    seed: int = Field(0, ge=0, description="seed of the robust two-view fits")

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from stages.gaussians.model import Cloud
+from stages.splatting.model import Cloud
 
 MIN_OPACITY = 0.01
 """Below this opacity a Gaussian changes no pixel visibly."""

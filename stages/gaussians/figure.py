@@ -6,21 +6,17 @@ import matplotlib
 import numpy as np
 import torch
 
-from stages.gaussians.observations import Observations
 from stages.gaussians.optimise import Trainer
+from stages.gaussians.training_frames import TrainingFrames
 from stages.shared.figures import contact_sheet, spread
+from stages.shared.images import to_uint8
 
 WIDTH_PX = 1200
 GAIN = 4
 
 
-def to_uint8(image: np.ndarray) -> np.ndarray:
-    """[..., 3] float 0..1 (clipped) to uint8."""
-    return np.round(np.clip(image, 0, 1) * 255).astype(np.uint8)
-
-
 @torch.no_grad()
-def training_figure(trainer: Trainer, seen: Observations) -> np.ndarray:
+def training_figure(trainer: Trainer, seen: TrainingFrames) -> np.ndarray:
     """Frame, render and difference x GAIN of two training frames; below, the PSNR curve. [H, W, 3] uint8."""
     cells = []
     for f in spread(len(seen.images), 2):

@@ -7,12 +7,12 @@ import numpy as np
 import torch
 
 from stages.deformation.model import Deformation
-from stages.gaussians import sh
-from stages.gaussians.model import Cloud
-from stages.gaussians.observations import Observations
-from stages.gaussians.rasterize import rasterize
 from stages.gaussians.skinning import skin, to_canonical
+from stages.gaussians.training_frames import TrainingFrames
 from stages.shared.cameras import project, unproject
+from stages.splatting import sh
+from stages.splatting.model import Cloud
+from stages.splatting.rasterize import rasterize
 
 LIFTED_FRAMES = 8
 """Frames that add what the ones before them do not show."""
@@ -44,7 +44,7 @@ def join(parts: list[Points]) -> Points:
     return Points(*(np.concatenate(values) for values in zip(*(vars(part).values() for part in parts), strict=True)))
 
 
-def lift(seen: Observations, f: int, keep: np.ndarray, stride_px: int) -> Points:
+def lift(seen: TrainingFrames, f: int, keep: np.ndarray, stride_px: int) -> Points:
     """Points of the pixels of frame f on the stride grid where keep [H, W] holds."""
     grid = np.zeros(keep.shape, bool)
     grid[stride_px // 2 :: stride_px, stride_px // 2 :: stride_px] = True
@@ -61,7 +61,7 @@ def frame_order(F: int, first: int) -> list[int]:
     return list(dict.fromkeys([first, *ends_first]))
 
 
-def lift_static(seen: Observations, order: list[int], stride_px: int, static: np.ndarray) -> Points:
+def lift_static(seen: TrainingFrames, order: list[int], stride_px: int, static: np.ndarray) -> Points:
     """Union over frames: each adds its `static` pixels [F, H, W] that the points so far leave open."""
     parts: list[Points] = []
     for f in order:
@@ -70,7 +70,7 @@ def lift_static(seen: Observations, order: list[int], stride_px: int, static: np
     return join(parts)
 
 
-def _covered(seen: Observations, f: int, positions: np.ndarray, stride_px: int) -> np.ndarray:
+def _covered(seen: TrainingFrames, f: int, positions: np.ndarray, stride_px: int) -> np.ndarray:
     """Pixels [H, W] of frame f with a point within the stride that lies at or before the depth there."""
     height, width = seen.depths.shape[1:]
     u, v, z, inside = _pixels(seen, f, positions)
@@ -81,7 +81,9 @@ def _covered(seen: Observations, f: int, positions: np.ndarray, stride_px: int) 
     return np.asarray(nearest < seen.depths[f] * (1 + DEPTH_TOLERANCE))
 
 
-def _pixels(seen: Observations, f: int, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def _pixels(
+    seen: TrainingFrames, f: int, positions: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Nearest pixel u, v (0 outside) and depth of points [n, 3] in frame f, and whether they are in the image."""
     height, width = seen.depths.shape[1:]
     xyz = positions @ seen.cam_from_world[f, :3, :3].T + seen.cam_from_world[f, :3, 3]
@@ -93,7 +95,7 @@ def _pixels(seen: Observations, f: int, positions: np.ndarray) -> tuple[np.ndarr
     return u, v, xyz[:, 2], inside
 
 
-def dynamic_share(seen: Observations, tracks: np.ndarray, masks: np.ndarray) -> np.ndarray:
+def dynamic_share(seen: TrainingFrames, tracks: np.ndarray, masks: np.ndarray) -> np.ndarray:
     """Share [n] of the frames in which a point is seen (in the image, not behind the depth there) that mask it.
 
     Args:
@@ -103,7 +105,7 @@ def dynamic_share(seen: Observations, tracks: np.ndarray, masks: np.ndarray) -> 
     return _share(seen, tracks, masks, at_surface=False)
 
 
-def static_share(seen: Observations, positions: np.ndarray, masks: np.ndarray) -> np.ndarray:
+def static_share(seen: TrainingFrames, positions: np.ndarray, masks: np.ndarray) -> np.ndarray:
     """Share [n] of the frames in which a point at rest [n, 3] is seen that leave it unmasked, on the surface there.
 
     A point of a mover that stood still would hang in the air before what other frames show.
@@ -111,7 +113,7 @@ def static_share(seen: Observations, positions: np.ndarray, masks: np.ndarray) -
     return _share(seen, positions[None], ~masks, at_surface=True)
 
 
-def _share(seen: Observations, tracks: np.ndarray, votes: np.ndarray, at_surface: bool) -> np.ndarray:
+def _share(seen: TrainingFrames, tracks: np.ndarray, votes: np.ndarray, at_surface: bool) -> np.ndarray:
     """Share [n] of the frames that see a point on its track [F or 1, n, 3] that vote [F, H, W] for it where it is."""
     count, views = np.zeros(tracks.shape[1]), np.zeros(tracks.shape[1])
     for f in range(len(seen.depths)):
@@ -124,7 +126,7 @@ def _share(seen: Observations, tracks: np.ndarray, votes: np.ndarray, at_surface
 
 
 def lift_dynamic(
-    seen: Observations, order: list[int], stride_px: int, deformation: Deformation, K: int
+    seen: TrainingFrames, order: list[int], stride_px: int, deformation: Deformation, K: int
 ) -> tuple[Points, np.ndarray]:
     """Masked pixels that the dynamic points so far leave open, frame by frame, and their canonical positions [n, 3]."""
     parts: list[Points] = []
@@ -142,7 +144,7 @@ def lift_dynamic(
 
 @torch.no_grad()
 def _dynamic_alpha(
-    seen: Observations, f: int, points: Points, canonical: np.ndarray, deformation: Deformation, K: int
+    seen: TrainingFrames, f: int, points: Points, canonical: np.ndarray, deformation: Deformation, K: int
 ) -> np.ndarray:
     """Alpha [H, W] of the dynamic points alone in frame f."""
     height, width = seen.depths.shape[1:]
@@ -155,7 +157,7 @@ def _dynamic_alpha(
     return rendered.alpha[0].numpy()
 
 
-def near_plane_of(seen: Observations) -> float:
+def near_plane_of(seen: TrainingFrames) -> float:
     """A hundredth of the median depth: nothing so near is drawn."""
     return 0.01 * float(np.median(seen.depths))
 
@@ -179,7 +181,7 @@ def make_cloud(points: Points, positions: np.ndarray, dynamic: np.ndarray, sh_de
 
 
 def cloud_within(
-    seen: Observations,
+    seen: TrainingFrames,
     deformation: Deformation | None,
     canonical: int,
     stride_px: int,
@@ -196,7 +198,7 @@ def cloud_within(
 
 
 def initial_cloud(
-    seen: Observations, deformation: Deformation | None, canonical: int, stride_px: int, K: int, sh_degree: int
+    seen: TrainingFrames, deformation: Deformation | None, canonical: int, stride_px: int, K: int, sh_degree: int
 ) -> Cloud:
     """Gaussians of the whole scene; without a deformation every pixel is static.
 

@@ -4,32 +4,32 @@ from pathlib import Path
 
 import numpy as np
 
-from stages.gaussians.observations import Observations, dense_depth, nearest_on_frame
+from stages.gaussians.training_frames import TrainingFrames, dense_depth, nearest_on_frame
 from stages.shared.artifacts import read_dense, read_metadata
 from stages.shared.cameras import Cameras, read_cameras
 from stages.shared.errors import InputError
 from stages.shared.images import read_mask, read_rgb
 from stages.shared.log import logger
 from stages.shared.sequences import Sequence, read_sequence
-from stages.shared.split import SplitOptions, held_out
+from stages.shared.split import SplitOptions, frame_times, held_out
 
 MIN_OBSERVED = 2
 """What changes over time is interpolated between at least so many training frames."""
 
 
-def read_observations(sequence: Path, masks: Path, poses: Path, depth: Path, split: SplitOptions) -> Observations:
-    """The frames of `training_frames`; no file of any other is opened. Masks left out (`masks_used`) are empty.
+def read_observations(sequence: Path, masks: Path, poses: Path, depth: Path, split: SplitOptions) -> TrainingFrames:
+    """The frames of `training_indices`; no file of any other is opened. Masks left out (`masks_used`) are empty.
 
     Raises:
         InputError: if a mask has another size than the frames.
     """
     content, cameras = read_sequence(sequence), read_cameras(poses)
-    frames = training_frames(cameras, split).tolist()
+    frames = training_indices(cameras, split).tolist()
     images = np.stack([read_rgb(content.frames[k]) for k in frames]).astype(np.float32) / 255
     grid, stride_px = read_dense(depth), float(read_metadata(depth)["stride_px"])
     dense = [dense_depth(grid["inverse_depth"][k], image, stride_px) for k, image in zip(frames, images, strict=True)]
     guessed = nearest_on_frame(grid["filled"][frames] > 0, stride_px, content.height, content.width)
-    return Observations(
+    return TrainingFrames(
         images,
         np.stack([_read_mask(masks, content, k) for k in frames]) & cameras.masks_used[frames, None, None],
         np.stack(dense),
@@ -40,7 +40,7 @@ def read_observations(sequence: Path, masks: Path, poses: Path, depth: Path, spl
     )
 
 
-def training_frames(cameras: Cameras, split: SplitOptions) -> np.ndarray:
+def training_indices(cameras: Cameras, split: SplitOptions) -> np.ndarray:
     """Indices of the frames to train on: those neither held out nor without matches of their own, and the log says so.
 
     The pose of a frame without matches is bridged from its neighbours': a wrong view would blur what the others show.
@@ -59,12 +59,7 @@ def training_frames(cameras: Cameras, split: SplitOptions) -> np.ndarray:
     return np.flatnonzero(training & ~unobserved)
 
 
-def frame_times(T: int) -> np.ndarray:
-    """Times [T] of all frames, 0..1."""
-    return np.arange(T) / (T - 1)
-
-
-def canonical_row(seen: Observations, sequence: Path, deformation: Path) -> int:
+def canonical_row(seen: TrainingFrames, sequence: Path, deformation: Path) -> int:
     """Which of the training frames is the canonical one of the control points."""
     numbers = read_sequence(sequence).numbers
     time = frame_times(len(numbers))[numbers.index(read_metadata(deformation)["canonical_frame"])]

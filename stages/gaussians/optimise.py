@@ -9,12 +9,13 @@ import torch
 from torch import Tensor
 
 from stages.gaussians.densify import GradientRecord, densify
-from stages.gaussians.model import GaussianScene
-from stages.gaussians.observations import Observations
 from stages.gaussians.options import GaussiansOptions
 from stages.gaussians.ssim import Target, ssim
+from stages.gaussians.training_frames import TrainingFrames
+from stages.shared.figures import spread
 from stages.shared.log import progress
 from stages.shared.psnr import psnr_db
+from stages.splatting.model import GaussianScene
 
 LEARNING_RATES = {
     "offsets": 0.18,
@@ -39,6 +40,8 @@ FINAL_RATE = 0.05
 DENSIFY_EVERY = 100
 DENSIFY_UNTIL = 0.6
 """Densification ends at this share of the steps, so that the last Gaussians have time to settle."""
+CHECKED_FRAMES = 4
+"""Training frames over which a file is compared with another."""
 
 
 @dataclass
@@ -60,7 +63,9 @@ def mean_by_rows(image: Tensor) -> Tensor:
 class Trainer:
     """The scene with its optimiser; `step` runs from 0 to options.steps and everything else follows from it."""
 
-    def __init__(self, scene: GaussianScene, seen: Observations, options: GaussiansOptions, arap_weight: float) -> None:
+    def __init__(
+        self, scene: GaussianScene, seen: TrainingFrames, options: GaussiansOptions, arap_weight: float
+    ) -> None:
         self.scene, self.options, self.arap_weight = scene, options, arap_weight
         self.motion = None if options.detach else scene.deformation
         self.device = scene.background.device
@@ -159,3 +164,15 @@ class Trainer:
                 moved = {key: state[key][parents.clamp_min(0)] * stays for key in ("exp_avg", "exp_avg_sq")}
                 self.optimiser.state[self.scene.gaussians[name]] = moved | {"step": state["step"]}
         self.record = GradientRecord.empty(len(self.scene.anchors), self.device)
+
+
+@torch.no_grad()
+def training_psnr(scene: GaussianScene, seen: TrainingFrames) -> float:
+    """Mean PSNR (dB) over at most CHECKED_FRAMES training frames, as a file's check against another file."""
+    device, values = scene.background.device, []
+    for f in spread(len(seen.images), CHECKED_FRAMES):
+        viewmat, K = (torch.as_tensor(matrix, device=device) for matrix in (seen.cam_from_world[f], seen.Ks[f]))
+        height, width = seen.images.shape[1:3]
+        image = scene.render(float(seen.times[f]), viewmat, K, width, height).colour[0].cpu().numpy()
+        values.append(psnr_db(float(np.square(image.clip(0, 1) - seen.images[f]).mean())))
+    return float(np.mean(values))

@@ -15,11 +15,11 @@ from stages.shared.log import logger
 
 if TYPE_CHECKING:
     from stages.deformation.model import Deformation
-    from stages.gaussians.colours import ColourTable
-    from stages.gaussians.exposure import Exposure
-    from stages.gaussians.model import GaussianScene
-    from stages.gaussians.observations import Observations
-    from stages.gaussians.poses import PoseTable
+    from stages.gaussians.training_frames import TrainingFrames
+    from stages.splatting.colours import ColourTable
+    from stages.splatting.gains import Exposure
+    from stages.splatting.model import GaussianScene
+    from stages.splatting.pose_table import PoseTable
 
 
 def main(
@@ -69,11 +69,11 @@ def main(
 
 
 def _write_models(
-    paths: tuple[Path, Path, Path], scene: "GaussianScene", seen: "Observations", about: dict[str, Any]
+    paths: tuple[Path, Path, Path], scene: "GaussianScene", seen: "TrainingFrames", about: dict[str, Any]
 ) -> None:
     """Canonical splats, the whole model, and the same in half precision."""
-    from stages.gaussians.ply import write_ply
-    from stages.gaussians.storage import scene_tensors
+    from stages.splatting.ply import write_ply
+    from stages.splatting.storage import scene_tensors
 
     ply, model, half = paths
     tensors, settings = scene_tensors(scene)
@@ -84,9 +84,10 @@ def _write_models(
     write_model(model, tensors, settings)
 
 
-def _write_half(path: Path, scene: "GaussianScene", seen: "Observations", settings: dict[str, Any]) -> None:
+def _write_half(path: Path, scene: "GaussianScene", seen: "TrainingFrames", settings: dict[str, Any]) -> None:
     """The scene in half precision, with the PSNR of training frames and what of it the precision costs."""
-    from stages.gaussians.storage import halved, scene_from_tensors, scene_tensors, training_psnr
+    from stages.gaussians.optimise import training_psnr
+    from stages.splatting.storage import halved, scene_from_tensors, scene_tensors
 
     tensors, small_settings = halved(scene_tensors(scene)[0], settings)
     small = scene_from_tensors(tensors, small_settings).to(scene.background.device)
@@ -98,12 +99,12 @@ def _write_half(path: Path, scene: "GaussianScene", seen: "Observations", settin
 
 
 def _with_motion(
-    seen: "Observations", needs: dict[str, Any], sequence: Path, points: Path, deformation: Path
-) -> tuple["Observations", "Deformation | None", int]:
+    seen: "TrainingFrames", needs: dict[str, Any], sequence: Path, points: Path, deformation: Path
+) -> tuple["TrainingFrames", "Deformation | None", int]:
     """The observations with the movers' depth, the motion (None: nothing moves), and the row of the canonical frame."""
     from stages.deformation.storage import load_deformation
     from stages.gaussians.inputs import canonical_row
-    from stages.gaussians.observations import with_movers
+    from stages.gaussians.training_frames import with_movers
 
     motion = load_deformation(deformation, points) if needs["dynamic"]["needed"] else None
     if motion is None:
@@ -119,14 +120,18 @@ def _with_motion(
 
 
 def _new_scene(
-    seen: "Observations", motion: "Deformation | None", canonical: int, needs: dict[str, Any], options: GaussiansOptions
+    seen: "TrainingFrames",
+    motion: "Deformation | None",
+    canonical: int,
+    needs: dict[str, Any],
+    options: GaussiansOptions,
 ) -> "GaussianScene":
     """The untrained scene with what scene.json calls for."""
     import torch
 
     from stages.gaussians.initialise import cloud_within, near_plane_of
-    from stages.gaussians.model import GaussianScene
-    from stages.gaussians.rasterize import backend_name, choose_device
+    from stages.splatting.model import GaussianScene
+    from stages.splatting.rasterize import backend_name, choose_device
 
     device, neighbours = choose_device(options.device), options.neighbours
     degree, most = needs["view_dependent"]["sh_degree"], options.max_gaussians
@@ -142,14 +147,14 @@ def _new_scene(
 
 
 def _tables_over_time(
-    seen: "Observations", motion: "Deformation | None", needs: dict[str, Any], options: GaussiansOptions
+    seen: "TrainingFrames", motion: "Deformation | None", needs: dict[str, Any], options: GaussiansOptions
 ) -> tuple["ColourTable | None", "Exposure | None", "PoseTable | None"]:
     """Colours of the control points, exposure and corrections of poses, each None unless it is needed."""
     import torch
 
-    from stages.gaussians.colours import ColourTable
-    from stages.gaussians.exposure import Exposure
-    from stages.gaussians.poses import PoseTable
+    from stages.splatting.colours import ColourTable
+    from stages.splatting.gains import Exposure
+    from stages.splatting.pose_table import PoseTable
 
     times = torch.as_tensor(seen.times)
     return (

@@ -96,3 +96,8 @@ def _decode(path: Path, mode: int) -> np.ndarray:
     if image is None:
         raise InputError(path, "a readable image", "one that cannot be decoded", "replace the file")
     return np.asarray(image)
+
+
+def to_uint8(image: np.ndarray) -> np.ndarray:
+    """[..., 3] float 0..1 (clipped) to uint8."""
+    return np.round(np.clip(image, 0, 1) * 255).astype(np.uint8)

@@ -21,3 +21,8 @@ def held_out(T: int, options: SplitOptions) -> np.ndarray:
     index = np.arange(T)
     late_enough = index >= options.holdout_first
     return np.asarray(late_enough & ((index - options.holdout_first) % options.holdout_every == 0))
+
+
+def frame_times(T: int) -> np.ndarray:
+    """Times [T] of all frames, 0..1."""
+    return np.arange(T) / (T - 1)

@@ -6,8 +6,8 @@ import reference_rasterizer as reference
 import torch
 from torch import Tensor
 
-from stages.gaussians import projection_kernels
-from stages.gaussians.rasterize import Rendering, rasterize
+from stages.splatting import projection_kernels
+from stages.splatting.rasterize import Rendering, rasterize
 
 WIDTH, HEIGHT = 48, 40
 NAMES = ("means", "quats", "scales", "opacities", "colors")

@@ -8,7 +8,7 @@ from square_inputs import write_inputs
 from synthetic import flow_arrays, make_scene
 
 from stages.ba.graph import build_graph
-from stages.flow import resweep
+from stages.motion import resweep
 from stages.scene import decide
 from stages.shared import cli
 from stages.shared.artifacts import read_dense, read_metadata, read_model, read_table, write_dense, write_model

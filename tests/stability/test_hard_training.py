@@ -8,18 +8,18 @@ import pytest
 import torch
 from gaussian_training import CANONICAL, TRAIN, psnr
 
-from stages.gaussians.colours import ColourTable
 from stages.gaussians.densify import densify, select
 from stages.gaussians.initialise import initial_cloud, near_plane_of
-from stages.gaussians.model import GaussianScene
-from stages.gaussians.observations import Observations, with_movers
 from stages.gaussians.optimise import Trainer
 from stages.gaussians.options import GaussiansOptions
+from stages.gaussians.training_frames import TrainingFrames, with_movers
+from stages.splatting.colours import ColourTable
+from stages.splatting.model import GaussianScene
 
 OPTIONS = GaussiansOptions(steps=12, stride_px=4)
 
 
-def train(seen: Observations, unit: float = 1.0) -> GaussianScene:
+def train(seen: TrainingFrames, unit: float = 1.0) -> GaussianScene:
     """All that the script does: depth of movers, Gaussians, colours over time, a few steps."""
     motion = truth.true_motion(unit)
     carried = with_movers(seen, motion)

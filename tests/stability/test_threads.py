@@ -16,8 +16,8 @@ from stages.ba.options import BAOptions
 from stages.ba.solve import main as solve
 from stages.deformation.splines import at_times
 from stages.deformation.storage import save_deformation, save_points
-from stages.gaussians.model import Cloud, GaussianScene
 from stages.shared.artifacts import read_metadata, read_model, read_table
+from stages.splatting.model import Cloud, GaussianScene
 
 THREADS = (1, 2, 4)
 

@@ -56,9 +56,9 @@ rule render:
         mem_mb=megabytes(1000, 10),
         gpu=1,
     params:
-        code=code_digest("stages.gaussians.render"),
+        code=code_digest("stages.render.render"),
         flags=flags("render"),
     shell:
-        "python -m stages.gaussians.render --sequence {input.sequence:q} --poses {input.poses:q}"
+        "python -m stages.render.render --sequence {input.sequence:q} --poses {input.poses:q}"
         " --model {input.model:q} --output {output.renders:q} --video {output.video:q} {params.flags}"
         " --log {log:q} --stats {output.stats:q} 2>> {log:q}"

@@ -11,7 +11,7 @@ import cv2
 import numba
 import numpy as np
 
-from stages.flow.epipolar import Evidence
+from stages.motion.epipolar import Evidence
 from stages.shared import lie
 from stages.shared.cameras import pixel_grid
 from stages.shared.finite import require_finite

@@ -7,11 +7,11 @@ from torch import Tensor
 
 from stages.deformation.lbs import blend, lbs_weights, neighbours
 from stages.deformation.model import Deformation
-from stages.gaussians.colours import ColourTable
-from stages.gaussians.exposure import Exposure
-from stages.gaussians.poses import PoseTable
-from stages.gaussians.rasterize import Rendering, rasterize
 from stages.shared.torch_threads import one_torch_thread
+from stages.splatting.colours import ColourTable
+from stages.splatting.gains import Exposure
+from stages.splatting.pose_table import PoseTable
+from stages.splatting.rasterize import Rendering, rasterize
 
 
 @dataclass

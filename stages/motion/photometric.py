@@ -10,9 +10,9 @@ from collections.abc import Mapping
 import cv2
 import numpy as np
 
-from stages.flow.epipolar import Evidence
-from stages.flow.pooling import PRIOR_WEIGHT
-from stages.flow.resweep import rigid_flow
+from stages.motion.epipolar import Evidence
+from stages.motion.pooling import PRIOR_WEIGHT
+from stages.motion.resweep import rigid_flow
 from stages.shared.threads import threaded
 from stages.shared.warp import is_inside, warp
 

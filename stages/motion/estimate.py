@@ -5,10 +5,10 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from stages.flow import epipolar, photometric, resweep
-from stages.flow.epipolar import Evidence, PairMatches
-from stages.flow.options import MotionOptions
-from stages.flow.pooling import evidence_weights, pool
+from stages.motion import epipolar, photometric, resweep
+from stages.motion.epipolar import Evidence, PairMatches
+from stages.motion.options import MotionOptions
+from stages.motion.pooling import evidence_weights, pool
 from stages.shared import cli, figures
 from stages.shared.artifacts import read_dense, read_metadata, write_dense
 from stages.shared.cameras import Cameras, pixel_grid, read_cameras, scale_intrinsics

@@ -6,21 +6,20 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from stages.gaussians.figure import to_uint8
-from stages.gaussians.inputs import frame_times
-from stages.gaussians.model import GaussianScene
-from stages.gaussians.options import RenderOptions
-from stages.gaussians.rasterize import backend_name, choose_device
-from stages.gaussians.storage import scene_from_tensors
-from stages.gaussians.views import novel_path, right_eye
+from stages.render.options import RenderOptions
+from stages.render.viewpoints import novel_path, right_eye
 from stages.shared import sintel
 from stages.shared.alignment import DegenerateError
 from stages.shared.artifacts import read_metadata, read_model
 from stages.shared.cameras import Cameras
 from stages.shared.errors import complete
+from stages.shared.images import to_uint8
 from stages.shared.log import logger
 from stages.shared.sequences import Sequence
-from stages.shared.split import held_out
+from stages.shared.split import frame_times, held_out
+from stages.splatting.model import GaussianScene
+from stages.splatting.rasterize import backend_name, choose_device
+from stages.splatting.storage import scene_from_tensors
 
 
 @dataclass(frozen=True)

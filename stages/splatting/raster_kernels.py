@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from stages.gaussians.raster_bins import BLOCK, BLOCKS, FAST, LIMIT, MASK, ONE, RANK, TILE, WIDTH, ZERO
 from stages.shared.lanes import LANES, largest, load, prefetch, store, trailing_zeros, where
 from stages.shared.threads import spread
+from stages.splatting.raster_bins import BLOCK, BLOCKS, FAST, LIMIT, MASK, ONE, RANK, TILE, WIDTH, ZERO
 
 MAX_ALPHA = np.float32(0.999)
 MIN_TRANSMITTANCE = np.float32(1e-4)

@@ -4,7 +4,7 @@ import cv2
 import numba
 import numpy as np
 
-from stages.flow.epipolar import Evidence
+from stages.motion.epipolar import Evidence
 from stages.shared.threads import spread, threaded
 from stages.shared.warp import warp
 

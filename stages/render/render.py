@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Annotated
 
-from stages.gaussians.options import RenderOptions
+from stages.render.options import RenderOptions
 from stages.shared import cli
 from stages.shared.artifacts import read_metadata
 from stages.shared.cameras import read_cameras
@@ -27,11 +27,11 @@ def main(
 
     During the fly-through time runs from 0 to 1 while the camera circles around the estimated path.
     """
-    from stages.gaussians.shots import load_scene, planned_shots, take
-    from stages.gaussians.storage import write_splats
-    from stages.gaussians.video import write_gif
+    from stages.render.shots import load_scene, planned_shots, take
+    from stages.render.video import write_gif
     from stages.shared.artifacts import atomic_folder
     from stages.shared.images import write_image
+    from stages.splatting.storage import write_splats
 
     content, cameras = read_sequence(sequence), read_cameras(poses)
     shots = planned_shots(content, cameras, float(read_metadata(model)["median_depth"]), options)

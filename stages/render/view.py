@@ -5,7 +5,7 @@ from typing import Annotated
 
 import numpy as np
 
-from stages.gaussians.options import ViewOptions
+from stages.render.options import ViewOptions
 from stages.shared import cli
 from stages.shared.artifacts import read_metadata, read_table
 from stages.shared.cli import In, Out
@@ -23,12 +23,12 @@ def main(
     The moment is --at-time if given, else the table's `time`; else the rows are spread over 0..1. Poses are
     camera-from-world in the units of the scene; intrinsics are in pixels of the image to render.
     """
-    from stages.gaussians.inputs import frame_times
-    from stages.gaussians.shots import Shot, load_scene, take
-    from stages.gaussians.storage import write_splats
+    from stages.render.shots import Shot, load_scene, take
     from stages.shared.artifacts import atomic_folder
     from stages.shared.cameras import read_cameras
     from stages.shared.images import write_image
+    from stages.shared.split import frame_times
+    from stages.splatting.storage import write_splats
 
     eyes, settings = read_cameras(cameras), read_metadata(model)
     with complete(model, "a model of the Gaussians", "give gaussians/model.safetensors"):

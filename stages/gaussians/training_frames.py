@@ -20,7 +20,7 @@ FARTHEST = 1e3
 
 
 @dataclass(frozen=True)
-class Observations:
+class TrainingFrames:
     """F training frames.
 
     Attributes:
@@ -86,7 +86,7 @@ def _grid_neighbours(size: int, grid_size: int, stride_px: float) -> tuple[np.nd
     return np.stack([low, low + 1]).clip(0, grid_size - 1), np.stack([1 - (at - low), at - low])
 
 
-def with_movers(seen: Observations, deformation: Deformation) -> Observations:
+def with_movers(seen: TrainingFrames, deformation: Deformation) -> TrainingFrames:
     """Give masked pixels the depth of the control points that carry them, and unmask those that none can carry.
 
     The pose stage cannot triangulate what moves and guesses its depth from the background; the control points know

@@ -13,8 +13,10 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from stages.gaussians.raster_bins import FAST, LIMIT, MASK, ONE, RANK, SLOT, TILE, WIDTH, ZERO
-from stages.gaussians.raster_kernels import (
+from stages.shared.lanes import LANES, load, prefetch, store, totals, trailing_zeros, where
+from stages.shared.threads import spread
+from stages.splatting.raster_bins import FAST, LIMIT, MASK, ONE, RANK, SLOT, TILE, WIDTH, ZERO
+from stages.splatting.raster_kernels import (
     AHEAD,
     CHECK,
     MAX_ALPHA,
@@ -25,8 +27,6 @@ from stages.gaussians.raster_kernels import (
     exp_minus,
     place,
 )
-from stages.shared.lanes import LANES, load, prefetch, store, totals, trailing_zeros, where
-from stages.shared.threads import spread
 
 NOTHING = np.zeros(LANES, np.float32)
 TWO = np.float32(2)

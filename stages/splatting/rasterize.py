@@ -6,8 +6,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from stages.gaussians import projection_kernels, raster_adjoint, raster_bins, raster_kernels, sh
 from stages.shared.errors import InputError
+from stages.splatting import projection_kernels, raster_adjoint, raster_bins, raster_kernels, sh
 
 
 class Rendering(NamedTuple):

@@ -8,18 +8,14 @@ import numpy as np
 import torch
 
 from stages.deformation.storage import deformation_from_tensors, deformation_tensors
-from stages.gaussians.colours import ColourTable
-from stages.gaussians.exposure import Exposure
-from stages.gaussians.model import Cloud, GaussianScene
-from stages.gaussians.observations import Observations
-from stages.gaussians.ply import write_ply
-from stages.gaussians.poses import PoseTable
-from stages.shared.figures import spread
-from stages.shared.psnr import psnr_db
+from stages.splatting.colours import ColourTable
+from stages.splatting.gains import Exposure
+from stages.splatting.model import Cloud, GaussianScene
+from stages.splatting.ply import write_ply
+from stages.splatting.pose_table import PoseTable
 
 DEFORMATION, COLOURS, EXPOSURE, POSES = "deformation.", "colours.", "exposure.", "poses."
 """Prefixes of the tensors of the motion, of its colours, of the gains and of the corrections of poses."""
-CHECKED_FRAMES = 4
 HALVED = ("means", "log_scales", "quats", "logits", "sh", DEFORMATION + "table", COLOURS + "table")
 
 
@@ -80,18 +76,6 @@ def scene_from_tensors(tensors: Mapping[str, np.ndarray], metadata: Mapping[str,
         poses.load_state_dict({name: values[POSES + name] for name in ("knots", "length", "twists")})
     settings = (metadata["near_plane"], metadata["neighbours"])
     return GaussianScene(cloud, deformation, values["background"], *settings, colours, exposure, poses)
-
-
-@torch.no_grad()
-def training_psnr(scene: GaussianScene, seen: Observations) -> float:
-    """Mean PSNR (dB) over at most CHECKED_FRAMES training frames, as a file's check against another file."""
-    device, values = scene.background.device, []
-    for f in spread(len(seen.images), CHECKED_FRAMES):
-        viewmat, K = (torch.as_tensor(matrix, device=device) for matrix in (seen.cam_from_world[f], seen.Ks[f]))
-        height, width = seen.images.shape[1:3]
-        image = scene.render(float(seen.times[f]), viewmat, K, width, height).colour[0].cpu().numpy()
-        values.append(psnr_db(float(np.square(image.clip(0, 1) - seen.images[f]).mean())))
-    return float(np.mean(values))
 
 
 @torch.no_grad()
