@@ -25,7 +25,7 @@ demo: $(INSTALLED)
 # The whole scene library and its page of figures; begun again, it goes on where it stopped.
 results: $(INSTALLED)
 	$(BIN)/snakemake --directory $(LIBRARY) --config scenes=all preset=$(PRESET); ended=$$?; \
-	$(BIN)/python -m stages.eval.results --results $(LIBRARY)/results/simulated --manifests $(LIBRARY)/simulated \
+	$(BIN)/python -m stages.results --results $(LIBRARY)/results/simulated --manifests $(LIBRARY)/simulated \
 		--scenes stages/simulate/scenes --output docs/results.md --readme README.md \
 		--command "make results PRESET=$(PRESET)" && exit $$ended
 

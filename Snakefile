@@ -25,7 +25,7 @@ localrules:
     all,
     poses,
     masks,
-    gaussians,
+    splats,
     sweep,
     scaling,
 
@@ -50,7 +50,7 @@ rule masks:
         expand("<results>/{dataset}/{seq}/masks", dataset=DATASET, seq=SEQUENCES),
 
 
-rule gaussians:
+rule splats:
     input:
         expand(
             "<results>/{dataset}/{seq}/gaussians/gaussians.ply",

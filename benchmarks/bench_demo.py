@@ -12,8 +12,8 @@ import tempfile
 import time
 from pathlib import Path
 
-from stages.eval.provenance import about_run
-from stages.eval.scorecard import score_row
+from stages.report.provenance import about_run
+from stages.results.scorecard import score_row
 
 REPO = Path(__file__).parents[1]
 GOALS_S = {"no kernel compiled": 240.0, "kernels compiled": 90.0}

@@ -13,8 +13,8 @@ import tempfile
 import time
 from pathlib import Path
 
-from stages.eval import trajectory
-from stages.eval.truth import true_cameras
+from stages.evaluate import trajectory
+from stages.evaluate.ground_truth import true_cameras
 from stages.shared.artifacts import read_json, read_metadata
 from stages.shared.cameras import read_cameras
 from stages.shared.sequences import read_sequence
@@ -52,7 +52,7 @@ def describe_error(results: Path) -> str:
 def colmap_seconds(results: Path, folder: Path) -> float:
     """CPU seconds of COLMAP's matching and incremental mapping on the same frames; on one thread, so also wall ones."""
     table = folder / "colmap.parquet"
-    command = [sys.executable, "-m", "stages.eval.colmap", "--sequence", results / "sequence.json", "--output", table]
+    command = [sys.executable, "-m", "stages.colmap", "--sequence", results / "sequence.json", "--output", table]
     command += ["--mappers", "incremental", "--upsample", "1", "--stats", folder / "colmap.json"]
     command += ["--log", folder / "colmap.log"]
     subprocess.run(list(map(str, command)), check=True, cwd=REPOSITORY)

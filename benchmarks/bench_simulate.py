@@ -16,10 +16,10 @@ import numpy as np
 
 from benchmarks.timing import alternated
 from stages.shared.cameras import pixel_grid
-from stages.simulate import frames, raycast, truth
+from stages.simulate import exact_motion, frames, raycast
 from stages.simulate.effect_models import Effects
 from stages.simulate.frames import Stage, set_stage
-from stages.simulate.motion import right_of
+from stages.simulate.keyframes import right_of
 from stages.simulate.scene import Scene, load_scene
 
 SCENES = Path(__file__).resolve().parents[1] / "stages" / "simulate" / "scenes"
@@ -56,7 +56,7 @@ def clean_frame(stage: Stage, right_eye: bool = True) -> None:
     seen = frames.see(stage, now)
     frames.to_srgb(frames.develop(stage, now, seen, with_effects=False))
     uv = pixel_grid(stage.scene.height, stage.scene.width).reshape(-1, 2)
-    truth.motion(seen.hits, uv, stage.world, other.snapshot, other.view, now.view.K[0, 0])
+    exact_motion.motion(seen.hits, uv, stage.world, other.snapshot, other.view, now.view.K[0, 0])
     if right_eye:
         right = frames.Moment(now.snapshot, right_of(now.view, stage.scene.camera.baseline))
         frames.to_srgb(frames.develop(stage, right, frames.see(stage, right), with_effects=False))

@@ -4,7 +4,7 @@ Run as `python -m benchmarks.flow_accuracy FOLDER [FOLDER ...]`, each a folder o
 beside its truth. Per sequence: end-point error of flow to the next frame, overall and by true motion, and how often
 confident flow is right to a pixel; with depth and cameras also per frame distance, against exact flow of the pixels
 seen in both frames. What truth a folder lacks is told in a line each. Options of the flow stage follow as in
-`python -m stages.flow.estimate --help`, e.g. `--options finest_scale=1`; `--frames 8` takes the first frames only.
+`python -m stages.flow --help`, e.g. `--options finest_scale=1`; `--frames 8` takes the first frames only.
 """
 
 import argparse
@@ -17,17 +17,10 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from stages.eval.flow_error import (
-    MIN_CONFIDENCE,
-    RIGHT_PX,
-    SPEEDS_PX,
-    FlowErrors,
-    flow_errors,
-    has_some_true_flow,
-)
-from stages.flow import estimate
+from stages.evaluate.flow_error import MIN_CONFIDENCE, RIGHT_PX, SPEEDS_PX, FlowErrors, flow_errors, has_some_true_flow
+from stages.flow import __main__ as flow_stage
 from stages.flow.options import FlowOptions
-from stages.flow.truth import NEEDED, read_truth, true_flow
+from stages.flow.true_flow import NEEDED, read_truth, true_flow
 from stages.shared.artifacts import read_dense, write_json
 from stages.shared.errors import InputError
 from stages.shared.options import validate
@@ -40,7 +33,7 @@ def measured(frames: Sequence, options: FlowOptions) -> tuple[dict[str, np.ndarr
         folder = Path(name)
         write_json(folder / "sequence.json", sequence_to_json(frames))
         began = time.process_time()
-        estimate.main(folder / "sequence.json", folder / "pairs.arrow", folder / "flow.png", options)
+        flow_stage.main(folder / "sequence.json", folder / "pairs.arrow", folder / "flow.png", options)
         seconds = time.process_time() - began
         return {key: np.array(values) for key, values in read_dense(folder / "pairs.arrow").items()}, seconds
 

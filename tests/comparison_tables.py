@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from stages.eval.tables import write_rows
+from stages.shared.tables import write_rows
 
 METRICS = (
     *("rpe_rot_deg", "focal_error_percent", "iou", "boundary_f", "psnr_static_db", "psnr_dynamic_db", "ssim"),

@@ -5,9 +5,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from stages.eval import evaluate
-from stages.eval.options import EvaluateOptions
-from stages.inspect import check
+from stages.evaluate import __main__ as evaluate_stage
+from stages.evaluate.options import EvaluateOptions
+from stages.inspect import __main__ as inspect_stage
 from stages.inspect.options import InspectOptions
 from stages.shared import lie, sintel
 from stages.shared.artifacts import write_dense, write_json, write_model, write_table
@@ -178,7 +178,7 @@ def finish(root: Path, name: str = "wall", truth: bool = True) -> Path:
     """Dataset, results of all stages and their evaluation; returns the result folder."""
     frames = write_dataset(root, name, truth)
     folder = root / "results" / name
-    check.main(frames, folder / "sequence.json", folder / "figures" / "inspect.png", InspectOptions())
+    inspect_stage.main(frames, folder / "sequence.json", folder / "figures" / "inspect.png", InspectOptions())
     write_results(folder)
     score(folder)
     return folder
@@ -187,7 +187,7 @@ def finish(root: Path, name: str = "wall", truth: bool = True) -> Path:
 def score(folder: Path) -> None:
     """The evaluation of the results in a folder."""
     parts = [folder / "round1", folder]
-    evaluate.main(
+    evaluate_stage.main(
         sequence=folder / "sequence.json",
         flow=folder / "flow/pairs.arrow",
         priors=[part / "motion/prior.arrow" for part in parts],

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from stages.ba import doubts
+from stages.ba import diagnostics
 from stages.ba.classify import Statistics
 from stages.ba.dba import State
 from stages.ba.initialise import Candidate
@@ -41,7 +41,7 @@ def test_a_solution_is_doubted_for_what_speaks_against_it(
     roughness: float, statistics: Statistics, residual_px: float, rival: Candidate | None, said: str
 ) -> None:
     chosen = candidate("chosen", TWISTS, roughness=roughness)
-    found = doubts.of_solution(chosen, [rival] if rival else [], statistics, residual_px)
+    found = diagnostics.of_solution(chosen, [rival] if rival else [], statistics, residual_px)
     assert len(found) == bool(said)
     assert all(said in doubt for doubt in found)
 
@@ -53,7 +53,7 @@ def test_paths_below_the_noise_are_no_rivals(turning: float, shake: float, said:
     turn, rng = turning * TWISTS * [0, 0, 0, 0, 1, 0], np.random.default_rng(0)
     paths = [turn + shake * rng.standard_normal((8, 1)) * [1, 1, 1, 0, 0, 0] for _ in range(2)]
     chosen, rival = candidate("chosen", paths[0]), candidate("rival", paths[1])
-    assert len(doubts.of_solution(chosen, [rival], STILL, 1e-6)) == said
+    assert len(diagnostics.of_solution(chosen, [rival], STILL, 1e-6)) == said
 
 
 @pytest.mark.parametrize(
@@ -69,7 +69,7 @@ def test_paths_below_the_noise_are_no_rivals(turning: float, shake: float, said:
 )
 def test_a_focal_length_that_is_not_observed_is_a_flag(camera: str, decision: str, said: str) -> None:
     focal = {"decision": decision, "relative_sigma": 0.39, "reason": "its predicted error is 39 %"}
-    found = doubts.of_focal(camera, focal)
+    found = diagnostics.of_focal(camera, focal)
     assert len(found) == bool(said)
     assert all(said in flag for flag in found)
 
@@ -86,7 +86,7 @@ def test_a_focal_length_that_is_not_observed_is_a_flag(camera: str, decision: st
 )
 def test_rounds_that_move_the_focal_length_have_not_converged(decision: str, ratio: float, said: str) -> None:
     now = {"decision": decision, "relative_sigma": 0.01, "focal_px": 400 * ratio}
-    found = doubts.of_rounds(now, {"decision": "held at prior", "relative_sigma": 0.2, "focal_px": 400})
+    found = diagnostics.of_rounds(now, {"decision": "held at prior", "relative_sigma": 0.2, "focal_px": 400})
     assert len(found) == bool(said)
     assert all(said in flag for flag in found)
 
@@ -106,7 +106,7 @@ def test_masks_are_doubted_when_they_grow_or_leave_nothing(
 ) -> None:
     static = np.zeros((4, 10, 10))
     static.reshape(4, -1)[:, : round(100 * share)] = 1
-    found = doubts.of_masks(static, np.arange(4) < ignored, before)
+    found = diagnostics.of_masks(static, np.arange(4) < ignored, before)
     assert len(found) == bool(said)
     assert all(said in flag for flag in found)
 
@@ -119,7 +119,7 @@ def test_the_distance_of_paths_is_that_of_their_centres_after_alignment() -> Non
     moved[:, :3, 3] -= (poses[:, :3, :3] @ offset[..., None])[..., 0]
     moved = moved @ lie.exp_se3(np.array([1.0, 2, 3, 0.4, 0, 0.2]))
     moved[:, :3, 3] *= 7
-    apart, length = doubts.path_difference(poses, moved)
+    apart, length = diagnostics.path_difference(poses, moved)
     steps = np.diff(lie.inverse(poses)[:, :3, 3], axis=0)
     assert length == pytest.approx(np.linalg.norm(steps, axis=1).sum())
     assert apart == pytest.approx(0.005, rel=0.05)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from synthetic import Scene, exact_flow, make_scene, observe, trajectory_error
 
-from stages.ba import given
+from stages.ba import from_truth
 from stages.ba.depth import DepthMaps
 from stages.shared import lie, sintel
 from stages.shared.cameras import pixel_grid, project, unproject
@@ -40,14 +40,18 @@ def frames(scene: Scene, tmp_path: Path) -> Sequence:
 
 
 def test_true_poses_keep_their_path_and_true_depth_explains_the_flow(scene: Scene, frames: Sequence) -> None:
-    solution = given.solve_depths(observe(scene, masked=False), given.true_poses(frames), scene.focal_px, seed=0)
+    solution = from_truth.solve_depths(
+        observe(scene, masked=False), from_truth.true_poses(frames), scene.focal_px, seed=0
+    )
     poses = solution.state.cam_from_world
     assert trajectory_error(poses, scene.cam_from_world) < 1e-9
     assert np.allclose(poses[0], np.eye(4), atol=1e-12)
     assert np.median(solution.state.inverse_depth) == pytest.approx(1)  # the gauge that the metadata states
     shape = (scene.T, 32, 48)
     unknown = DepthMaps(np.ones(shape), np.ones(shape), np.ones(shape, bool))
-    maps = given.true_depth_maps(frames, unknown, 2.0, given.gauge_scale(solution.state, scene.cam_from_world))
+    maps = from_truth.true_depth_maps(
+        frames, unknown, 2.0, from_truth.gauge_scale(solution.state, scene.cam_from_world)
+    )
     pixels = pixel_grid(32, 48) * 2 + 0.5
     world = unproject(pixels, 1 / maps.inverse_depth[0], poses[0], scene.K)
     found = project(world, poses[2], scene.K)[0] - pixels
@@ -58,12 +62,12 @@ def test_true_poses_keep_their_path_and_true_depth_explains_the_flow(scene: Scen
 
 
 def test_true_depth_takes_the_scale_of_estimated_poses(frames: Sequence) -> None:
-    true = np.stack([1 / depth[::2, ::2] for depth in given.true_depths(frames)])
+    true = np.stack([1 / depth[::2, ::2] for depth in from_truth.true_depths(frames)])
     rng = np.random.default_rng(0)
     estimated = 7.0 * true * np.exp(0.05 * rng.standard_normal(true.shape))
     filled = rng.random(true.shape) < 0.4
     estimated[filled] = 100.0  # guesses have no say
-    maps = given.true_depth_maps(frames, DepthMaps(estimated, np.ones(true.shape), filled), 2.0, None)
+    maps = from_truth.true_depth_maps(frames, DepthMaps(estimated, np.ones(true.shape), filled), 2.0, None)
     assert np.median(maps.inverse_depth / true) == pytest.approx(7.0, rel=0.01)
 
 
@@ -73,22 +77,22 @@ def test_the_sky_has_a_small_positive_inverse_depth(frames: Sequence) -> None:
         depth[:10] = np.inf
         sintel.write_dpt(path, depth)
     ones = np.ones((6, 64, 96))
-    maps = given.true_depth_maps(frames, DepthMaps(ones, ones, ones < 0), 1.0, None)
-    assert np.all(maps.inverse_depth[:, :10] == given.MIN_INVERSE_DEPTH)
+    maps = from_truth.true_depth_maps(frames, DepthMaps(ones, ones, ones < 0), 1.0, None)
+    assert np.all(maps.inverse_depth[:, :10] == from_truth.MIN_INVERSE_DEPTH)
     assert np.all(maps.variance > 0)
 
 
 def test_a_camera_that_only_turns_is_called_so() -> None:
     turning = make_scene(T=5, motion="rotate")
-    solution = given.solve_depths(observe(turning, stride=8), turning.cam_from_world, turning.focal_px, seed=0)
+    solution = from_truth.solve_depths(observe(turning, stride=8), turning.cam_from_world, turning.focal_px, seed=0)
     assert solution.camera == "rotating"
     assert np.isfinite(solution.state.cam_from_world).all()
-    assert given.gauge_scale(solution.state, turning.cam_from_world) is None
+    assert from_truth.gauge_scale(solution.state, turning.cam_from_world) is None
 
 
 @pytest.mark.parametrize(("kind", "option"), [("camdata_left", "poses_from"), ("depth", "depth_from")])
 def test_missing_truth_is_named(frames: Sequence, kind: str, option: str) -> None:
     del frames.truth[kind][2]
-    read = given.true_poses if kind == "camdata_left" else given.true_depths
+    read = from_truth.true_poses if kind == "camdata_left" else from_truth.true_depths
     with pytest.raises(InputError, match=f"{kind} beside the frames.*{option}: truth.*{option}: estimate"):
         read(frames)

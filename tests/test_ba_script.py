@@ -11,10 +11,10 @@ from ba_files import outputs, write_inputs
 from numpy.testing import assert_allclose
 from synthetic import flow_arrays, make_scene, trajectory_error
 
+from stages.ba.__main__ import main
 from stages.ba.options import BAOptions
-from stages.ba.solve import main
 from stages.ba.uncertainty import CORRELATION
-from stages.flow.estimate import main as estimate_flow
+from stages.flow.__main__ import main as estimate_flow
 from stages.flow.options import FlowOptions
 from stages.shared.artifacts import read_dense, read_metadata, read_table, write_json
 from stages.shared.cameras import read_cameras, write_cameras

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from conftest import REPO, run_snakemake, write_frames
 
-from stages.inspect import check
+from stages.inspect import __main__ as inspect_stage
 from stages.inspect.options import InspectOptions
 from stages.shared import sintel
 from stages.shared.errors import InputError
@@ -141,7 +141,7 @@ def test_stated_conversions_of_odd_images(tmp_path: Path, image: np.ndarray, tol
 def run_check(folder: Path, output: Path) -> subprocess.CompletedProcess[str]:
     """The input check from the command line."""
     flags = ["--frames", str(folder), "--output", str(output), "--figure", str(output.with_suffix(".png"))]
-    command = [sys.executable, "-m", "stages.inspect.check", *flags]
+    command = [sys.executable, "-m", "stages.inspect", *flags]
     return subprocess.run(command, capture_output=True, text=True, cwd=REPO, check=False)
 
 
@@ -189,12 +189,12 @@ def test_pictures_of_the_truth_are_read_too(tmp_path: Path, kind: str) -> None:
     """The evaluation reads them after minutes of work: what is wrong with them must stop before."""
     folder = sintel_clip(tmp_path)
     sequence = check_sequence("clip", folder)
-    check.check_truth(sequence)
+    inspect_stage.check_truth(sequence)
     path = tmp_path / "training" / kind / "clip" / "frame_0001.png"
     path.parent.mkdir(parents=True)
     cv2.imwrite(str(path), np.zeros((10, 20), np.uint8))
     with pytest.raises(InputError, match="64 x 48 like the frames, found 20 x 10"):
-        check.check_truth(check_sequence("clip", folder))
+        inspect_stage.check_truth(check_sequence("clip", folder))
 
 
 @pytest.mark.parametrize(
@@ -208,7 +208,7 @@ def test_pictures_of_the_truth_are_read_too(tmp_path: Path, kind: str) -> None:
 def test_cameras_that_cannot_be(tmp_path: Path, pose: np.ndarray, phrase: str) -> None:
     sintel.write_cam(tmp_path / "frame_0001.cam", np.eye(3), pose)
     with pytest.raises(InputError, match=phrase):
-        check.check_camera(tmp_path / "frame_0001.cam")
+        inspect_stage.check_camera(tmp_path / "frame_0001.cam")
 
 
 def test_a_linked_sequence_keeps_its_name(tmp_path: Path) -> None:
@@ -218,7 +218,7 @@ def test_a_linked_sequence_keeps_its_name(tmp_path: Path) -> None:
     link = tmp_path / "data" / "clip"
     link.symlink_to(target, target_is_directory=True)
     assert list(sequence_folders(tmp_path / "data", "final")) == list(sequence_folders(link, "final")) == ["clip"]
-    check.main(link, tmp_path / "sequence.json", tmp_path / "inspect.png", InspectOptions())
+    inspect_stage.main(link, tmp_path / "sequence.json", tmp_path / "inspect.png", InspectOptions())
     assert read_sequence(tmp_path / "sequence.json").name == "clip"
 
 
@@ -240,7 +240,7 @@ def test_an_output_folder_without_permission(frames: Path) -> None:
 
 
 def test_an_unknown_flag_is_one_line() -> None:
-    command = [sys.executable, "-m", "stages.inspect.check", "--frame", "x"]
+    command = [sys.executable, "-m", "stages.inspect", "--frame", "x"]
     result = subprocess.run(command, capture_output=True, text=True, cwd=REPO, check=False)
     assert result.returncode == 2
     assert len(result.stderr.splitlines()) == 1

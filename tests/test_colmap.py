@@ -12,11 +12,13 @@ import numpy as np
 import pytest
 from conftest import write_frames
 
-from stages.eval import baseline, colmap, trajectory
-from stages.eval.options import ColmapOptions
-from stages.eval.score_poses import colmap_candidates
-from stages.eval.truth import true_cameras
-from stages.inspect import check
+from stages.colmap import __main__ as colmap_stage
+from stages.colmap import baseline
+from stages.colmap.options import ColmapOptions
+from stages.evaluate import trajectory
+from stages.evaluate.ground_truth import true_cameras
+from stages.evaluate.score_poses import colmap_candidates
+from stages.inspect import __main__ as inspect_stage
 from stages.inspect.options import InspectOptions
 from stages.shared.artifacts import read_metadata, read_table, write_json
 from stages.shared.cameras import centred_intrinsics
@@ -27,7 +29,7 @@ BOTH = ("global", "incremental")
 
 
 def _inspect(frames: Path, folder: Path) -> Path:
-    check.main(frames, folder / "sequence.json", folder / "inspect.png", InspectOptions())
+    inspect_stage.main(frames, folder / "sequence.json", folder / "inspect.png", InspectOptions())
     return folder / "sequence.json"
 
 
@@ -46,7 +48,7 @@ def sequence(rendered: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_both_mappers_find_the_cameras_and_repeat_themselves(sequence: Path, tmp_path: Path) -> None:
     options = ColmapOptions(window=5, mappers=BOTH)
     first, second = tmp_path / "first.parquet", tmp_path / "second.parquet"
-    colmap.main(sequence, first, options)
+    colmap_stage.main(sequence, first, options)
     frames = read_sequence(sequence)
     truth = true_cameras(frames)
     assert truth is not None
@@ -59,7 +61,7 @@ def test_both_mappers_find_the_cameras_and_repeat_themselves(sequence: Path, tmp
         errors = trajectory.pose_errors(candidate.cameras.cam_from_world, truth.cam_from_world, truth.numbers)
         assert errors.ate_percent < 1
         assert abs(trajectory.focal_error_percent(candidate.cameras.Ks, truth.Ks)) < 10
-    colmap.main(sequence, second, options.model_copy(update={"mappers": ("global",)}))
+    colmap_stage.main(sequence, second, options.model_copy(update={"mappers": ("global",)}))
     kept = read_table(first)["method"] == "COLMAP global"
     for name, column in read_table(second).items():
         np.testing.assert_array_equal(read_table(first)[name][kept], column)
@@ -77,9 +79,9 @@ def test_enlarged_frames_give_intrinsics_of_the_original_frames(
         seen.append(cv2.imread(str(arguments[0] / "frame_0001.png")).shape)
         return np.tile(np.eye(4), (1, 1, 1)), centred_intrinsics(200, 160, 120)[None], ["frame_0001.png"]
 
-    monkeypatch.setattr(colmap, "run_limited", stand_in)
+    monkeypatch.setattr(colmap_stage, "run_limited", stand_in)
     sequence = _inspect(write_frames(tmp_path / "clip", size=(60, 80)), tmp_path)
-    colmap.main(sequence, tmp_path / "poses.parquet", ColmapOptions(mappers=("global",), upsample=(2,)))
+    colmap_stage.main(sequence, tmp_path / "poses.parquet", ColmapOptions(mappers=("global",), upsample=(2,)))
     (candidate,) = colmap_candidates(tmp_path / "poses.parquet")
     assert seen == [(120, 160, 3)]
     assert candidate.method == "COLMAP global, x2"
@@ -99,14 +101,14 @@ def test_masked_variants_have_no_features_on_dynamic_pixels(tmp_path: Path, monk
         seen[len(seen) + 1] = np.concatenate(points).reshape(-1, shape[0])[:, 0]
         raise baseline.StepFailed("enough seen")
 
-    monkeypatch.setattr(colmap, "run_limited", spy)
+    monkeypatch.setattr(colmap_stage, "run_limited", spy)
     noise = cv2.GaussianBlur(np.random.default_rng(0).integers(0, 256, (120, 160, 3), dtype=np.uint8), (0, 0), 1.5)
     for number in range(1, 4):
         write_image(tmp_path / f"clip/frame_{number:04d}.png", noise)
         write_image(tmp_path / f"masks/frame_{number:04d}.png", np.arange(160) < np.full((120, 1), 80))
     write_json(tmp_path / "masks/masks.json", {"options": {"source": "refined"}})
     sequence, output = _inspect(tmp_path / "clip", tmp_path), tmp_path / "poses.parquet"
-    colmap.main(
+    colmap_stage.main(
         sequence, output, ColmapOptions(window=1, mappers=BOTH, upsample_masked=(1, 2)), masks=tmp_path / "masks"
     )
     assert all(len(seen[factor]) > 30 for factor in (1, 2))
@@ -114,10 +116,10 @@ def test_masked_variants_have_no_features_on_dynamic_pixels(tmp_path: Path, monk
     methods = [candidate.method for candidate in colmap_candidates(output)]
     assert methods[0] == "COLMAP global, with our refined masks"
     assert methods[-1] == "COLMAP incremental, x2, with our refined masks"
-    colmap.main(sequence, output, ColmapOptions(window=1))
+    colmap_stage.main(sequence, output, ColmapOptions(window=1))
     assert seen[3].min() < 70
     write_json(tmp_path / "masks/masks.json", {"options": {"source": "truth"}})
-    colmap.main(sequence, output, ColmapOptions(window=1, upsample_masked=(1,)), masks=tmp_path / "masks")
+    colmap_stage.main(sequence, output, ColmapOptions(window=1, upsample_masked=(1,)), masks=tmp_path / "masks")
     true = colmap_candidates(output)[0]
     assert (true.method, true.given, true.threads) == ("COLMAP global, with true motion masks", "true masks", 1)
 
@@ -128,7 +130,7 @@ def test_frames_without_texture_are_a_failed_row_with_a_reason(tmp_path: Path) -
     for number in range(1, 5):
         cv2.imwrite(str(frames / f"frame_{number:04d}.png"), np.full((60, 80, 3), 128, np.uint8))
     output = tmp_path / "poses.parquet"
-    colmap.main(_inspect(frames, tmp_path), output, ColmapOptions(mappers=BOTH))
+    colmap_stage.main(_inspect(frames, tmp_path), output, ColmapOptions(mappers=BOTH))
     outcomes = read_metadata(output)["variants"]
     assert [outcome["method"] for outcome in outcomes] == ["COLMAP global", "COLMAP incremental"]
     assert all(outcome["registered"] == 0 and outcome["failure"] for outcome in outcomes)
@@ -137,7 +139,7 @@ def test_frames_without_texture_are_a_failed_row_with_a_reason(tmp_path: Path) -
 
 def test_a_variant_that_hangs_is_stopped(sequence: Path, tmp_path: Path) -> None:
     output = tmp_path / "poses.parquet"
-    colmap.main(sequence, output, ColmapOptions(time_limit_s=1, mappers=BOTH))
+    colmap_stage.main(sequence, output, ColmapOptions(time_limit_s=1, mappers=BOTH))
     for outcome in read_metadata(output)["variants"]:
         assert "stopped after 1 s of CPU" in outcome["failure"]
     assert not list(tmp_path.glob(".colmap-*"))

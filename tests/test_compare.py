@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 from conftest import REPO
 
-from stages.eval import compare
-from stages.eval.tables import Row, write_rows
+from stages.comparisons import compare
 from stages.shared.errors import InputError
+from stages.shared.tables import Row, write_rows
 
 
 def _write(folder: Path, sequence: str, ate: float | None, psnr: float, seconds: float) -> None:
@@ -78,7 +78,7 @@ def test_what_only_one_run_has_is_shown(runs: tuple[Path, Path]) -> None:
 
 def test_the_script_prints_and_draws(runs: tuple[Path, Path], tmp_path: Path) -> None:
     picture = tmp_path / "change.svg"
-    command = [sys.executable, "-m", "stages.eval.compare", *map(str, runs), "--figure", str(picture)]
+    command = [sys.executable, "-m", "stages.comparisons.compare", *map(str, runs), "--figure", str(picture)]
     done = subprocess.run(command, capture_output=True, text=True, cwd=REPO, check=True)
     assert "B - A: mean" in done.stdout
     assert "alley" in picture.read_text()
@@ -90,7 +90,7 @@ def test_bad_folders_end_in_one_line_and_code_2(runs: tuple[Path, Path], tmp_pat
     for folder, found in ((tmp_path / "empty", "nothing evaluated"), (tmp_path / "gone", "no such folder")):
         with pytest.raises(InputError, match=found):
             compare.read_run(folder)
-    command = [sys.executable, "-m", "stages.eval.compare", str(runs[0]), str(tmp_path / "gone")]
+    command = [sys.executable, "-m", "stages.comparisons.compare", str(runs[0]), str(tmp_path / "gone")]
     done = subprocess.run(command, capture_output=True, text=True, cwd=REPO, check=False)
     assert (done.returncode, done.stdout) == (2, "")
     assert len(done.stderr.splitlines()) == 1

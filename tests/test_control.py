@@ -11,7 +11,7 @@ import torch
 from scipy.spatial.transform import Rotation
 from square_inputs import write_inputs
 
-from stages.control import fit
+from stages.control import __main__ as control_stage
 from stages.control.options import ControlOptions
 from stages.deformation import arap
 from stages.deformation.model import Deformation, MLPDeformation, TableDeformation
@@ -102,7 +102,7 @@ def run_fit(
     flags = paths | {"scene": scene} | {flag: folder / name for flag, name in outputs.items()}
     words = [word for flag, path in flags.items() for word in (f"--{flag}", str(path))]
     with pytest.raises(SystemExit) as end:
-        run(fit.main, [*words, "--steps", "40", *more])
+        run(control_stage.main, [*words, "--steps", "40", *more])
     assert end.value.code == 0
     return read_metadata(folder / "deformation.safetensors"), read_table(folder / "points.parquet")
 
@@ -128,7 +128,7 @@ def test_depth_is_looked_up_where_a_grid_of_broken_pixels_has_it(tmp_path: Path)
     columns = {"inverse_depth": np.exp(ramp), "variance": (0.01 * np.exp(ramp)) ** 2}
     write_dense(paths["depth"], columns, {"stride_px": 4.5})
     sequence, cameras = read_sequence(paths["sequence"]), read_cameras(paths["poses"])
-    seen = fit._sightings(sequence, paths["flow"], paths["masks"], cameras, paths["depth"], ControlOptions())
+    seen = control_stage._sightings(sequence, paths["flow"], paths["masks"], cameras, paths["depth"], ControlOptions())
     assert seen.uv[seen.visible][:, 0].max() > 20
     np.testing.assert_allclose(np.log(seen.depth[seen.visible]), 0.02 * seen.uv[seen.visible][:, 0], atol=0.01)
 
@@ -140,7 +140,9 @@ def test_masks_that_the_poses_distrust_carry_no_tracks(tmp_path: Path) -> None:
         write_image(paths["masks"] / "frame_0002.png", mask)
         cameras = replace(read_cameras(paths["poses"]), masks_trusted=np.arange(clip.T) != 1)
         sequence = read_sequence(paths["sequence"])
-        found.append(fit._sightings(sequence, paths["flow"], paths["masks"], cameras, paths["depth"], ControlOptions()))
+        found.append(
+            control_stage._sightings(sequence, paths["flow"], paths["masks"], cameras, paths["depth"], ControlOptions())
+        )
     np.testing.assert_array_equal(found[0].uv, found[1].uv)
 
 

@@ -6,7 +6,7 @@ import pytest
 import yaml
 from conftest import REPO, run_snakemake
 
-from stages.eval.scorecard import score_rows
+from stages.results.scorecard import score_rows
 
 OPTIONS: dict[str, Any] = {
     "preset": "fast",

@@ -7,13 +7,14 @@ import finished_run as run
 import numpy as np
 import pytest
 
-from stages.eval import costs, overview, score_geometry, score_masks, score_models, score_poses
-from stages.eval.given import Given, read_given
-from stages.eval.tables import read_rows
+from stages.evaluate import costs, score_geometry, score_masks, score_models, score_poses
+from stages.report import overview
 from stages.shared import lie
 from stages.shared.artifacts import read_dense, write_model
 from stages.shared.cameras import Cameras, make_cameras, read_cameras, write_cameras
 from stages.shared.sequences import read_sequence
+from stages.shared.tables import read_rows
+from stages.shared.truth_used import Given, read_given
 
 
 def _candidate(cameras: Cameras | None, failure: str | None = None) -> score_poses.Candidate:

@@ -9,25 +9,29 @@ import numpy as np
 import pytest
 from conftest import REPO
 
-from stages.ba import solve
+from stages.ba import __main__ as ba_stage
 from stages.ba.options import BAOptions
-from stages.control import fit
+from stages.colmap import __main__ as colmap_stage
+from stages.colmap.options import ColmapOptions
+from stages.control import __main__ as control_stage
 from stages.control.options import ControlOptions
-from stages.eval import colmap, evaluate, report
-from stages.eval.options import ColmapOptions, EvaluateOptions, ReportOptions
-from stages.flow import estimate
+from stages.evaluate import __main__ as evaluate_stage
+from stages.evaluate.options import EvaluateOptions
+from stages.flow import __main__ as flow_stage
 from stages.flow.options import FlowOptions
-from stages.gaussians import train
+from stages.gaussians import __main__ as gaussians_stage
 from stages.gaussians.options import GaussiansOptions
-from stages.inspect import check
+from stages.inspect import __main__ as inspect_stage
 from stages.inspect.options import InspectOptions
-from stages.motion import estimate as motion
+from stages.motion import __main__ as motion_stage
 from stages.motion.options import MotionOptions
-from stages.render import render
+from stages.render import __main__ as render_stage
 from stages.render.options import RenderOptions
-from stages.scene import decide
+from stages.report import __main__ as report_stage
+from stages.report.options import ReportOptions
+from stages.scene import __main__ as scene_stage
 from stages.scene.options import SceneOptions
-from stages.segment import refine
+from stages.segment import __main__ as segment_stage
 from stages.segment.options import SegmentOptions
 from stages.shared.artifacts import read_metadata, read_table
 
@@ -42,30 +46,32 @@ def reconstruct(frames: Path, folder: Path) -> None:
     def at(**names: str) -> dict[str, Any]:
         return {name: folder / path for name, path in names.items()}
 
-    check.main(frames, **at(output="sequence.json", figure="figures/inspect.png"), options=InspectOptions())
+    inspect_stage.main(frames, **at(output="sequence.json", figure="figures/inspect.png"), options=InspectOptions())
     frames_and = at(sequence="sequence.json", flow=FLOW)
-    estimate.main(**at(sequence="sequence.json", output=FLOW, figure="figures/flow.png"), options=FlowOptions())
-    motion.main(**frames_and, **at(output=PRIOR, figure="figures/motion.png"), options=MotionOptions())
-    refine.main(**frames_and, **at(prior=PRIOR, output="masks", figure="figures/segment.png"), options=SegmentOptions())
+    flow_stage.main(**at(sequence="sequence.json", output=FLOW, figure="figures/flow.png"), options=FlowOptions())
+    motion_stage.main(**frames_and, **at(output=PRIOR, figure="figures/motion.png"), options=MotionOptions())
+    segment_stage.main(
+        **frames_and, **at(prior=PRIOR, output="masks", figure="figures/segment.png"), options=SegmentOptions()
+    )
     solved = at(trajectory="ba/trajectory.tum", convergence="ba/convergence.parquet", figure="figures/ba.png")
-    solve.main(**frames_and, **at(masks="masks", poses=POSES, depth=DEPTH), **solved, options=BAOptions())
+    ba_stage.main(**frames_and, **at(masks="masks", poses=POSES, depth=DEPTH), **solved, options=BAOptions())
     known = frames_and | at(masks="masks", poses=POSES, depth=DEPTH)
-    decide.main(**known, **at(output="scene.json", figure="figures/scene.png"), options=SceneOptions())
+    scene_stage.main(**known, **at(output="scene.json", figure="figures/scene.png"), options=SceneOptions())
     known |= at(scene="scene.json", points=POINTS, deformation=MOTION)
-    fit.main(**known, **at(figure="figures/control.png"), options=ControlOptions(steps=2))
+    control_stage.main(**known, **at(figure="figures/control.png"), options=ControlOptions(steps=2))
     del known["flow"]
     trained = at(convergence="gaussians/convergence.parquet", figure="figures/gaussians.png", ply="gaussians/all.ply")
-    train.main(**known, **trained, **at(model=MODEL, half=HALF), options=GaussiansOptions(steps=2))
+    gaussians_stage.main(**known, **trained, **at(model=MODEL, half=HALF), options=GaussiansOptions(steps=2))
     rendered = at(sequence="sequence.json", poses=POSES, model=MODEL, output="renders", video="figures/render.gif")
-    render.main(**rendered, options=RenderOptions(novel_views=2))
+    render_stage.main(**rendered, options=RenderOptions(novel_views=2))
 
 
 def score(folder: Path, stats: list[Path]) -> None:
     """The baseline and the evaluation; `stats` are the stages' time files."""
     baseline = folder / "colmap.parquet"
-    colmap.main(folder / "sequence.json", baseline, ColmapOptions(mappers=("global",), upsample=(1,)))
+    colmap_stage.main(folder / "sequence.json", baseline, ColmapOptions(mappers=("global",), upsample=(1,)))
     inputs = {"flow": FLOW, "depth": DEPTH, "motion": MOTION, "model": MODEL, "half": HALF, "renders": "renders"}
-    evaluate.main(
+    evaluate_stage.main(
         sequence=folder / "sequence.json",
         **{name: folder / path for name, path in inputs.items()},
         **{name: [folder / path] for name, path in (("priors", PRIOR), ("masks", "masks"), ("poses", POSES))},
@@ -89,7 +95,7 @@ def reported(tmp_path_factory: pytest.TempPathFactory) -> Path:
     wall = finished_run.finish(root, "wall")
     score(blank, finished_run.stats_files(wall))
     published = REPO / "workflow/resources/published.yaml"
-    report.main([wall, blank], published, root / "index.html", root / "tables", ReportOptions())
+    report_stage.main([wall, blank], published, root / "index.html", root / "tables", ReportOptions())
     return root
 
 

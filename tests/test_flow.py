@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from conftest import write_frames
 
-from stages.flow import estimate
+from stages.flow import __main__ as flow_stage
 from stages.flow.confidence import flow_confidence
 from stages.flow.dis import chained, estimate_flow
 from stages.flow.edges import edge_list, long_edges, path
@@ -162,7 +162,7 @@ def test_script_writes_edges_on_the_reduced_grid(tmp_path: Path) -> None:
     folder = write_frames(tmp_path / "clip", count=3, size=(60, 160))
     write_json(tmp_path / "sequence.json", sequence_to_json(check_sequence("clip", folder)))
     options = FlowOptions(offsets=(1,), max_width_px=80)
-    estimate.main(tmp_path / "sequence.json", tmp_path / "pairs.arrow", tmp_path / "flow.png", options)
+    flow_stage.main(tmp_path / "sequence.json", tmp_path / "pairs.arrow", tmp_path / "flow.png", options)
     pairs, metadata = read_dense(tmp_path / "pairs.arrow"), read_metadata(tmp_path / "pairs.arrow")
     assert pairs["flow"].shape == (4, 30, 80, 2)
     assert pairs["flow"].dtype == pairs["confidence"].dtype == np.float16

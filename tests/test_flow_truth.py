@@ -10,12 +10,13 @@ import pytest
 from conftest import DATA, write_frames
 from synthetic import Scene, exact_flow, make_scene
 
-from stages.eval.flow_error import flow_errors, flow_rows
-from stages.flow import estimate, matches
+from stages.evaluate.flow_error import flow_errors, flow_rows
+from stages.flow import __main__ as flow_stage
+from stages.flow import matches
 from stages.flow.dis import solve_pair
 from stages.flow.edges import Edge, edge_list
 from stages.flow.options import FlowOptions
-from stages.flow.truth import read_truth, true_flow
+from stages.flow.true_flow import read_truth, true_flow
 from stages.shared import lie, sintel
 from stages.shared.artifacts import read_dense, read_metadata, write_json
 from stages.shared.errors import InputError
@@ -73,19 +74,19 @@ def test_missing_truth_is_named(tmp_path: Path) -> None:
     write_json(tmp_path / "sequence.json", sequence_to_json(check_sequence("clip", folder)))
     outputs = tmp_path / "pairs.arrow", tmp_path / "flow.png"
     with pytest.raises(InputError, match=r"camdata_left, depth, flow.*source: dis"):
-        estimate.main(tmp_path / "sequence.json", *outputs, FlowOptions(source="truth"))
+        flow_stage.main(tmp_path / "sequence.json", *outputs, FlowOptions(source="truth"))
     assert not (tmp_path / "pairs.arrow").exists()
 
 
 def test_evaluation_finds_no_error_in_true_flow_and_a_known_one_in_shifted_flow(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(estimate, "write_figure", lambda *_: None)
+    monkeypatch.setattr(flow_stage, "write_figure", lambda *_: None)
     scene = make_scene(T=4, size=(96, 144), disc_radius=0.6)
     frames = written(scene, tmp_path)
     write_json(tmp_path / "sequence.json", sequence_to_json(frames))
     options = FlowOptions(source="truth", offsets=(1,))
-    estimate.main(tmp_path / "sequence.json", tmp_path / "pairs.arrow", tmp_path / "flow.png", options)
+    flow_stage.main(tmp_path / "sequence.json", tmp_path / "pairs.arrow", tmp_path / "flow.png", options)
     assert read_metadata(tmp_path / "pairs.arrow")["source"] == "truth"
     pairs = {name: np.array(values) for name, values in read_dense(tmp_path / "pairs.arrow").items()}
     rows = {row["quantity"]: row for row in flow_rows(frames, pairs)}
@@ -107,9 +108,9 @@ def test_a_real_pair_goes_through_the_same_evaluation(tmp_path: Path, monkeypatc
         pytest.skip(f"no measuring data at {DATA}")
     frames = check_sequence(folder.name, folder)
     write_json(tmp_path / "sequence.json", sequence_to_json(frames))
-    monkeypatch.setattr(estimate, "write_figure", lambda *_: None)
+    monkeypatch.setattr(flow_stage, "write_figure", lambda *_: None)
     options = FlowOptions(offsets=(1,), finest_scale=1)
-    estimate.main(tmp_path / "sequence.json", tmp_path / "pairs.arrow", tmp_path / "flow.png", options)
+    flow_stage.main(tmp_path / "sequence.json", tmp_path / "pairs.arrow", tmp_path / "flow.png", options)
     rows = {row["quantity"]: row for row in flow_rows(frames, read_dense(tmp_path / "pairs.arrow"))}
     assert rows["flow right where confident"]["value"] > 90
     assert rows["flow confident"]["value"] > 40
@@ -176,7 +177,7 @@ def test_true_flow_of_points_beside_the_camera_is_finite_in_the_file(tmp_path: P
     scene = replace(room, cam_from_world=ahead, depth=np.full_like(room.depth, 1.00001))
     write_json(tmp_path / "sequence.json", sequence_to_json(written(scene, tmp_path)))
     options = FlowOptions(source="truth", offsets=(1,))
-    estimate.main(tmp_path / "sequence.json", tmp_path / "pairs.arrow", tmp_path / "flow.png", options)
+    flow_stage.main(tmp_path / "sequence.json", tmp_path / "pairs.arrow", tmp_path / "flow.png", options)
     pairs = read_dense(tmp_path / "pairs.arrow")
     assert np.isfinite(pairs["flow"]).all()
     far = np.abs(exact_flow(scene, 0, 1)[0]).max(axis=-1) > 72

@@ -1,4 +1,4 @@
-"""The scripts train.py and render.py, their inputs, checkpoints, cameras and video."""
+"""The scripts gaussians_stage.py and render_stage.py, their inputs, checkpoints, cameras and video."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -10,15 +10,17 @@ import torch
 from gaussian_training import psnr
 from PIL import Image
 
-from stages.control import fit
+from stages.control import __main__ as control_stage
 from stages.control.options import ControlOptions
 from stages.deformation.storage import save_deformation, save_points
-from stages.gaussians import checkpoint, train
+from stages.gaussians import __main__ as gaussians_stage
+from stages.gaussians import checkpoint
 from stages.gaussians.checkpoint import Checkpoint
 from stages.gaussians.inputs import read_observations
 from stages.gaussians.optimise import Trainer
 from stages.gaussians.options import GaussiansOptions
-from stages.render import render, view
+from stages.render import __main__ as render_stage
+from stages.render import view
 from stages.render.options import RenderOptions, ViewOptions
 from stages.render.video import MAX_BYTES, write_gif
 from stages.shared.artifacts import read_json, read_metadata, read_model, read_table, write_model, write_table
@@ -56,7 +58,7 @@ def outputs(folder: Path) -> dict[str, Path]:
 
 def test_the_scripts_train_and_render(tmp_path: Path) -> None:
     inputs, results = write_inputs(tmp_path), outputs(tmp_path / "out")
-    train.main(**inputs, **results, options=GaussiansOptions(steps=40))
+    gaussians_stage.main(**inputs, **results, options=GaussiansOptions(steps=40))
     assert read_metadata(results["model"])["status"] == "trained"
     history = read_table(results["convergence"])
     assert history["step"].tolist() == list(range(1, 41))
@@ -65,7 +67,7 @@ def test_the_scripts_train_and_render(tmp_path: Path) -> None:
     assert not list((tmp_path / "out").glob(".*"))  # no checkpoint is left
     renders, video = tmp_path / "out" / "renders", tmp_path / "out" / "video.gif"
     chosen = RenderOptions(novel_views=5, export_frames=(5, 6))
-    render.main(inputs["sequence"], inputs["poses"], results["model"], renders, video, chosen)
+    render_stage.main(inputs["sequence"], inputs["poses"], results["model"], renders, video, chosen)
     found = {split.name: sorted(path.name for path in split.iterdir()) for split in renders.iterdir()}
     assert found["test"] == ["frame_0005.png"]
     assert len(found["train"]) == 9
@@ -80,7 +82,7 @@ def test_the_scripts_train_and_render(tmp_path: Path) -> None:
 def test_stage_one_alone_gives_a_scene_that_renders(tmp_path: Path) -> None:
     """No step: what depth, masks and the control points' motion give."""
     inputs, results = write_inputs(tmp_path), outputs(tmp_path / "out")
-    train.main(**inputs, **results, options=GaussiansOptions(steps=0))
+    gaussians_stage.main(**inputs, **results, options=GaussiansOptions(steps=0))
     assert len(read_table(results["convergence"])["step"]) == 0
     view.main(results["model"], inputs["poses"], tmp_path / "views", ViewOptions(at_time=float(truth.TIMES[4])))
     expected, _, mask = truth.ray_cast(truth.cameras()[4], truth.TIMES[4])
@@ -128,7 +130,7 @@ def test_a_killed_script_leaves_no_result_and_goes_on_from_its_checkpoint(
 ) -> None:
     inputs, options = write_inputs(tmp_path), GaussiansOptions(steps=20, stride_px=4)
     straight, killed = outputs(tmp_path / "straight"), outputs(tmp_path / "killed")
-    train.main(**inputs, **straight, options=options)
+    gaussians_stage.main(**inputs, **straight, options=options)
     monkeypatch.setattr(checkpoint, "INTERVAL_S", 0.0)
     save, steps = Checkpoint.save_sometimes, []
 
@@ -140,9 +142,9 @@ def test_a_killed_script_leaves_no_result_and_goes_on_from_its_checkpoint(
 
     monkeypatch.setattr(Checkpoint, "save_sometimes", save_and_die)
     with pytest.raises(KeyboardInterrupt):
-        train.main(**inputs, **killed, options=options)
+        gaussians_stage.main(**inputs, **killed, options=options)
     assert not any(path.exists() for path in killed.values())
-    train.main(**inputs, **killed, options=options)
+    gaussians_stage.main(**inputs, **killed, options=options)
     assert steps == list(range(1, 21))  # nothing was done twice
     assert killed["ply"].read_bytes() == straight["ply"].read_bytes()
     tensors, expected = read_model(killed["model"]), read_model(straight["model"])
@@ -159,15 +161,15 @@ def test_failed_poses_give_a_static_scene_that_says_so(tmp_path: Path) -> None:
     write_status(inputs["poses"], np.full(truth.T, "failed", object), np.tile(np.eye(4), (truth.T, 1, 1)))
     control_inputs = {name: inputs[name] for name in ("sequence", "masks", "poses", "depth", "scene")}
     written = {name: inputs[name] for name in ("points", "deformation")} | {"figure": tmp_path / "control.png"}
-    fit.main(flow=tmp_path / "never_read", **control_inputs, **written, options=ControlOptions())
-    train.main(**inputs, **results, options=GaussiansOptions(steps=2, stride_px=4))
+    control_stage.main(flow=tmp_path / "never_read", **control_inputs, **written, options=ControlOptions())
+    gaussians_stage.main(**inputs, **results, options=GaussiansOptions(steps=2, stride_px=4))
     assert read_metadata(inputs["deformation"])["status"] == "the poses failed"
     for name in ("model", "half"):
         metadata = read_metadata(results[name])
         assert (metadata["status"], metadata["n_dynamic"]) == ("poses failed", 0)
     renders, video = tmp_path / "out" / "renders", tmp_path / "out" / "video.gif"
     chosen = RenderOptions(novel_views=2)
-    render.main(inputs["sequence"], inputs["poses"], results["model"], renders, video, chosen)
+    render_stage.main(inputs["sequence"], inputs["poses"], results["model"], renders, video, chosen)
     assert len(list(renders.glob("t*/frame_*.png"))) == truth.T
 
 

@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from stages.eval import image_baselines, image_metrics
-from stages.eval.image_baselines import BLEND, NEAREST, WARP
+from stages.evaluate import image_baselines, image_metrics
+from stages.evaluate.image_baselines import BLEND, NEAREST, WARP
 from stages.shared.images import write_image
 from stages.shared.sequences import Sequence
 from stages.shared.split import SplitOptions

@@ -9,7 +9,7 @@ import pytest
 import yaml
 from conftest import REPO
 
-from stages.eval.scorecard import score_rows
+from stages.results.scorecard import score_rows
 
 SCENES = REPO / "stages/simulate/scenes"
 OPTIONS: dict[str, Any] = {

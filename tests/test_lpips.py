@@ -8,9 +8,9 @@ import torch
 from numpy.lib.stride_tricks import sliding_window_view
 
 from stages.configuration import config as configuration
-from stages.eval.lpips import load_lpips
-from stages.eval.options import EvaluateOptions
-from stages.eval.score_images import score_images
+from stages.evaluate.lpips import load_lpips
+from stages.evaluate.options import EvaluateOptions
+from stages.evaluate.score_images import score_images
 from stages.shared.errors import InputError
 from stages.shared.images import write_image
 from stages.shared.sequences import Sequence

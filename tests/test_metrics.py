@@ -11,9 +11,9 @@ from evo.core import metrics as evo_metrics
 from evo.core.geometry import GeometryException
 from evo.core.trajectory import PosePath3D
 
-from stages.eval import image_metrics, mask_metrics, trajectory, truthfree
-from stages.eval.score_images import score_frame
-from stages.eval.truth import moving_pixels
+from stages.evaluate import image_metrics, mask_metrics, trajectory, truthfree
+from stages.evaluate.ground_truth import moving_pixels
+from stages.evaluate.score_images import score_frame
 from stages.shared import lie, sintel
 from stages.shared.alignment import DegenerateError
 from stages.shared.cameras import pixel_grid

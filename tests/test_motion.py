@@ -8,7 +8,8 @@ import pytest
 from conftest import write_frames
 from synthetic import Scene, flow_arrays, make_scene, painted
 
-from stages.motion import epipolar, estimate, pooling, resweep
+from stages.motion import __main__ as motion_stage
+from stages.motion import epipolar, pooling, resweep
 from stages.motion.epipolar import Evidence, PairMatches
 from stages.shared import lie
 from stages.shared.artifacts import read_dense, read_metadata, write_dense, write_json
@@ -59,7 +60,7 @@ def test_a_mover_stands_out_without_cameras() -> None:
     assert epipolar.flat_share(edges, matches(pairs), 0) < epipolar.FLAT_SHARE
     evidence = epipolar.two_view_evidence(edges, matches(pairs), scene.T, parallax=True, seed=0)
     misfit = pooling.pool(evidence, painted(moving), edges, pairs["flow"], pairs["weights"])
-    probability = estimate.to_probability(misfit, *estimate.FLOW_CURVE)
+    probability = motion_stage.to_probability(misfit, *motion_stage.FLOW_CURVE)
     assert overlap(probability > 0.5, moving) > 0.6
 
 
@@ -85,7 +86,7 @@ def test_a_mover_stands_out_sharply_with_cameras() -> None:
         pairs, scene.cam_from_world, Ks, np.full(scene.depth.shape, 0.2, np.float32)
     )
     misfit = pooling.pool(evidence, painted(scene.dynamic), edges, pairs["flow"], pairs["weights"])
-    assert overlap(estimate.to_probability(misfit, *estimate.CAMERA_CURVE) > 0.5, scene.dynamic) > 0.7
+    assert overlap(motion_stage.to_probability(misfit, *motion_stage.CAMERA_CURVE) > 0.5, scene.dynamic) > 0.7
 
 
 def test_static_scene_fits_its_depth_exactly() -> None:
@@ -212,7 +213,7 @@ def test_script_uses_cameras_when_there_are_any(tmp_path: Path) -> None:
     scene = make_scene(disc_radius=0.5)
     inputs, poses = write_inputs(tmp_path, scene), write_round(tmp_path, scene)
     output = tmp_path / "prior.arrow"
-    estimate.main(*inputs, output, tmp_path / "motion.png", estimate.MotionOptions(), *poses)
+    motion_stage.main(*inputs, output, tmp_path / "motion.png", motion_stage.MotionOptions(), *poses)
     assert read_metadata(output)["source"] == "cameras"
     probability = read_dense(output)["probability"]
     assert probability.dtype == np.float16
@@ -227,7 +228,7 @@ def test_nothing_is_told_of_frames_without_a_pose(tmp_path: Path) -> None:
     cam_from_world[5:] = cam_from_world[4]
     write_cameras(poses, make_cameras(cam_from_world, scene.K, np.arange(1, 9), status=status))
     output = tmp_path / "prior.arrow"
-    estimate.main(*inputs, output, tmp_path / "motion.png", estimate.MotionOptions(), poses, depth)
+    motion_stage.main(*inputs, output, tmp_path / "motion.png", motion_stage.MotionOptions(), poses, depth)
     probability = read_dense(output)["probability"]
     assert (probability[5:] > 0.5)[~scene.dynamic[5:]].mean() < 0.05
     assert overlap(probability[:5] > 0.5, scene.dynamic[:5]) > 0.7
@@ -236,7 +237,7 @@ def test_nothing_is_told_of_frames_without_a_pose(tmp_path: Path) -> None:
 def test_script_falls_back_to_flow_when_the_cameras_failed(tmp_path: Path) -> None:
     scene = make_scene(T=4, disc_radius=0.5)
     inputs, poses = write_inputs(tmp_path, scene), write_round(tmp_path, scene, "failed")
-    estimate.main(*inputs, tmp_path / "prior.arrow", tmp_path / "motion.png", estimate.MotionOptions(), *poses)
+    motion_stage.main(*inputs, tmp_path / "prior.arrow", tmp_path / "motion.png", motion_stage.MotionOptions(), *poses)
     assert read_metadata(tmp_path / "prior.arrow")["source"] == "flow"
 
 
@@ -244,5 +245,7 @@ def test_script_refuses_poses_without_depth(tmp_path: Path) -> None:
     scene = make_scene(T=4)
     inputs, (poses, _) = write_inputs(tmp_path, scene), write_round(tmp_path, scene)
     with pytest.raises(InputError, match="together with --previous-depth"):
-        estimate.main(*inputs, tmp_path / "prior.arrow", tmp_path / "motion.png", estimate.MotionOptions(), poses)
+        motion_stage.main(
+            *inputs, tmp_path / "prior.arrow", tmp_path / "motion.png", motion_stage.MotionOptions(), poses
+        )
     assert not (tmp_path / "prior.arrow").exists()

@@ -16,10 +16,10 @@ from stages.shared.options import Options, to_flags, validate
 
 SECTIONS = [name for name, field in configuration.Config.model_fields.items() if isinstance(field.default, Options)]
 LIGHT_SCRIPTS = [
-    *("inspect.check", "flow.estimate", "flow.motion", "segment.refine", "ba.solve", "scene.decide"),
-    *("eval.colmap", "eval.evaluate", "eval.report", "simulate.render"),
+    *("inspect", "flow", "motion", "segment", "ba", "scene"),
+    *("colmap", "evaluate", "report", "simulate"),
 ]
-SCRIPTS = [*LIGHT_SCRIPTS, "control.fit", "gaussians.train", "gaussians.render"]
+SCRIPTS = [*LIGHT_SCRIPTS, "control", "gaussians", "render"]
 
 
 def test_schema_is_the_committed_one() -> None:

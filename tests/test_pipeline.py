@@ -11,7 +11,7 @@ import yaml
 from conftest import REPO, run_snakemake
 from evo.tools import file_interface
 
-from stages.eval.scorecard import score_rows
+from stages.results.scorecard import score_rows
 from stages.shared.artifacts import read_metadata, read_table
 from stages.shared.cameras import read_cameras
 from stages.shared.images import read_rgb

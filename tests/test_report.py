@@ -17,9 +17,12 @@ import pytest
 from conftest import REPO
 from PIL import Image
 
-from stages.eval import made_under, overview, pictures, plots, report
-from stages.eval.options import ReportOptions
-from stages.eval.sections import STAGE_FIGURES, build_section
+from stages.comparisons import made_under
+from stages.report import __main__ as report_stage
+from stages.report import embedding, overview
+from stages.report.options import ReportOptions
+from stages.report.sections import STAGE_FIGURES, build_section
+from stages.shared import charts
 from stages.shared.artifacts import read_metadata, write_json, write_table
 from stages.shared.cameras import read_cameras, write_cameras
 
@@ -56,7 +59,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     stages = {"flow": 1, "motion": 2, "segment": 2, "ba": 2}
     made = made_under.of_runs(root / "results", [{"sequence": "wall", "stages": stages}])
     costs, grown = comparison_tables.write(root, made)
-    report.main(
+    report_stage.main(
         sequences=[*folders, unfinished],
         published_numbers=PUBLISHED,
         output=root / "index.html",
@@ -163,7 +166,7 @@ def test_a_comparison_made_under_other_options_is_labelled_and_joins_no_table(
         write_json(path, json.loads(path.read_text()) | change)
     tables = {"sweep": results / "sweep/costs.parquet", "growth": results / "scaling/growth.parquet"}
     output, written = tmp_path / "index.html", tmp_path / "tables"
-    report.main([folder], PUBLISHED, output, written, ReportOptions(), **tables)
+    report_stage.main([folder], PUBLISHED, output, written, ReportOptions(), **tables)
     text = re.sub(r"<[^>]+>", " ", re.sub(r"data:[^\"]+", "", output.read_text()))
     assert text.count(f"Made under other options or code than the results above: {told}.") == 2
     assert "Presets (made under other options)" in text
@@ -180,7 +183,7 @@ def test_truth_that_the_run_was_given_stands_on_the_first_screen_and_on_every_ta
     write_cameras(folder / "ba/poses.parquet", read_cameras(folder / "ba/poses.parquet"), about)
     write_json(folder / "masks/masks.json", {"options": {"source": "truth"}})
     run.score(folder)
-    report.main([folder], PUBLISHED, tmp_path / "index.html", tmp_path / "tables", ReportOptions())
+    report_stage.main([folder], PUBLISHED, tmp_path / "index.html", tmp_path / "tables", ReportOptions())
     page = (tmp_path / "index.html").read_text()
     given = "true masks, true intrinsics"
     assert f"Taken from the truth, not estimated: {given}." in page.partition("</header>")[0]
@@ -208,16 +211,18 @@ def test_effects_say_what_ran_and_what_it_cost(results: Path) -> None:
 def test_fourteen_sequences_stay_under_15_mb(tmp_path: Path) -> None:
     """Grain, which no codec likes: pictures keep their limits, and a section of such ones its share."""
     grain = np.clip(np.random.default_rng(0).normal(128, 25, (436, 1000, 3)), 0, 255).astype(np.uint8)
-    wide = len(pictures.webp(grain))
-    stage = len(pictures.webp(grain, pictures.STAGE_WIDTH_PX, pictures.STAGE_MAX_BYTES))
+    wide = len(embedding.webp(grain))
+    stage = len(embedding.webp(grain, embedding.STAGE_WIDTH_PX, embedding.STAGE_MAX_BYTES))
     frames = [Image.fromarray(np.roll(grain[:145, :340], 9 * k, axis=0)) for k in range(14)]
     frames[0].save(tmp_path / "fly.gif", save_all=True, append_images=frames[1:])
-    moving = len(pictures.animation(tmp_path / "fly.gif"))
-    chart = len(plots.draw_lines({str(k): (range(50), grain[k, :50, 0]) for k in range(6)}, ("", ""), "012345")) * 4 / 3
+    moving = len(embedding.animation(tmp_path / "fly.gif"))
+    chart = (
+        len(charts.draw_lines({str(k): (range(50), grain[k, :50, 0]) for k in range(6)}, ("", ""), "012345")) * 4 / 3
+    )
     section = 5 * wide + len(STAGE_FIGURES) * stage + moving + 8 * chart
     assert 14 * section + 1e6 < 15e6  # the overview and its charts take less than 1 MB
     smooth = cv2.GaussianBlur(grain, (0, 0), 20)
-    assert len(pictures.webp(smooth)) < 0.5 * wide
+    assert len(embedding.webp(smooth)) < 0.5 * wide
 
 
 def test_headline_without_any_result_says_so() -> None:

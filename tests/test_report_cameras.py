@@ -14,12 +14,12 @@ from conftest import REPO, write_frames
 from synthetic import flow_arrays, make_scene
 from test_report import CHROMIUM
 
-from stages.ba import solve
+from stages.ba import __main__ as ba_stage
 from stages.ba.options import BAOptions
-from stages.eval import report
-from stages.eval.options import ReportOptions
-from stages.inspect import check
+from stages.inspect import __main__ as inspect_stage
 from stages.inspect.options import InspectOptions
+from stages.report import __main__ as report_stage
+from stages.report.options import ReportOptions
 from stages.shared import sintel
 from stages.shared.artifacts import write_dense
 
@@ -47,7 +47,7 @@ def reconstruct(root: Path, name: str, motion: str) -> Path:
     cameras.mkdir(parents=True)
     for k, pose in enumerate(scene.cam_from_world, start=1):
         sintel.write_cam(cameras / f"frame_{k:04d}.cam", scene.K, pose[:3])
-    check.main(frames, folder / "sequence.json", folder / "figures/inspect.png", InspectOptions())
+    inspect_stage.main(frames, folder / "sequence.json", folder / "figures/inspect.png", InspectOptions())
     run.write_results(folder)
     source, target, flow, confidence = flow_arrays(scene)
     columns = {"source": source, "target": target, "flow": flow.astype(np.float16), "confidence": confidence}
@@ -56,7 +56,7 @@ def reconstruct(root: Path, name: str, motion: str) -> Path:
     names |= {"convergence": "convergence.parquet", "figure": "ba.png"}
     outputs = {key: folder / "ba" / file for key, file in names.items()}
     options = BAOptions(stride_px=4, depth_stride_px=4)
-    solve.main(folder / "sequence.json", folder / "flow/pairs.arrow", **outputs, options=options)
+    ba_stage.main(folder / "sequence.json", folder / "flow/pairs.arrow", **outputs, options=options)
     shutil.copytree(folder / "ba", folder / "round1/ba", dirs_exist_ok=True)
     run.score(folder)
     for only_drawn in ("eval/trajectory", "eval/frames", "ba/convergence", "gaussians/convergence"):
@@ -70,7 +70,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("cameras")
     folders = [reconstruct(root, "pan", "rotate"), reconstruct(root, "sleeping", "still")]
     published = REPO / "workflow/resources/published.yaml"
-    report.main(folders, published, root / "index.html", root / "tables", ReportOptions())
+    report_stage.main(folders, published, root / "index.html", root / "tables", ReportOptions())
     return root
 
 

@@ -6,8 +6,10 @@ import pytest
 import yaml
 from conftest import REPO
 
-from stages.eval import plots, published, ratios, summaries
-from stages.eval.tables import decimal
+from stages.evaluate import ratios, summaries
+from stages.report import published
+from stages.shared import charts
+from stages.shared.tables import decimal
 
 PUBLISHED = REPO / "workflow" / "resources" / "published.yaml"
 
@@ -134,7 +136,7 @@ def test_charts_show_the_best_variant_of_every_colmap_mapper() -> None:
         )
         for k in range(frames)
     ]
-    assert list(plots.paths_of(rows)) == [
+    assert list(charts.paths_of(rows)) == [
         "truth",
         "ours",
         "COLMAP global, x2",

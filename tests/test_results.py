@@ -10,8 +10,10 @@ import pytest
 import yaml
 from conftest import REPO
 
-from stages.eval import made_under, results, results_tables, scorecard
-from stages.eval.options import ResultsOptions
+from stages.comparisons import made_under
+from stages.results import __main__ as results_stage
+from stages.results import scene_tables, scorecard
+from stages.results.options import ResultsOptions
 from stages.shared.artifacts import write_json
 from stages.shared.errors import InputError
 
@@ -30,7 +32,7 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """
     root = tmp_path_factory.mktemp("results")
     done = run.finish(root, "wall")
-    write_json(done / "stats/evaluate.json", {"stage": "eval.evaluate", "code": "abc", "options": {}})
+    write_json(done / "stats/evaluate.json", {"stage": "evaluate", "code": "abc", "options": {}})
     write_json(root / "simulated/wall.json", {"split": "test"})
     shutil.copytree(done, root / "results/stopped", ignore=shutil.ignore_patterns("gaussians.json", "eval"))
     (root / "scenes").mkdir()
@@ -41,7 +43,7 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def _write(root: Path, **more: Path) -> str:
     output = root / "page.md"
-    results.main(root / "results", output, OPTIONS, scenes=root / "scenes", manifests=root / "simulated", **more)
+    results_stage.main(root / "results", output, OPTIONS, scenes=root / "scenes", manifests=root / "simulated", **more)
     return output.read_text()
 
 
@@ -82,27 +84,29 @@ def test_medians_and_means_count_what_they_leave_out() -> None:
         _scene("e", ate_percent=6.0, colmap_percent=3.0, colmap_error="3.000 %", doubts=2),
         _scene("f", "degenerate truth: straight camera", rotation_deg=0.5, colmap_error="0.2 deg"),
     ]
-    table = results_tables.figure_table({"test": rows})
+    table = scene_tables.figure_table({"test": rows})
     found = {row["figure"]: (row["test_median"], row["test_mean"], row["test_n"]) for row in table.rows}
     assert found["camera error (ATE), % of path"] == ("2.000", "3.000", "3 of 6")
     assert found["focal error, %"] == ("3.00", "3.00", "2 of 6")
     assert found["rotation error where no ATE is defined, degrees"] == ("0.500", "0.500", "1 of 6")
-    assert list(results_tables.parts_of([_scene("g") | {"split": "new"}, *rows])) == ["test", scorecard.OWN]
-    told = results_tables.counts(rows)
+    assert list(scene_tables.parts_of([_scene("g") | {"split": "new"}, *rows])) == ["test", scorecard.OWN]
+    told = scene_tables.counts(rows)
     assert told.startswith(
         "6 scenes: failed or partial 2 (c, d), flagged by the adjustment 1 (e), wrong and not flagged 2 (b, f),"
     )
     # Of a, b, c and e, for which COLMAP ran on a curved path: a is more accurate, b alone has a path.
     assert "Lower than the best of COLMAP without masks on 2 of 4 sequences" in told
-    assert results_tables.result_of(rows[5]) == "wrong, not flagged, straight camera"
-    assert results_tables.result_of(rows[0]) == "ok"
+    assert scene_tables.result_of(rows[5]) == "wrong, not flagged, straight camera"
+    assert scene_tables.result_of(rows[0]) == "ok"
 
 
 def test_the_block_of_the_readme_is_replaced_and_nothing_else(finished: Path) -> None:
     readme = finished / "README.md"
-    readme.write_text(f"before\n{results.BEGIN}\nold\n{results.END}\nafter\n")
+    readme.write_text(f"before\n{results_stage.BEGIN}\nold\n{results_stage.END}\nafter\n")
     text = _write(finished, readme=readme)
-    block = results.BEGIN + text.partition(results.BEGIN)[2].partition(results.END)[0] + results.END
+    block = (
+        results_stage.BEGIN + text.partition(results_stage.BEGIN)[2].partition(results_stage.END)[0] + results_stage.END
+    )
     assert readme.read_text() == f"before\n{block}\nafter\n"
     readme.write_text("no marks")
     with pytest.raises(InputError, match="put them where the summary shall stand"):
@@ -124,18 +128,18 @@ def test_a_sweep_stands_on_the_page_only_if_it_belongs_to_the_run(finished: Path
 
 def test_data_of_ones_own_without_truth_have_a_page_too(tmp_path: Path) -> None:
     folder = run.finish(tmp_path, "mine", truth=False)
-    write_json(folder / "stats/evaluate.json", {"stage": "eval.evaluate", "code": "abc", "options": {}})
-    results.main(folder.parent, tmp_path / "page.md", ResultsOptions())
+    write_json(folder / "stats/evaluate.json", {"stage": "evaluate", "code": "abc", "options": {}})
+    results_stage.main(folder.parent, tmp_path / "page.md", ResultsOptions())
     text = (tmp_path / "page.md").read_text()
     assert "| mine | 8 | moving | flagged, no truth, older code |" in text
     assert "mask IoU" not in text.partition("## Medians")[2]
     with pytest.raises(InputError, match="name a folder results/<dataset>"):
-        results.main(tmp_path, tmp_path / "other.md", ResultsOptions())
+        results_stage.main(tmp_path, tmp_path / "other.md", ResultsOptions())
 
 
 def test_the_readme_says_what_the_page_says() -> None:
     blocks = [
-        (REPO / name).read_text().partition(results.BEGIN)[2].partition(results.END)[0]
+        (REPO / name).read_text().partition(results_stage.BEGIN)[2].partition(results_stage.END)[0]
         for name in ("README.md", "docs/results.md")
     ]
     assert blocks[0] == blocks[1] != ""

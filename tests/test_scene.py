@@ -9,7 +9,8 @@ import pytest
 from square_inputs import HELD_OUT, write_inputs
 from synthetic import flow_arrays, make_scene
 
-from stages.scene import decide, exposure, motion, photometry, rules
+from stages.scene import __main__ as scene_stage
+from stages.scene import exposure, geometry, photometry, rules
 from stages.scene.observed import Observed, depth_on_grid, rigid_flow
 from stages.scene.options import SceneOptions
 from stages.shared.artifacts import read_dense, write_dense
@@ -74,7 +75,7 @@ def test_depth_lies_where_the_solver_put_it(scale: float) -> None:
 
 
 def test_a_moving_square_is_dynamic() -> None:
-    evidence = motion.dynamic_evidence(observe())
+    evidence = geometry.dynamic_evidence(observe())
     assert evidence["residual_inside_px"] > 2.0  # two frames of 0.08 units at depth 4 with 90 px focal length
     assert evidence["residual_outside_px"] < 0.05
     assert rules.decide_dynamic(evidence, "auto")["needed"]
@@ -83,25 +84,25 @@ def test_a_moving_square_is_dynamic() -> None:
 def test_masks_on_the_wall_are_a_false_alarm() -> None:
     masks = np.zeros((clip.T, clip.H, clip.W), bool)
     masks[:, 50:60, 5:30] = True  # the square never gets here
-    decision = rules.decide_dynamic(motion.dynamic_evidence(observe(dynamic=masks)), "auto")
+    decision = rules.decide_dynamic(geometry.dynamic_evidence(observe(dynamic=masks)), "auto")
     assert not decision["needed"]
     assert "static scene explains" in decision["why"]
 
 
 def test_empty_masks_say_so() -> None:
     masks = np.zeros((clip.T, clip.H, clip.W), bool)
-    decision = rules.decide_dynamic(motion.dynamic_evidence(observe(dynamic=masks)), "auto")
+    decision = rules.decide_dynamic(geometry.dynamic_evidence(observe(dynamic=masks)), "auto")
     assert not decision["needed"]
     assert "cover 0.00%" in decision["why"]
 
 
 def test_parallax_tells_travel_from_turning() -> None:
     seen = observe()
-    travelled = motion.parallax_evidence(seen)
+    travelled = geometry.parallax_evidence(seen)
     assert travelled["parallax_px"] == pytest.approx(90.0 / 4, rel=0.25)  # one unit of travel at depth 4
     turning = seen.cam_from_world.copy()
     turning[:, :3, 3] = 0
-    still = motion.parallax_evidence(Observed(**(vars(seen) | {"cam_from_world": turning})))
+    still = geometry.parallax_evidence(Observed(**(vars(seen) | {"cam_from_world": turning})))
     assert still["parallax_px"] < 1e-6
     marked = {"frames_marked_share": 0.0}
     assert rules.decide_rotation_only(still | marked, "auto")["needed"]
@@ -184,23 +185,23 @@ def test_planar_residual_is_zero_for_a_rigid_plane_only() -> None:
     plane = np.stack(
         [1 + 0.3 * x - 0.2 * y + 0.1 * x * x + 0.05 * x * y, 0.5 * x + 0.1 * x * y + 0.05 * y * y], axis=-1
     )
-    assert np.median(motion.planar_residual(uv, plane)) < 1e-6
+    assert np.median(geometry.planar_residual(uv, plane)) < 1e-6
     outliers = plane.copy()
     outliers[:60] += 8.0
-    assert np.median(motion.planar_residual(uv, outliers)) < 0.02  # least squares leaves 1.4
+    assert np.median(geometry.planar_residual(uv, outliers)) < 0.02  # least squares leaves 1.4
     bent = plane + np.stack([np.zeros(len(uv)), np.sin(9 * x)], axis=-1)
-    assert np.median(motion.planar_residual(uv, bent)) > 0.3
+    assert np.median(geometry.planar_residual(uv, bent)) > 0.3
 
 
 def test_a_sliding_square_is_rigid() -> None:
-    decision = rules.decide_non_rigid(motion.bending_evidence(observe()), "auto")
+    decision = rules.decide_non_rigid(geometry.bending_evidence(observe()), "auto")
     assert not decision["needed"]
     assert decision["points"] == rules.RIGID_POINTS
     assert decision["arap_weight"] == rules.RIGID_ARAP
 
 
 def test_the_user_overrules_and_the_evidence_stays() -> None:
-    evidence = motion.dynamic_evidence(observe())
+    evidence = geometry.dynamic_evidence(observe())
     decision = rules.decide_dynamic(evidence, "no")
     assert not decision["needed"]
     assert decision["source"] == "user"
@@ -223,7 +224,9 @@ def test_yaml_booleans_are_choices() -> None:
 def decide_in(folder: Path, paths: dict[str, Path], *more: str) -> dict[str, dict]:
     flags = [word for name, path in paths.items() for word in (f"--{name}", str(path))]
     with pytest.raises(SystemExit) as end:
-        run(decide.main, [*flags, "--output", str(folder / "scene.json"), "--figure", str(folder / "s.png"), *more])
+        run(
+            scene_stage.main, [*flags, "--output", str(folder / "scene.json"), "--figure", str(folder / "s.png"), *more]
+        )
     assert end.value.code == 0
     return json.loads((folder / "scene.json").read_text())
 
@@ -261,7 +264,7 @@ def test_a_depth_grid_of_broken_pixels_is_read_as_it_is(tmp_path: Path) -> None:
     inverse_depth = read_dense(paths["depth"])["inverse_depth"] * np.linspace(1, 2, clip.W // 4, dtype=np.float32)
     write_dense(paths["depth"], {"inverse_depth": inverse_depth}, {"stride_px": 4.5})
     content = read_sequence(paths.pop("sequence"))
-    seen = decide._observe(content, **paths, options=SceneOptions())
+    seen = scene_stage._observe(content, **paths, options=SceneOptions())
     frames = [k for k in range(clip.T) if k != HELD_OUT]
     np.testing.assert_allclose(seen.depth, depth_on_grid(inverse_depth[frames], 4.5, 1.0, clip.H, clip.W), rtol=1e-6)
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from conftest import write_frames
 
-from stages.segment import refine
+from stages.segment import __main__ as segment_stage
 from stages.segment.options import SegmentOptions
 from stages.segment.refinement import smooth_along_edges, to_mask, vote
 from stages.shared.artifacts import read_json, write_dense, write_json
@@ -96,7 +96,7 @@ def moving_disc(tmp_path: Path) -> tuple[Path, Path, Path, np.ndarray]:
 
 def test_script_writes_full_size_masks_by_frame_number(moving_disc: tuple[Path, ...], tmp_path: Path) -> None:
     *inputs, disc = moving_disc
-    refine.main(*inputs, tmp_path / "masks", tmp_path / "segment.png", OPTIONS)
+    segment_stage.main(*inputs, tmp_path / "masks", tmp_path / "segment.png", OPTIONS)
     names = sorted(path.name for path in (tmp_path / "masks").glob("*.png"))
     assert names == ["frame_0007.png", "frame_0008.png", "frame_0009.png"]
     mask = read_mask(tmp_path / "masks" / "frame_0008.png")
@@ -125,7 +125,7 @@ def test_sources_that_refinement_is_compared_with(moving_disc: tuple[Path, ...],
     found = {}
     for source in ("prior", "none", "truth"):
         output = tmp_path / source
-        refine.main(*inputs, output, tmp_path / "segment.png", SegmentOptions(source=source))
+        segment_stage.main(*inputs, output, tmp_path / "segment.png", SegmentOptions(source=source))
         found[source] = read_mask(output / "frame_0008.png")
     np.testing.assert_array_equal(found["truth"], truth)
     assert not found["none"].any()
@@ -136,5 +136,5 @@ def test_true_masks_must_be_there_for_every_frame(moving_disc: tuple[Path, ...],
     *inputs, _ = moving_disc
     with_true_mask(inputs[0], [7, 8])
     with pytest.raises(InputError, match="motion_mask"):
-        refine.main(*inputs, tmp_path / "masks", tmp_path / "segment.png", SegmentOptions(source="truth"))
+        segment_stage.main(*inputs, tmp_path / "masks", tmp_path / "segment.png", SegmentOptions(source="truth"))
     assert not (tmp_path / "masks").exists()

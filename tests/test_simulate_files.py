@@ -17,7 +17,8 @@ from stages.shared import cli, sintel
 from stages.shared.cameras import pixel_grid
 from stages.shared.digest import code_digest
 from stages.shared.errors import InputError
-from stages.simulate import gallery, render
+from stages.simulate import __main__ as simulate_stage
+from stages.simulate import gallery
 
 REPO = Path(__file__).resolve().parents[1]
 SMALL: dict[str, Any] = {
@@ -46,7 +47,7 @@ def write_scene(folder: Path, **changes: Any) -> Path:
 
 
 def run(scene: Path, output: Path, *flags: str, threads: int = 2) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "stages.simulate.render", "--scene", str(scene), "--output", str(output), *flags]
+    command = [sys.executable, "-m", "stages.simulate", "--scene", str(scene), "--output", str(output), *flags]
     environment = os.environ | {"OMP_NUM_THREADS": str(threads), "NUMBA_NUM_THREADS": str(threads)}
     return subprocess.run(command, cwd=REPO, env=environment, capture_output=True, text=True, check=False)
 
@@ -75,7 +76,7 @@ def test_files_have_the_sintel_layout_and_round_trip(tmp_path: Path) -> None:
     training = output / "training"
     assert not stale.exists()
     assert not list(output.rglob(".*")), "no temporary names are left"
-    for kind in render.KINDS:
+    for kind in simulate_stage.KINDS:
         count = 2 if kind in ("flow", "occlusions", "invalid") else 3
         stems = [path.stem for path in sorted((training / kind / "small").iterdir())]
         assert stems == [f"frame_{number:04d}" for number in range(1, count + 1)], kind
@@ -95,7 +96,7 @@ def test_files_have_the_sintel_layout_and_round_trip(tmp_path: Path) -> None:
 
 
 def main(scene: Path, output: Path, **options: Any) -> None:
-    render.main(scene, output, render.RenderOptions(**options))
+    simulate_stage.main(scene, output, simulate_stage.RenderOptions(**options))
 
 
 def test_written_depth_and_cameras_reproduce_the_written_flow(tmp_path: Path) -> None:
@@ -130,7 +131,7 @@ def test_manifest_and_explain_say_what_was_simulated(tmp_path: Path) -> None:
     stats = json.loads((tmp_path / "stats.json").read_text())
     assert (stats["threads"], stats["code"]) == (
         int(os.environ["OMP_NUM_THREADS"]),
-        code_digest("stages.simulate.render"),
+        code_digest("stages.simulate"),
     )
 
 
@@ -189,7 +190,7 @@ def test_broken_yaml_exits_with_two(tmp_path: Path, capsys: pytest.CaptureFixtur
     broken = tmp_path / "broken.yaml"
     broken.write_text("frames: [1, 2\nwidth: 3")
     with pytest.raises(SystemExit) as ended:
-        cli.run(render.main, ["--scene", str(broken), "--output", str(tmp_path / "out")])
+        cli.run(simulate_stage.main, ["--scene", str(broken), "--output", str(tmp_path / "out")])
     assert ended.value.code == 2
     assert len(capsys.readouterr().err.strip().splitlines()) == 1
 

@@ -7,14 +7,14 @@ import pytest
 
 from stages.shared import lie
 from stages.shared.cameras import pixel_grid
-from stages.shared.figures import spread
-from stages.simulate import frames, raycast, truth
+from stages.shared.drawing import spread
+from stages.simulate import exact_motion, frames, raycast
 from stages.simulate.frames import Stage
 from stages.simulate.scene import load_scene
 
 REPO = Path(__file__).resolve().parents[1]
 SCENES = {path.stem: path for path in sorted((REPO / "stages" / "simulate" / "scenes").glob("*.yaml"))}
-Drawn = tuple[Stage, list[raycast.Hits], list[truth.Motion], np.ndarray]
+Drawn = tuple[Stage, list[raycast.Hits], list[exact_motion.Motion], np.ndarray]
 Library = dict[str, Drawn]
 
 
@@ -28,7 +28,9 @@ def drawn_small(name: str) -> Drawn:
     for frame in (0, scene.frames // 2, scene.frames - 2):
         view, then = stage.view(frame), frame + 1
         hits.append(raycast.cast(stage.world.at(frame), view, uv))
-        moved.append(truth.motion(hits[-1], uv, stage.world, stage.world.at(then), stage.view(then), view.K[0, 0]))
+        moved.append(
+            exact_motion.motion(hits[-1], uv, stage.world, stage.world.at(then), stage.view(then), view.K[0, 0])
+        )
     now = stage.moment(scene.frames // 2)
     seen = frames.see(stage, now)
     clean = frames.develop(stage, now, seen, with_effects=False)

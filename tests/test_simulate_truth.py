@@ -7,9 +7,9 @@ import pytest
 
 from stages.shared import cameras, lie
 from stages.shared.cameras import pixel_grid
-from stages.simulate import bvh, frames, raycast, truth
+from stages.simulate import bvh, exact_motion, frames, raycast
 from stages.simulate.frames import Stage, set_stage
-from stages.simulate.motion import camera_path, right_of
+from stages.simulate.keyframes import camera_path, right_of
 from stages.simulate.scene import Handheld, Scene
 
 CAMERA = {
@@ -44,11 +44,11 @@ def make_stage(*objects: dict, frames: int = 4, width: int = 120, height: int = 
     return set_stage(scene, seed=3)
 
 
-def hits_and_motion(stage: Stage, frame: int = 0) -> tuple[np.ndarray, raycast.Hits, truth.Motion]:
+def hits_and_motion(stage: Stage, frame: int = 0) -> tuple[np.ndarray, raycast.Hits, exact_motion.Motion]:
     uv = pixel_grid(stage.scene.height, stage.scene.width).reshape(-1, 2)
     now, then = stage.moment(frame), stage.moment(frame + 1)
     hits = raycast.cast(now.snapshot, now.view, uv)
-    return uv, hits, truth.motion(hits, uv, stage.world, then.snapshot, then.view, now.view.K[0, 0])
+    return uv, hits, exact_motion.motion(hits, uv, stage.world, then.snapshot, then.view, now.view.K[0, 0])
 
 
 def seen_body(stage: Stage, hits: raycast.Hits) -> np.ndarray:
@@ -138,7 +138,7 @@ def test_occlusion_is_visibility_in_the_next_frame() -> None:
     points = raycast.follow(hits, stage.world, then.snapshot)
     again = raycast.cast(then.snapshot, then.view, uv + moved.flow)
     depth = cameras.project(points, then.view.cam_from_world, then.view.K)[1]
-    hidden = again.depth < depth * (1 - truth.SLACK)
+    hidden = again.depth < depth * (1 - exact_motion.SLACK)
     assert 0.005 < moved.occluded.mean() < 0.3
     assert np.array_equal(hidden, moved.occluded)
 

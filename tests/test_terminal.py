@@ -141,16 +141,16 @@ def test_the_bar_over_all_jobs_is_for_terminals_alone(
     monkeypatch.setenv("LINES", "40")
     shown = handler(stream, monkeypatch)
     tell(shown, LogEvent.RUN_INFO, stats={"total": 5})
-    start(shown, 1, "train", tmp_path, seq="demo")
-    (tmp_path / "train.log").write_text("INFO training: 100 of 1000\nINFO training: 400 of 1000\n")
+    start(shown, 1, "gaussians", tmp_path, seq="demo")
+    (tmp_path / "gaussians.log").write_text("INFO training: 100 of 1000\nINFO training: 400 of 1000\n")
     tell(shown, LogEvent.PROGRESS, done=2, total=5)
     for _ in range(200):
-        if not barred or "train demo 40 %" in stream.getvalue():
+        if not barred or "gaussians demo 40 %" in stream.getvalue():
             break
         shown.stopped.wait(0.01)
     shown.close()
     said = stream.getvalue()
-    assert ("2 of 5 jobs" in said and "train demo 40 %" in said) if barred else said == ""
+    assert ("2 of 5 jobs" in said and "gaussians demo 40 %" in said) if barred else said == ""
 
 
 def test_warnings_reach_the_log_once_where_standard_error_goes_there_too(tmp_path: Path) -> None:

@@ -6,8 +6,9 @@ import comparison_tables
 import numpy as np
 import pytest
 
-from stages.eval import growth, tradeoff, tradeoff_report
-from stages.eval.tradeoff import Point
+from stages.comparisons import growth, tradeoff
+from stages.comparisons.tradeoff import Point
+from stages.report import tradeoff_report
 
 
 def _point(seconds: float, error: float, name: str = "p", complete: bool = True, is_default: bool = False) -> Point:

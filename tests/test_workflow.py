@@ -11,7 +11,7 @@ import yaml
 from conftest import copy_sources, run_snakemake, write_frames
 
 EVERY_RULE = {
-    *("simulate", "inspect", "flow", "motion", "segment", "ba", "scene", "control", "train", "render"),
+    *("simulate", "inspect", "flow", "motion", "segment", "ba", "scene", "control", "gaussians", "render"),
     *("colmap", "evaluate", "report", "all"),
 }
 AFTER_FLOW = EVERY_RULE - {"simulate", "inspect", "flow", "colmap"}
@@ -94,14 +94,14 @@ def test_a_number_as_text_equals_the_number(finished: Path) -> None:
 
 
 def test_a_comment_or_docstring_reruns_nothing(finished: Path) -> None:
-    for name in ("stages/shared/cameras.py", "stages/eval/report.py"):
+    for name in ("stages/shared/cameras.py", "stages/report/__main__.py"):
         path = finished / name
         path.write_text(path.read_text().replace('"""', '"""Other words. ', 1) + "\n# a comment\n")
     assert planned(run_snakemake(finished, "-n")) == set()
 
 
 def test_a_changed_function_reruns_its_users_only(finished: Path) -> None:
-    path = finished / "stages/eval/report.py"
+    path = finished / "stages/report/__main__.py"
     path.write_text(path.read_text() + "\nNEW = 1\n")
     assert planned(run_snakemake(finished, "-n")) == {"report", "all"}
     path = finished / "stages/shared/alignment.py"
@@ -119,7 +119,7 @@ def test_forced_rule_and_until(finished: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("target", "last"), [("poses", "ba"), ("masks", "segment"), ("gaussians", "train"), ("report", "report")]
+    ("target", "last"), [("poses", "ba"), ("masks", "segment"), ("splats", "gaussians"), ("report", "report")]
 )
 def test_targets_stop_at_their_stage(repo_copy: Path, target: str, last: str) -> None:
     rules = planned(run_snakemake(repo_copy, "-n", target))
@@ -173,7 +173,7 @@ def test_a_sweep_runs_only_what_differs(repo_copy: Path) -> None:
     # Configured, fast, one round, static, other COLMAPs. The one round is the first of the configured run; fast has
     # flow of its own, and no masks in its first round; other COLMAPs are evaluated apart and share all else.
     expected = {"simulate": 1, "inspect": 1, "colmap": 2, "colmap_masked": 1, "flow": 2, "motion": 3, "segment": 3}
-    expected |= {"ba": 4, "scene": 4, "control": 4, "train": 4, "render": 4, "evaluate": 5, "collect_sweep": 1}
+    expected |= {"ba": 4, "scene": 4, "control": 4, "gaussians": 4, "render": 4, "evaluate": 5, "collect_sweep": 1}
     assert {name: int(counts[name]) for name in expected} == expected
     assert "collect_scaling" not in counts
 
@@ -181,7 +181,7 @@ def test_a_sweep_runs_only_what_differs(repo_copy: Path) -> None:
 @pytest.mark.parametrize(
     ("target", "override", "rerun"),
     [
-        ("sweep", "gaussians: {steps: 33}", {"train", "render", "evaluate", *COLLECTED}),
+        ("sweep", "gaussians: {steps: 33}", {"gaussians", "render", "evaluate", *COLLECTED}),
         ("sweep", "colmap: {seed: 5}", {"colmap", "colmap_masked", "evaluate", *COLLECTED}),
         ("scaling", "control: {steps: 3}", {*AFTER_SCENE, "collect_scaling", "scaling"} - {"all"}),
         ("all", "sweep: {knobs: {rounds: [3]}}", set()),

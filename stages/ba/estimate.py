@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from stages.ba import classify, dba, doubts, initialise, rotation, trim
+from stages.ba import classify, dba, diagnostics, initialise, rotation, trim
 from stages.ba.classify import Statistics
 from stages.ba.dba import FocalPrior, Level, State, Step, Unknowns
 from stages.ba.graph import MIN_MATCHES, FlowGraph, favour_distance, shared_matches
@@ -125,7 +125,7 @@ def _estimate(problem: Problem, options: BAOptions) -> Estimate:
     state = initialise.initial_state(graph, found.state.cam_from_world, found.state.focal_px, FINE_PX[0])
     refined, focal = _refine(problem, statistics, replace(found, state=state), prior)
     residual_px = median_residual(graph, refined.state)
-    against = doubts.of_solution(replace(found, state=refined.state), start.others, statistics, residual_px)
+    against = diagnostics.of_solution(replace(found, state=refined.state), start.others, statistics, residual_px)
     steps = [step for candidate in (*start.others, found) for step in candidate.steps] + refined.steps
     solution = _finish(problem, statistics, refined.state, focal, against, steps)
     numbers = solution.statistics | {"roughness": found.roughness}
@@ -152,7 +152,7 @@ def _estimate_rotations(problem: Problem, statistics: Statistics, prior: FocalPr
     focal = Focal("weakly observed" if sigma > WEAK_FOCAL else "estimated", sigma)
     if problem.known_focal_px:
         focal = Focal("known", 0.0)
-    against = doubts.of_rotations(problem.graph, dba.errors_px(problem.graph, state))
+    against = diagnostics.of_rotations(problem.graph, dba.errors_px(problem.graph, state))
     return _finish(problem, statistics, state, focal, against, steps)
 
 
@@ -245,7 +245,7 @@ def _finish(
     flags = list(against)
     if statistics.planar:
         flags.append("planar scene: one homography explains the flow, so that depth and motion rest on one plane")
-    flags += doubts.of_focal(statistics.camera, decision)
+    flags += diagnostics.of_focal(statistics.camera, decision)
     numbers = asdict(statistics) | {"camera": statistics.camera, "planar": statistics.planar}
     residual_px = median_residual(graph, state)
     return Estimate(state, statistics.camera, covariance, residual_px, decision, numbers, against, flags, steps)

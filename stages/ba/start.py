@@ -12,7 +12,7 @@ import numpy as np
 from stages.ba import dba, initialise, planar
 from stages.ba.classify import Statistics, longest_step
 from stages.ba.dba import FocalPrior, Level, State, Unknowns
-from stages.ba.doubts import ROUGH_PATH
+from stages.ba.diagnostics import ROUGH_PATH
 from stages.ba.graph import MIN_WEIGHT, FlowGraph, mask_graph, thin_graph
 from stages.ba.initialise import Candidate, Hypothesis
 

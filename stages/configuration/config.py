@@ -6,15 +6,17 @@ from typing import Any, Literal
 from pydantic import Field, field_validator
 
 from stages.ba.options import BAOptions
+from stages.colmap.options import ColmapOptions
 from stages.configuration.comparison_options import ScalingOptions, SweepOptions
 from stages.configuration.presets import PRESETS, Preset, override, value_of
 from stages.control.options import ControlOptions
-from stages.eval.options import ColmapOptions, EvaluateOptions, ReportOptions
+from stages.evaluate.options import EvaluateOptions
 from stages.flow.options import FlowOptions
 from stages.gaussians.options import GaussiansOptions
 from stages.inspect.options import InspectOptions
 from stages.motion.options import MotionOptions
 from stages.render.options import RenderOptions
+from stages.report.options import ReportOptions
 from stages.scene.options import SceneOptions
 from stages.segment.options import SegmentOptions
 from stages.shared.options import Options, to_flags, validate

@@ -8,7 +8,7 @@ import torch
 
 from stages.gaussians.optimise import Trainer
 from stages.gaussians.training_frames import TrainingFrames
-from stages.shared.figures import contact_sheet, spread
+from stages.shared.drawing import contact_sheet, spread
 from stages.shared.images import to_uint8
 
 WIDTH_PX = 1200

@@ -12,7 +12,7 @@ from stages.gaussians.densify import GradientRecord, densify
 from stages.gaussians.options import GaussiansOptions
 from stages.gaussians.ssim import Target, ssim
 from stages.gaussians.training_frames import TrainingFrames
-from stages.shared.figures import spread
+from stages.shared.drawing import spread
 from stages.shared.log import progress
 from stages.shared.psnr import psnr_db
 from stages.splatting.model import GaussianScene

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from stages.scene.motion import MIN_CONFIDENCE
+from stages.scene.geometry import MIN_CONFIDENCE
 from stages.scene.observed import Observed, camera_points
 from stages.shared import lie
 from stages.shared.warp import is_inside, warp

@@ -77,7 +77,7 @@ def run(main: Callable[..., str | None], argv: Sequence[str] | None = None) -> N
 
 def _module_name(main: Callable[..., str | None]) -> str:
     spec = sys.modules[main.__module__].__spec__
-    return spec.name if spec else main.__module__
+    return (spec.name if spec else main.__module__).removesuffix(".__main__")
 
 
 def _signature(main: Callable[..., str | None]) -> tuple[list[_PathFlag], type[Options] | None]:

@@ -17,9 +17,13 @@ IMPORT = re.compile(r"^[ \t]*((?:from|import) stages\b[^\n(]*(?:\([^)]*\))?)", r
 
 @functools.cache
 def code_digest(module: str) -> str:
-    """12 hex digits over `module` (e.g. "stages.flow.estimate") and all `stages.*` modules it imports, at any depth."""
-    digest = hashlib.sha256()
-    for name in sorted(imported_modules(module)):
+    """12 hex digits over `module` and all `stages.*` modules it imports, at any depth.
+
+    Args:
+        module: of a stage, "stages.flow", whose script is its `__main__`; or any other, "stages.render.view".
+    """
+    digest, script = hashlib.sha256(), f"{module}.__main__"
+    for name in sorted(imported_modules(script if _path(script).exists() else module)):
         digest.update(name.encode() + _instructions(_path(name)).encode())
     return digest.hexdigest()[:12]
 

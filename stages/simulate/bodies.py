@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from stages.simulate import deform, meshes
+from stages.simulate.keyframes import curve, rotation
 from stages.simulate.meshes import Mesh
-from stages.simulate.motion import curve, rotation
 from stages.simulate.scene import FRAMES_PER_SECOND, Scene
 from stages.simulate.shape_models import (
     Box,

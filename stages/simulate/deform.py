@@ -5,8 +5,8 @@ from collections.abc import Callable
 import numpy as np
 
 from stages.simulate import meshes
+from stages.simulate.keyframes import rotation
 from stages.simulate.meshes import Mesh
-from stages.simulate.motion import rotation
 from stages.simulate.shape_models import Breather, Cloth, Cluster, Jelly
 
 Deforming = tuple[Mesh, Callable[[float, float], np.ndarray]]

@@ -7,7 +7,7 @@ import numpy as np
 
 from stages.shared.cameras import pixel_grid
 from stages.simulate import effects
-from stages.simulate.motion import View, camera_path
+from stages.simulate.keyframes import View, camera_path
 from stages.simulate.raycast import Hits, cast
 from stages.simulate.scene import Scene
 from stages.simulate.shading import Surface, lit, surfaces

@@ -9,7 +9,7 @@ from pydantic import Field
 
 from stages.shared import cli
 from stages.shared.cli import In, Out
-from stages.shared.figures import contact_sheet
+from stages.shared.drawing import contact_sheet
 from stages.shared.images import write_image
 from stages.shared.log import progress
 from stages.shared.options import Options

@@ -7,7 +7,7 @@ from numba import njit
 
 from stages.shared.threads import spread
 from stages.simulate.bvh import Tree, walk
-from stages.simulate.motion import View
+from stages.simulate.keyframes import View
 from stages.simulate.world import Snapshot, World
 
 DOME_M = 2000.0

@@ -4,8 +4,8 @@ import numpy as np
 
 from stages.simulate import meshes
 from stages.simulate.deform import Deforming
+from stages.simulate.keyframes import rotation
 from stages.simulate.meshes import Mesh
-from stages.simulate.motion import rotation
 from stages.simulate.shape_models import Walker
 
 SIDES = (-1.0, 1.0)

@@ -9,7 +9,8 @@ from synthetic import PLANE, Scene, flow_arrays, make_scene, painted
 from stages.flow.confidence import flow_confidence
 from stages.flow.dis import estimate_flow
 from stages.flow.edges import edge_list
-from stages.motion import epipolar, estimate, photometric, pooling, resweep
+from stages.motion import __main__ as motion_stage
+from stages.motion import epipolar, photometric, pooling, resweep
 from stages.motion.epipolar import Evidence, PairMatches
 from stages.segment.options import SegmentOptions
 from stages.segment.refinement import guarded_thresholds, smooth_along_edges, to_mask, vote
@@ -43,7 +44,7 @@ def prior_with_cameras(scene: Scene, cam_from_world: np.ndarray | None = None) -
     start = np.full(scene.depth.shape, np.median(1 / scene.depth), np.float32)
     evidence, _, _ = resweep.camera_evidence(pairs, poses, Ks, start)
     misfit = pooling.pool(evidence, painted(scene.dynamic), edges, pairs["flow"], pairs["weights"])
-    return estimate.to_probability(misfit, *estimate.CAMERA_CURVE)
+    return motion_stage.to_probability(misfit, *motion_stage.CAMERA_CURVE)
 
 
 @pytest.mark.parametrize("grey_level", [0, 128, 255])
@@ -209,7 +210,7 @@ def test_masks_of_rendered_sequences(rendered: Path, name: str, least_iou: float
     rgb, projections = np.stack(frames), resweep.projections(pairs, *seen)
     evidence = photometric.corroborate(evidence, rgb, pairs, projections, inverse_depth)
     misfit = pooling.pool(evidence, rgb, edges, flow, pairs["weights"])
-    probability = vote(estimate.to_probability(misfit, *estimate.CAMERA_CURVE), edges, flow, confidence)
+    probability = vote(motion_stage.to_probability(misfit, *motion_stage.CAMERA_CURVE), edges, flow, confidence)
     options = SegmentOptions()
     masks = []
     for p, rgb in zip(probability, frames, strict=True):

@@ -9,13 +9,13 @@ from ba_files import outputs, write_inputs
 from numpy.testing import assert_allclose, assert_array_equal
 from synthetic import PLANE, Scene, flow_arrays, make_scene, trajectory_error
 
-from stages.ba import reduced, shots
+from stages.ba import cuts, reduced
+from stages.ba.__main__ import main
 from stages.ba.dba import Unknowns, linear_system
 from stages.ba.estimate import Problem
 from stages.ba.graph import FlowGraph, build_graph
 from stages.ba.initialise import Hypothesis, chain, initial_state
 from stages.ba.options import BAOptions
-from stages.ba.solve import main
 from stages.shared.artifacts import read_dense, read_metadata
 from stages.shared.cameras import read_cameras
 
@@ -50,8 +50,8 @@ def blind_at(scene: Scene, frames: list[int]) -> tuple[np.ndarray, ...]:
 def graph_of(edges: tuple[np.ndarray, ...], T: int) -> tuple[FlowGraph, np.ndarray]:
     """The graph of the longest shot, and its frames [T]."""
     graph = build_graph(*edges, T, 4)
-    frames = shots.linked_frames(graph.source, graph.target, graph.weights, T)
-    return shots.isolate(graph, frames), frames
+    frames = cuts.linked_frames(graph.source, graph.target, graph.weights, T)
+    return cuts.isolate(graph, frames), frames
 
 
 @pytest.mark.parametrize("longest_first", [True, False])
@@ -62,7 +62,7 @@ def test_of_a_cut_sequence_the_longest_shot_is_solved_alone(longest_first: bool)
     inside = slice(0, 7) if longest_first else slice(5, 12)
     assert_array_equal(np.flatnonzero(frames), np.arange(12)[inside])
     assert not graph.weights[~(frames[graph.source] & frames[graph.target])].any()
-    solution = shots.estimate_shot(Problem(graph, masked=True, known_focal_px=long.focal_px), frames, BAOptions())
+    solution = cuts.estimate_shot(Problem(graph, masked=True, known_focal_px=long.focal_px), frames, BAOptions())
     poses, covariance = solution.state.cam_from_world, solution.covariance
     assert trajectory_error(poses[inside], long.cam_from_world) < 2e-3
     assert_array_equal(poses[0], np.eye(4))
@@ -75,7 +75,7 @@ def test_black_frames_amid_others_are_bridged_and_known_to_be_unobserved() -> No
     graph, frames = graph_of(blind_at(scene, [4, 5]), 10)
     assert_array_equal(np.flatnonzero(~frames), [4, 5])
     assert_array_equal(graph.observed_frames(), frames)
-    solution = shots.estimate_shot(Problem(graph, masked=True, known_focal_px=scene.focal_px), frames, BAOptions())
+    solution = cuts.estimate_shot(Problem(graph, masked=True, known_focal_px=scene.focal_px), frames, BAOptions())
     poses, covariance = solution.state.cam_from_world, solution.covariance
     assert trajectory_error(poses[frames], scene.cam_from_world[frames]) < 2e-3
     assert trajectory_error(poses, scene.cam_from_world) < 2e-3
@@ -107,9 +107,9 @@ def test_a_blind_frame_does_not_take_up_the_size_of_the_trajectory() -> None:
 def test_nothing_seen_is_no_shot(weight: float) -> None:
     source, target, _, confidence = flow_arrays(make_scene(T=4), (1,))
     weights = np.full((len(source), confidence[0].size), weight)
-    assert shots.linked_frames(source, target, weights, 4).all()
+    assert cuts.linked_frames(source, target, weights, 4).all()
     weights[:2] = 1  # two frames linked by chance
-    assert shots.linked_frames(source, target, weights, 4).all()
+    assert cuts.linked_frames(source, target, weights, 4).all()
 
 
 @pytest.mark.parametrize(
@@ -136,16 +136,16 @@ def test_the_script_names_frames_without_a_pose(tmp_path: Path, case: str, statu
 
 def test_numbers_of_frames_left_out_are_named_in_runs() -> None:
     kept = np.array([False, True, False, False, True, False])
-    [flag] = shots.doubts(kept, [3, 4, 5, 6, 7, 20])
+    [flag] = cuts.doubts(kept, [3, 4, 5, 6, 7, 20])
     assert "frames 3, 5-6, 20 " in flag
-    assert shots.doubts(np.ones(6, bool), [3, 4, 5, 6, 7, 20]) == []
+    assert cuts.doubts(np.ones(6, bool), [3, 4, 5, 6, 7, 20]) == []
 
 
 def test_texture_and_earlier_poses_are_cut_out_with_their_frames() -> None:
     long, short = make_scene(T=7), make_scene(T=4, planes=PLANE)
     graph, _ = graph_of(glued(short, long), 11)
     graph = replace(graph, texture=np.arange(11, dtype=np.float32)[:, None] * np.ones_like(graph.weights[:11]))
-    part = shots._cut_out(graph, slice(4, 11))
+    part = cuts._cut_out(graph, slice(4, 11))
     assert_array_equal(part.texture[:, 0], np.arange(4, 11))
     assert (part.T, part.edge(0, 3)) == (7, 2)
     assert_array_equal(part.matches[part.edge(2, 1)], graph.matches[graph.edge(6, 5)])

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from conftest import write_frames
 
-from stages.flow import estimate, truth
+from stages.flow import __main__ as flow_stage
+from stages.flow import true_flow
 from stages.flow.confidence import flow_confidence
 from stages.flow.dis import estimate_flow
 from stages.flow.edges import edge_list, long_edges
@@ -78,9 +79,9 @@ def test_frames_fewer_than_the_offsets_reach_have_the_edges_there_are(
     assert edge_list(2, (1, 2, 3, 5)) == [(0, 1), (1, 0)]
     assert long_edges({(0, 1): np.zeros((8, 8, 2), np.float32), (1, 0): np.zeros((8, 8, 2), np.float32)}, 2, 2) == []
     folder = write_frames(tmp_path / "clip", count=3)
-    monkeypatch.setattr(estimate, "write_figure", lambda *_: None)
+    monkeypatch.setattr(flow_stage, "write_figure", lambda *_: None)
     write_json(tmp_path / "sequence.json", sequence_to_json(check_sequence("clip", folder)))
-    estimate.main(tmp_path / "sequence.json", tmp_path / "pairs.arrow", tmp_path / "flow.png", FlowOptions())
+    flow_stage.main(tmp_path / "sequence.json", tmp_path / "pairs.arrow", tmp_path / "flow.png", FlowOptions())
     pairs = read_dense(tmp_path / "pairs.arrow")
     assert list(zip(pairs["source"], pairs["target"], strict=True)) == edge_list(3, (1, 2))
 
@@ -89,7 +90,9 @@ def test_inverting_flow_that_tears_leaves_the_gap_unknown() -> None:
     """Two halves that part by 6 px: nothing lands in between, and the iteration has no solution there."""
     flow = np.zeros((40, 60, 2), np.float32)
     flow[:, 30:, 0] = 6
-    back, known = truth.inverted(flow, np.ones((40, 60), bool), np.ones((40, 60), np.float32), np.ones((40, 60), bool))
+    back, known = true_flow.inverted(
+        flow, np.ones((40, 60), bool), np.ones((40, 60), np.float32), np.ones((40, 60), bool)
+    )
     assert np.isfinite(back).all()
     assert not known[:, 31:35].any()
     np.testing.assert_allclose(back[:, 38:58, 0], -6, atol=1e-4)
@@ -101,7 +104,7 @@ def test_long_flow_is_stored_to_a_2048th_and_what_leaves_the_frame_still_leaves_
     rng = np.random.default_rng(0)
     flow = rng.uniform(-160, 160, (96, 160, 2)).astype(np.float32)
     flow[0, 0], flow[-1, -1] = (1e6, -1e9), (-3e5, 160)
-    kept = estimate.stored(flow).astype(np.float32)
+    kept = flow_stage.stored(flow).astype(np.float32)
     error = np.abs(kept - flow)[1:-1]
     assert (error <= np.maximum(np.abs(flow[1:-1]) / 2048, 1e-7)).all()
     assert abs(np.mean(kept[1:-1] - flow[1:-1])) < 1e-3  # no bias: of many pixels, nothing is left of the rounding

@@ -9,7 +9,7 @@ from synthetic import flow_arrays, make_scene
 
 from stages.ba.graph import build_graph
 from stages.motion import resweep
-from stages.scene import decide
+from stages.scene import __main__ as scene_stage
 from stages.shared import cli
 from stages.shared.artifacts import read_dense, read_metadata, read_model, read_table, write_dense, write_model
 from stages.shared.artifacts import write_table as write_columns
@@ -35,7 +35,7 @@ def test_what_is_no_number_in_a_file_stops_the_stage(
     outputs = {"output": tmp_path / "out" / "scene.json", "figure": tmp_path / "out" / "scene.png"}
     flags = [str(part) for name, file in (files | outputs).items() for part in (f"--{name}", file)]
     with pytest.raises(SystemExit) as stopped:
-        cli.run(decide.main, flags)
+        cli.run(scene_stage.main, flags)
     assert stopped.value.code == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert f"{path}: expected finite numbers in '{column}', found NaN or infinity; run the stage" in line

@@ -8,10 +8,10 @@ import pytest
 from ba_files import outputs
 from numpy.testing import assert_allclose
 
+from stages.ba.__main__ import main as solve
 from stages.ba.options import BAOptions
-from stages.ba.solve import main as solve
-from stages.eval.flow_error import flow_errors
-from stages.flow.estimate import main as estimate_flow
+from stages.evaluate.flow_error import flow_errors
+from stages.flow.__main__ import main as estimate_flow
 from stages.flow.options import FlowOptions
 from stages.segment.refinement import smooth_along_edges
 from stages.shared import sintel

@@ -9,8 +9,8 @@ from numpy.testing import assert_allclose
 from synthetic import Scene, flow_arrays, make_scene, observe
 
 from stages.ba import initialise
+from stages.ba.__main__ import main
 from stages.ba.options import BAOptions
-from stages.ba.solve import main
 from stages.shared import lie, sintel
 from stages.shared.artifacts import write_json
 from stages.shared.errors import InputError

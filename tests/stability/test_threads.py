@@ -12,8 +12,8 @@ from ba_files import outputs, write_inputs
 from conftest import REPO
 from synthetic import flow_arrays, make_scene
 
+from stages.ba.__main__ import main as solve
 from stages.ba.options import BAOptions
-from stages.ba.solve import main as solve
 from stages.deformation.splines import at_times
 from stages.deformation.storage import save_deformation, save_points
 from stages.shared.artifacts import read_metadata, read_model, read_table
@@ -52,10 +52,10 @@ def test_motion_prior_from_flow_and_from_cameras(tmp_path: Path) -> None:
     files = write_inputs(tmp_path, flow_arrays(scene), scene.dynamic)
     masks = files.pop("masks")
     written = {"output": "prior.arrow", "figure": "motion.png"}
-    run_on_threads(tmp_path / "flow", "flow.motion", files, written)
+    run_on_threads(tmp_path / "flow", "motion", files, written)
     solve(**files, masks=masks, **(paths := outputs(tmp_path)), options=BAOptions())
     before = {"previous_poses": paths["poses"], "previous_depth": paths["depth"]}
-    run_on_threads(tmp_path / "cameras", "flow.motion", files | before, written)
+    run_on_threads(tmp_path / "cameras", "motion", files | before, written)
 
 
 def test_adjustment(tmp_path: Path) -> None:
@@ -63,7 +63,7 @@ def test_adjustment(tmp_path: Path) -> None:
     files = write_inputs(tmp_path, flow_arrays(scene), scene.dynamic)
     written = {name: path.name for name, path in outputs(tmp_path).items() if name != "figure"}
     figure = {"figure": tmp_path / "ba.png"}  # it draws seconds
-    run_on_threads(tmp_path, "ba.solve", files | figure, written, "--stride-px", "4", "--depth-stride-px", "2")
+    run_on_threads(tmp_path, "ba", files | figure, written, "--stride-px", "4", "--depth-stride-px", "2")
 
 
 def test_training(tmp_path: Path) -> None:
@@ -76,7 +76,7 @@ def test_training(tmp_path: Path) -> None:
     files |= {"scene": tmp_path / "scene.json", "points": points, "deformation": deformation}
     written = {"ply": "gaussians.ply", "model": "model.safetensors", "half": "model_half.safetensors"}
     written |= {"convergence": "convergence.parquet", "figure": "figure.png"}
-    run_on_threads(tmp_path, "gaussians.train", files, written, "--steps", "12", "--stride-px", "1", "--device", "cpu")
+    run_on_threads(tmp_path, "gaussians", files, written, "--steps", "12", "--stride-px", "1", "--device", "cpu")
 
 
 def on_torch_threads(values: Callable[[], list[torch.Tensor]]) -> list[list[bytes]]:

@@ -19,11 +19,11 @@ rule ba:
     resources:
         mem_mb=megabytes(800, 100),
     params:
-        code=code_digest("stages.ba.solve"),
+        code=code_digest("stages.ba"),
         flags=flags("ba"),
         optional=optional_flags("masks", "previous_poses"),
     shell:
-        "python -m stages.ba.solve --sequence {input.sequence:q} --flow {input.flow:q}"
+        "python -m stages.ba --sequence {input.sequence:q} --flow {input.flow:q}"
         " {params.optional} --poses {output.poses:q} --trajectory {output.trajectory:q} --depth {output.depth:q}"
         " --convergence {output.convergence:q} --figure {output.figure:q} {params.flags}"
         " --log {log:q} --stats {output.stats:q} 2>> {log:q}"

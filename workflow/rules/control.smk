@@ -19,10 +19,10 @@ rule control:
     resources:
         mem_mb=megabytes(1200, 60),
     params:
-        code=code_digest("stages.control.fit"),
+        code=code_digest("stages.control"),
         flags=flags("control"),
     shell:
-        "python -m stages.control.fit --sequence {input.sequence:q} --flow {input.flow:q} --masks {input.masks:q}"
+        "python -m stages.control --sequence {input.sequence:q} --flow {input.flow:q} --masks {input.masks:q}"
         " --poses {input.poses:q} --depth {input.depth:q} --scene {input.scene:q} --points {output.points:q}"
         " --deformation {output.deformation:q} --figure {output.figure:q} {params.flags}"
         " --log {log:q} --stats {output.stats:q} 2>> {log:q}"

@@ -14,11 +14,11 @@ rule colmap:
         mem_mb=megabytes(800, 60),
         colmap=1,
     params:
-        code=code_digest("stages.eval.colmap"),
+        code=code_digest("stages.colmap"),
         flags=flags("colmap"),
         masks="",
     shell:
-        "OMP_NUM_THREADS=1 nice -n 19 python -m stages.eval.colmap --sequence {input.sequence:q} --output {output.poses:q}"
+        "OMP_NUM_THREADS=1 nice -n 19 python -m stages.colmap --sequence {input.sequence:q} --output {output.poses:q}"
         " {params.masks} {params.flags} --log {log:q} --stats {output.stats:q} 2>> {log:q}"
 
 
@@ -33,7 +33,7 @@ use rule colmap as colmap_masked with:
     log:
         "<logs>/{dataset}/{seq}/{setting}colmap_masked.log",
     params:
-        code=code_digest("stages.eval.colmap"),
+        code=code_digest("stages.colmap"),
         flags=flags("colmap"),
         masks=lambda wildcards, input: f"--masks {shlex.quote(input.masks)}",
 
@@ -76,10 +76,10 @@ rule evaluate:
     resources:
         mem_mb=megabytes(600, 60),
     params:
-        code=code_digest("stages.eval.evaluate"),
+        code=code_digest("stages.evaluate"),
         flags=flags("evaluate"),
     shell:
-        "python -m stages.eval.evaluate --sequence {input.sequence:q} --flow {input.flow:q} --priors {input.priors:q}"
+        "python -m stages.evaluate --sequence {input.sequence:q} --flow {input.flow:q} --priors {input.priors:q}"
         " --masks {input.masks:q} --poses {input.poses:q} --depth {input.depth:q} --colmap {input.colmap:q}"
         " {input.masked:q} --motion {input.motion:q} --model {input.model:q} --half {input.half:q}"
         " --renders {input.renders:q} --stage-stats {input.stage_stats:q} {input.masked_stats:q}"
@@ -95,7 +95,7 @@ rule report:
         tables=expand(rules.evaluate.output, seq=SEQUENCES, dataset=DATASET, setting=""),
         published=str(REPO / "workflow/resources/published.yaml"),
         page=expand(
-            str(REPO / "stages/eval/templates/{file}"),
+            str(REPO / "stages/report/templates/{file}"),
             file=["report.html.j2", "style.css", "sort.js"],
         ),
     output:
@@ -112,7 +112,7 @@ rule report:
     resources:
         mem_mb=1500,
     params:
-        code=code_digest("stages.eval.report"),
+        code=code_digest("stages.report"),
         flags=flags("report"),
         sequences=evaluated_folders,
         comparisons=comparison_flags,
@@ -122,6 +122,6 @@ rule report:
             else ""
         ),
     shell:
-        "python -m stages.eval.report --sequences {params.sequences:q} --published-numbers {input.published:q}"
+        "python -m stages.report --sequences {params.sequences:q} --published-numbers {input.published:q}"
         " {params.manifests} {params.comparisons} --output {output.html:q} --tables {output.tables:q} {params.flags}"
         " --log {log:q} 2>> {log:q}"

@@ -13,10 +13,10 @@ rule flow:
     resources:
         mem_mb=megabytes(500, 60),
     params:
-        code=code_digest("stages.flow.estimate"),
+        code=code_digest("stages.flow"),
         flags=flags("flow"),
     shell:
-        "python -m stages.flow.estimate --sequence {input.sequence:q} --output {output.flow:q}"
+        "python -m stages.flow --sequence {input.sequence:q} --output {output.flow:q}"
         " --figure {output.figure:q} {params.flags} --log {log:q} --stats {output.stats:q} 2>> {log:q}"
 
 
@@ -38,9 +38,9 @@ rule motion:
     resources:
         mem_mb=megabytes(600, 160),
     params:
-        code=code_digest("stages.motion.estimate"),
+        code=code_digest("stages.motion"),
         flags=flags("motion"),
         previous=optional_flags("previous_poses", "previous_depth"),
     shell:
-        "python -m stages.motion.estimate --sequence {input.sequence:q} --flow {input.flow:q} {params.previous}"
+        "python -m stages.motion --sequence {input.sequence:q} --flow {input.flow:q} {params.previous}"
         " --output {output.prior:q} --figure {output.figure:q} {params.flags} --log {log:q} --stats {output.stats:q} 2>> {log:q}"

@@ -1,4 +1,4 @@
-rule train:
+rule gaussians:
     input:
         sequence=artifact("inspect", "sequence.json"),
         masks=artifact("segment", "masks"),
@@ -23,10 +23,10 @@ rule train:
         mem_mb=megabytes(1500, 60),
         gpu=1,
     params:
-        code=code_digest("stages.gaussians.train"),
+        code=code_digest("stages.gaussians"),
         flags=flags("gaussians"),
     shell:
-        "python -m stages.gaussians.train --sequence {input.sequence:q} --masks {input.masks:q} --poses {input.poses:q}"
+        "python -m stages.gaussians --sequence {input.sequence:q} --masks {input.masks:q} --poses {input.poses:q}"
         " --depth {input.depth:q} --scene {input.scene:q} --points {input.points:q}"
         " --deformation {input.deformation:q} --ply {output.ply:q} --model {output.model:q} --half {output.half:q}"
         " --convergence {output.convergence:q} --figure {output.figure:q} {params.flags}"
@@ -56,9 +56,9 @@ rule render:
         mem_mb=megabytes(1000, 10),
         gpu=1,
     params:
-        code=code_digest("stages.render.render"),
+        code=code_digest("stages.render"),
         flags=flags("render"),
     shell:
-        "python -m stages.render.render --sequence {input.sequence:q} --poses {input.poses:q}"
+        "python -m stages.render --sequence {input.sequence:q} --poses {input.poses:q}"
         " --model {input.model:q} --output {output.renders:q} --video {output.video:q} {params.flags}"
         " --log {log:q} --stats {output.stats:q} 2>> {log:q}"

@@ -17,9 +17,9 @@ rule inspect:
     resources:
         mem_mb=megabytes(300, 3),
     params:
-        code=code_digest("stages.inspect.check"),
+        code=code_digest("stages.inspect"),
         folder=frame_folder,
         flags=flags("inspect"),
     shell:
-        "python -m stages.inspect.check --frames {params.folder:q} --output {output.sequence:q}"
+        "python -m stages.inspect --frames {params.folder:q} --output {output.sequence:q}"
         " --figure {output.figure:q} {params.flags} --log {log:q} --stats {output.stats:q} 2>> {log:q}"

@@ -15,8 +15,8 @@ rule segment:
     resources:
         mem_mb=megabytes(500, 60),
     params:
-        code=code_digest("stages.segment.refine"),
+        code=code_digest("stages.segment"),
         flags=flags("segment"),
     shell:
-        "python -m stages.segment.refine --sequence {input.sequence:q} --flow {input.flow:q} --prior {input.prior:q}"
+        "python -m stages.segment --sequence {input.sequence:q} --flow {input.flow:q} --prior {input.prior:q}"
         " --output {output.masks:q} --figure {output.figure:q} {params.flags} --log {log:q} --stats {output.stats:q} 2>> {log:q}"

@@ -12,8 +12,8 @@ rule simulate:
     resources:
         mem_mb=megabytes(600, 0),
     params:
-        code=code_digest("stages.simulate.render"),
+        code=code_digest("stages.simulate"),
         flags=flags("simulate"),
     shell:
-        "python -m stages.simulate.render --scene {input.scene:q} --output simulated {params.flags}"
+        "python -m stages.simulate --scene {input.scene:q} --output simulated {params.flags}"
         " --log {log:q} --stats {output.stats:q} 2>> {log:q}"

@@ -40,9 +40,9 @@ rule collect_sweep:
     conda:
         "../envs/motionsplat.yaml"
     params:
-        code=code_digest("stages.eval.sweep"),
+        code=code_digest("stages.comparisons.sweep"),
     shell:
-        "python -m stages.eval.sweep --runs {input.runs:q} --output {output.table:q} --log {log:q} 2>> {log:q}"
+        "python -m stages.comparisons.sweep --runs {input.runs:q} --output {output.table:q} --log {log:q} 2>> {log:q}"
 
 
 rule collect_scaling:
@@ -56,6 +56,6 @@ rule collect_scaling:
     conda:
         "../envs/motionsplat.yaml"
     params:
-        code=code_digest("stages.eval.scaling"),
+        code=code_digest("stages.comparisons.scaling"),
     shell:
-        "python -m stages.eval.scaling --runs {input.runs:q} --output {output.table:q} --log {log:q} 2>> {log:q}"
+        "python -m stages.comparisons.scaling --runs {input.runs:q} --output {output.table:q} --log {log:q} 2>> {log:q}"

@@ -1,0 +1,258 @@
+"""Estimate camera poses, one shared focal length and depth from flow and masks by dense bundle adjustment."""
+
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import cv2
+import numpy as np
+
+from stages.ba import cuts, dba, diagnostics, figure, from_truth
+from stages.ba.depth import DepthMaps, depth_maps
+from stages.ba.estimate import Estimate, Problem
+from stages.ba.graph import (
+    MIN_WEIGHT,
+    FlowGraph,
+    build_graph,
+    mask_graph,
+    static_areas,
+    trusted_static_areas,
+    with_texture,
+)
+from stages.ba.options import BAOptions
+from stages.ba.start import PoseGuess
+from stages.ba.texture import texture_weights
+from stages.ba.uncertainty import CORRELATION
+from stages.shared import cli, sintel
+from stages.shared.artifacts import read_dense, read_metadata, write_dense, write_table
+from stages.shared.cameras import (
+    Cameras,
+    centred_intrinsics,
+    has_pose,
+    make_cameras,
+    read_cameras,
+    scale_intrinsics,
+    write_cameras,
+    write_tum,
+)
+from stages.shared.cli import In, Out
+from stages.shared.errors import InputError
+from stages.shared.images import read_mask, read_reduced
+from stages.shared.log import logger
+from stages.shared.sequences import Sequence, read_sequence
+from stages.shared.threads import threaded
+
+STATUS = {"moving": "estimated", "near-still": "near-still", "rotating": "rotation-only", "failed": "failed"}
+GAUGE = "the first camera is the world; the median inverse depth of the solver's pixels is 1"
+
+
+def main(
+    sequence: Annotated[Path, In("sequence.json of the input check")],
+    flow: Annotated[Path, In("flow/pairs.arrow")],
+    poses: Annotated[Path, Out("poses.parquet: pose, intrinsics, covariance and status per frame")],
+    trajectory: Annotated[Path, Out("trajectory.tum: world-from-camera, for evo and others")],
+    depth: Annotated[Path, Out("depth.arrow: inverse depth and its variance per frame")],
+    convergence: Annotated[Path, Out("convergence.parquet: cost, step, damping and seconds per iteration")],
+    figure: Annotated[Path, Out("picture for the report")],
+    options: BAOptions,
+    masks: Annotated[Path | None, In("folder of dynamic masks, 255 = dynamic")] = None,
+    previous_poses: Annotated[Path | None, In("poses.parquet of the round before")] = None,
+) -> str:
+    """Estimate camera poses, one shared focal length and depth from flow and masks.
+
+    Masks that leave too little static area, or that spoil the path, are not believed: `masks_trusted` in poses.parquet
+    says of which frames, and later stages go by it. A camera that only rotates, or hardly moves, is recognised and
+    solved in the model that fits. Doubts about the solution stand as `flags` in the metadata of poses.parquet; a
+    sequence that cannot be solved gets the status "failed" and identity poses.
+    """
+    frames = read_sequence(sequence)
+    matches = _read_matches(flow, len(frames.numbers), options)
+    centre, known_focal_px = _known_intrinsics(frames, matches, options)
+    static, ignored = trusted_static_areas(static_areas(_read_masks(masks, frames), *matches.size))
+    everything = with_texture(matches.graph(options.stride_px, centre), _read_texture(frames, matches.size))
+    graph = mask_graph(everything, static)
+    previous = _previous(previous_poses, matches.scale)
+    unmasked = everything if (static < 1).any() else None
+    masked = unmasked is not None or previous is not None
+    problem = Problem(graph, masked, known_focal_px, previous, unmasked, options.iterations)
+    solution = _solve(problem, matches.shot, frames, options)
+    flags = cuts.doubts(matches.shot, frames.numbers) + solution.flags
+    flags += _round_doubts(solution, static[matches.shot], ignored[matches.shot], previous_poses)
+    _log(frames.name, solution, flags)
+    trusted = ~ignored & (solution.static is None or masks is None)
+    if solution.static is not None:
+        static, graph = solution.static, mask_graph(everything, solution.static)
+    fine = mask_graph(matches.graph(options.depth_stride_px, centre), static)
+    maps = depth_maps(fine, graph, solution.state, static, solution.camera in ("moving", "near-still"))
+    stride_px = options.depth_stride_px / matches.scale
+    if options.depth_from == "truth":
+        maps = _true_depth(maps, solution.state, frames, stride_px, options)
+    cameras = replace(_cameras(solution, graph, frames, matches.scale), masks_trusted=trusted)
+    write_cameras(poses, cameras, _pose_metadata(solution, flags, static[matches.shot], options))
+    write_tum(trajectory, cameras)
+    _write_depth(depth, maps, frames, stride_px)
+    _write_convergence(convergence, solution)
+    _draw(figure, frames.name, solution, graph, cameras, maps)
+    return f"{has_pose(cameras).sum()} of {len(frames.numbers)} frames, camera {solution.camera}, " + (
+        f"focal length {cameras.Ks[0, 0, 0]:.0f} px ({solution.focal['decision']})"
+    )
+
+
+@dataclass(frozen=True)
+class _Matches:
+    """What flow/pairs.arrow holds of T frames.
+
+    Attributes:
+        columns: of the table, a row per edge.
+        shot: [T] bool, the frames to relate to each other.
+        size: (width, height) of the flow grid; scale: its width over that of the frames.
+    """
+
+    columns: dict[str, np.ndarray]
+    shot: np.ndarray
+    size: tuple[int, int]
+    scale: float
+
+    def graph(self, stride: int, centre: np.ndarray) -> FlowGraph:
+        """The matches of the shot, unmasked, of one pixel per `stride` px."""
+        source, target, flow, confidence = (self.columns[name] for name in ("source", "target", "flow", "confidence"))
+        graph = build_graph(source, target, flow, confidence, len(self.shot), stride, centre)
+        return cuts.isolate(graph, self.shot)
+
+
+def _read_matches(flow: Path, T: int, options: BAOptions) -> _Matches:
+    about, columns, stride = read_metadata(flow), read_dense(flow), options.stride_px
+    shot = np.ones(T, bool)
+    if options.poses_from == "estimate":
+        sampled = columns["confidence"][:, stride // 2 :: stride, stride // 2 :: stride].reshape(
+            len(columns["source"]), -1
+        )
+        shot = cuts.linked_frames(columns["source"], columns["target"], sampled, T)
+    return _Matches(columns, shot, (int(about["width"]), int(about["height"])), float(about["scale"]))
+
+
+def _solve(problem: Problem, shot: np.ndarray, frames: Sequence, options: BAOptions) -> Estimate:
+    if options.poses_from == "estimate":
+        return cuts.estimate_shot(problem, shot, options)
+    assert problem.known_focal_px is not None, "true poses come with the true focal length"
+    return from_truth.solve_depths(problem.graph, from_truth.true_poses(frames), problem.known_focal_px, options.seed)
+
+
+def _true_depth(
+    estimated: DepthMaps, state: dba.State, frames: Sequence, stride_px: float, options: BAOptions
+) -> DepthMaps:
+    scale = from_truth.gauge_scale(state, from_truth.true_poses(frames)) if options.poses_from == "truth" else None
+    return from_truth.true_depth_maps(frames, estimated, stride_px, scale)
+
+
+def _log(name: str, solution: Estimate, flags: list[str]) -> None:
+    logger.info("camera %s; focal length %s; residual %.3f px", solution.camera, solution.focal, solution.residual_px)
+    for flag in flags:
+        logger.warning("ba: %s: doubtful: %s", name, flag)
+
+
+def _read_texture(frames: Sequence, size: tuple[int, int]) -> np.ndarray:
+    """Texture weights [T, height, width] of the frames on the flow grid."""
+    grey = (cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY) for rgb in read_reduced(frames.frames, size))
+    return np.stack(threaded(texture_weights, grey))
+
+
+def _read_masks(folder: Path | None, frames: Sequence) -> np.ndarray:
+    """Masks [T, H, W] bool, true where dynamic; without a folder nothing is."""
+    if folder is None:
+        return np.zeros((len(frames.numbers), frames.height, frames.width), bool)
+    masks = []
+    for number in frames.numbers:
+        path = folder / f"frame_{number:04d}.png"
+        if not path.is_file():
+            raise InputError(path, "a mask", "nothing there", "run the segment stage again")
+        masks.append(read_mask(path))
+        if masks[-1].shape != (frames.height, frames.width):
+            found = f"{masks[-1].shape[1]} x {masks[-1].shape[0]}"
+            raise InputError(path, f"{frames.width} x {frames.height}", found, "run the segment stage again")
+    return np.stack(masks)
+
+
+def _known_intrinsics(frames: Sequence, matches: _Matches, options: BAOptions) -> tuple[np.ndarray, float | None]:
+    """Principal point [2] on the flow grid, and the focal length there if the truth is asked for."""
+    if options.intrinsics == options.poses_from == "estimate":
+        return scale_intrinsics(centred_intrinsics(1, frames.width, frames.height), matches.scale)[:2, 2], None
+    if not frames.has_truth("camdata_left"):
+        advice = "set `intrinsics: estimate` and `ba: {poses_from: estimate}`"
+        raise InputError(frames.frames[0].parent, "camdata_left beside the frames for true cameras", "none", advice)
+    scaled = scale_intrinsics(sintel.read_shared_intrinsics(frames.truth_files("camdata_left")), matches.scale)
+    return scaled[:2, 2], float(scaled[0, 0])
+
+
+def _previous(poses: Path | None, scale: float) -> PoseGuess | None:
+    """The poses of the round before; none if it failed or saw no translation."""
+    cameras = read_cameras(poses) if poses else None
+    if cameras is None or set(cameras.status) & {STATUS["failed"], STATUS["rotating"]}:
+        return None
+    return PoseGuess(cameras.cam_from_world, float(cameras.Ks[0, 0, 0] * scale))
+
+
+def _round_doubts(solution: Estimate, static: np.ndarray, ignored: np.ndarray, previous: Path | None) -> list[str]:
+    """What masks say against the solution, of which those of some frames [T] were ignored, and the round before."""
+    before = read_metadata(previous) if previous else {}
+    found = diagnostics.of_masks(static, ignored, before.get("static_share"))
+    return found + (diagnostics.of_rounds(solution.focal, before["focal"]) if before else [])
+
+
+def _cameras(solution: Estimate, graph: FlowGraph, frames: Sequence, scale: float) -> Cameras:
+    """Cameras for full-size frames; a frame without matches of its own is called "unobserved"."""
+    K = centred_intrinsics(solution.state.focal_px, graph.width, graph.height)
+    K[:2, 2] = graph.centre
+    status = np.full(graph.T, STATUS[solution.camera], object)
+    if solution.camera != "failed":
+        status[~graph.observed_frames()] = "unobserved"
+    Ks = scale_intrinsics(K, 1 / scale)
+    return make_cameras(solution.state.cam_from_world, Ks, np.array(frames.numbers), solution.covariance, status)
+
+
+def _pose_metadata(solution: Estimate, flags: list[str], static: np.ndarray, options: BAOptions) -> dict[str, Any]:
+    return {
+        "camera": solution.camera,
+        "focal": solution.focal,
+        "statistics": {name: _or_null(value) for name, value in solution.statistics.items()},
+        "residual_px": _or_null(solution.residual_px),
+        "flags": flags,
+        "static_share": float(static.mean()),
+        "gauge": GAUGE,
+        "covariance_std_factor": CORRELATION,
+        "options": options.model_dump(),
+    }
+
+
+def _or_null(value: Any) -> Any:
+    """The value; None in place of a number that JSON has no word for."""
+    return None if isinstance(value, float) and not np.isfinite(value) else value
+
+
+def _write_depth(path: Path, maps: DepthMaps, frames: Sequence, stride_px: float) -> None:
+    columns = {
+        "frame": np.array(frames.numbers),
+        "inverse_depth": maps.inverse_depth.astype(np.float32),
+        "variance": maps.variance.astype(np.float32),
+        "filled": maps.filled.astype(np.uint8),
+    }
+    units = "inverse depth in 1 / scene units; pixel k lies at full-frame pixel stride_px k + (stride_px - 1) / 2"
+    write_dense(path, columns, {"stride_px": stride_px, "units": units})
+
+
+def _write_convergence(path: Path, solution: Estimate) -> None:
+    rows = [asdict(step) for step in solution.steps]
+    names = ("sigma_px", "cost", "step", "damping", "focal_px", "accepted", "seconds")
+    columns: dict[str, Any] = {"iteration": np.arange(len(rows)), "phase": [row["phase"] for row in rows]}
+    columns |= {name: np.array([row[name] for row in rows]) for name in names}
+    write_table(path, columns, {"units": "px, px^2, s"})
+
+
+def _draw(path: Path, name: str, solution: Estimate, graph: FlowGraph, cameras: Cameras, maps: DepthMaps) -> None:
+    errors = dba.errors_px(graph, solution.state)[graph.weights > MIN_WEIGHT]
+    title = f"{name}: camera {solution.camera}, focal length {solution.focal['decision']}"
+    figure.draw(path, cameras.centres, solution.steps, maps.inverse_depth, errors, title)
+
+
+if __name__ == "__main__":
+    cli.run(main)

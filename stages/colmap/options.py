@@ -1,0 +1,27 @@
+"""Options of the COLMAP baseline."""
+
+from typing import Literal
+
+from pydantic import Field
+
+from stages.shared.options import Options
+
+
+class ColmapOptions(Options):
+    """pycolmap on the same frames, the baseline of the pose table."""
+
+    mappers: tuple[Literal["global", "incremental"], ...] = Field(
+        ("global",), min_length=1, description="COLMAP's global (GLOMAP) and incremental mapping"
+    )
+    upsample: tuple[Literal[1, 2, 4], ...] = Field(
+        (1,), min_length=1, description="run on frames enlarged by these factors; 2 helps small frames, costs 3 times"
+    )
+    upsample_masked: tuple[Literal[1, 2, 4], ...] = Field(
+        (), description="the same with features on dynamic pixels left out, by our masks; none of it if empty"
+    )
+    matching: Literal["sequential", "exhaustive"] = Field(
+        "sequential", description="match every frame with the next `window` frames, or with all"
+    )
+    window: int = Field(10, ge=1, le=200, description="frames ahead that sequential matching looks")
+    time_limit_s: float = Field(600.0, ge=1.0, description="CPU seconds after which one variant counts as failed")
+    seed: int = Field(0, ge=0, description="seed of COLMAP's random sampling")

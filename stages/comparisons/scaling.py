@@ -1,0 +1,57 @@
+"""Collect what every stage cost at every size into one table."""
+
+from pathlib import Path
+from typing import Annotated
+
+from stages.comparisons import made_under
+from stages.shared import cli
+from stages.shared.artifacts import read_json, read_metadata, read_model, read_table
+from stages.shared.cli import In, Out
+from stages.shared.tables import Row, write_rows
+
+COLUMNS = ("axis", "n", "stage", "wall_s", "cpu_s", "peak_mb")
+
+
+def main(
+    runs: Annotated[Path, In("runs.json: axis, and where sizes and costs lie, from the dataset's folder")],
+    output: Annotated[Path, Out("growth.parquet: a row per axis, size and stage")],
+) -> None:
+    """Write one row per axis, size and stage: seconds over all rounds, and the greatest memory."""
+    folder = runs.parents[1]
+    listed = read_json(runs)["runs"]
+    rows = [row for run in listed for row in run_rows(folder, run)]
+    about = {"units": "n: of what the axis names; seconds; MB", "made_under": made_under.of_runs(folder, listed)}
+    write_rows(output, rows, COLUMNS, about)
+
+
+def run_rows(folder: Path, run: Row) -> list[Row]:
+    """A row per measured stage of one run.
+
+    Args:
+        folder: of the dataset's results; the paths in `run` start there.
+        run: axis, size (a file), stats (stage -> time files, one per round).
+    """
+    n = measure_size(run["axis"], folder / run["size"])
+    rows = []
+    for stage, files in run["stats"].items():
+        spent = [read_json(folder / file) for file in files]
+        seconds = {name: sum(part[name] for part in spent) for name in ("wall_s", "cpu_s")}
+        peak_mb = max(part["peak_mb"] for part in spent)
+        rows.append({"axis": run["axis"], "n": n, "stage": stage, **seconds, "peak_mb": peak_mb})
+    return rows
+
+
+def measure_size(axis: str, path: Path) -> int:
+    """How many frames, pixels per frame, Gaussians or control points there are, from the artifact that shows it."""
+    if axis == "frames":
+        return len(read_json(path)["numbers"])
+    if axis == "pixels":
+        about = read_metadata(path)
+        return int(about["width"]) * int(about["height"])
+    if axis == "gaussians":
+        return len(read_model(path)["means"])
+    return len(read_table(path)["x"])
+
+
+if __name__ == "__main__":
+    cli.run(main)

@@ -1,0 +1,142 @@
+"""Collect what every setting of a sweep reached and cost into one table."""
+
+import json
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Annotated, Any
+
+from stages.comparisons import made_under
+from stages.comparisons.training_speed import compare_training
+from stages.configuration.settings import is_baseline
+from stages.evaluate.costs import is_ours
+from stages.evaluate.score_masks import PRIOR
+from stages.shared import cli
+from stages.shared.artifacts import read_json, read_table
+from stages.shared.cli import In, Out
+from stages.shared.tables import Row, read_rows, write_rows
+
+POSE_SCORES = (
+    *("ate", "ate_percent", "rpe_trans", "rpe_rot_deg", "focal_error_percent", "path"),
+    *("registered", "total", "status", "note", "camera", "focal", "focal_sigma_percent", "doubts"),
+    *("threads", "given"),
+)
+COLUMNS = (
+    *("sequence", "group", "setting", "knob", "value", "is_default", "overrides"),
+    *(*POSE_SCORES, "iou", "boundary_f"),
+    *("psnr_db", "psnr_static_db", "psnr_dynamic_db", "ssim"),
+    *("wall_s", "cpu_s", "poses_wall_s", "poses_cpu_s", "peak_mb", "model_mb"),
+    *("step_ms", "equal_psnr_db", "equal_s", "configured_equal_s"),
+)
+POSE_STAGES = ("flow", "motion", "segment", "ba")
+PROTOCOL = (
+    "Seconds are those of all stages from the frames to the renders, shared ones counted in full, so that they are "
+    "what the setting costs from scratch; COLMAP and evaluation are left out. Poses: flow to adjustment, all rounds. "
+    "equal_s and configured_equal_s: seconds of training to the PSNR of training frames that both runs reach."
+)
+
+
+def main(
+    runs: Annotated[Path, In("runs.json: sequence, setting, and where its scores lie, from the dataset's folder")],
+    output: Annotated[Path, Out("costs.parquet: a row per sequence and setting")],
+) -> None:
+    """Write one row per sequence and setting, and per variant of COLMAP. Metadata: what it was made under.
+
+    What was not scored is null.
+    """
+    folder = runs.parents[1]
+    listed = read_json(runs)["runs"]
+    rows = [
+        row
+        for run in listed
+        for row in (baseline_rows(folder, run) if is_baseline(run["overrides"]) else [run_row(folder, run)])
+    ]
+    units = {"ate_percent": "% of path", "focal_error_percent": "%", "peak_mb": "MB", "model_mb": "MB", "wall_s": "s"}
+    about = {"protocol": PROTOCOL, "units": units, "made_under": made_under.of_runs(folder, listed)}
+    write_rows(output, rows, COLUMNS, about)
+
+
+def run_row(folder: Path, run: Row) -> Row:
+    """The row of one run.
+
+    Args:
+        folder: of the dataset's results; the paths in `run` start there.
+        run: sequence, group, setting, knob, value, is_default, overrides, scores (a folder), model (a file), and
+            convergence and configured_convergence, the course of its training and of the configured run's.
+    """
+    scores = folder / run["scores"]
+    named = {name: run[name] for name in ("sequence", "group", "setting", "knob", "is_default")}
+    value = None if run["value"] is None else _text(run["value"])
+    model_mb = (folder / run["model"]).stat().st_size / 1e6
+    trainings = (read_table(folder / run[name]) for name in ("convergence", "configured_convergence"))
+    return {
+        **named,
+        "value": value,
+        "overrides": json.dumps(run["overrides"]),
+        **pose_scores(read_rows(scores / "poses.parquet")),
+        **mask_scores(read_rows(scores / "masks.parquet")),
+        **image_scores(read_rows(scores / "images.parquet")),
+        **costs(read_rows(scores / "time.parquet")),
+        "model_mb": model_mb,
+        **compare_training(*trainings),
+    }
+
+
+def baseline_rows(folder: Path, run: Row) -> list[Row]:
+    """A row per variant of COLMAP in a run that is about COLMAP, called by its method; arguments as of `run_row`."""
+    about = {name: run[name] for name in ("sequence", "group", "knob", "is_default")}
+    about |= {"overrides": json.dumps(run["overrides"])}
+    unknown = dict.fromkeys(COLUMNS)
+    return [
+        unknown
+        | about
+        | {name: row[name] for name in POSE_SCORES}
+        | {"setting": row["method"], "poses_wall_s": row["wall_s"], "poses_cpu_s": row["cpu_s"]}
+        for row in read_rows(folder / run["scores"] / "poses.parquet")
+        if str(row["method"]).startswith("COLMAP")
+    ]
+
+
+def pose_scores(rows: Iterable[Row]) -> Row:
+    """Errors of our poses after the last round."""
+    ours = next(row for row in rows if row["method"] == "ours")
+    return {name: ours[name] for name in POSE_SCORES}
+
+
+def mask_scores(rows: Iterable[Row]) -> Row:
+    """IoU and boundary F of the masks of the last round; None without truth."""
+    used = [row for row in rows if row["method"] != PRIOR]
+    last = max(used, key=lambda row: row["round"], default={})
+    return {name: last.get(name) for name in ("iou", "boundary_f")}
+
+
+def image_scores(rows: Iterable[Row]) -> Row:
+    """PSNR and SSIM on held-out frames; None for a region without pixels."""
+    found = {row["region"]: row for row in rows if row["method"] == "ours" and row["split"] == "test"}
+    psnr = {region: found[region]["psnr_db"] if region in found else None for region in ("whole", "static", "dynamic")}
+    return {
+        "psnr_db": psnr["whole"],
+        "psnr_static_db": psnr["static"],
+        "psnr_dynamic_db": psnr["dynamic"],
+        "ssim": found["whole"]["ssim"] if "whole" in found else None,
+    }
+
+
+def costs(rows: Iterable[Row]) -> Row:
+    """Seconds of all stages and of those up to the poses, and the greatest memory of any."""
+    counted = [row for row in rows if is_ours(row)]
+    to_poses = [row for row in counted if row["stage"] in POSE_STAGES]
+    return {
+        "wall_s": sum(row["wall_s"] for row in counted),
+        "cpu_s": sum(row["cpu_s"] for row in counted),
+        "poses_wall_s": sum(row["wall_s"] for row in to_poses),
+        "poses_cpu_s": sum(row["cpu_s"] for row in to_poses),
+        "peak_mb": max(row["peak_mb"] for row in counted),
+    }
+
+
+def _text(value: Any) -> str:
+    return ",".join(map(str, value)) if isinstance(value, list) else str(value)
+
+
+if __name__ == "__main__":
+    cli.run(main)

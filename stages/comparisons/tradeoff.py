@@ -1,0 +1,107 @@
+"""What accuracy costs: means over the sweep's settings, the Pareto front, and the price of the next tenth."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from stages.shared.tables import Row, decimal
+
+POSE_METRICS = ("ate_percent", "rpe_rot_deg", "focal_abs_percent")
+OTHER_METRICS = (
+    *("iou", "boundary_f", "psnr_db", "psnr_static_db", "psnr_dynamic_db", "ssim"),
+    *("wall_s", "cpu_s", "poses_wall_s", "poses_cpu_s", "peak_mb", "model_mb"),
+    *("step_ms", "equal_psnr_db", "equal_s", "configured_equal_s"),
+)
+NOTICED = 0.01  # smaller differences are noise
+KEYS = ("group", "setting", "knob", "value", "is_default")
+
+
+def means(rows: Sequence[Row]) -> list[Row]:
+    """One row per setting of a group: unweighted means over its sequences, `n` scored poses, `sequences`, `failed`.
+
+    Poses that failed, are partial or have no truth enter no mean of pose errors; they are counted.
+    """
+    groups: dict[tuple[Any, ...], list[Row]] = {}
+    for row in rows:
+        groups.setdefault(tuple(row[key] for key in KEYS), []).append(row)
+    return [dict(zip(KEYS, keys, strict=True)) | _mean(members) for keys, members in groups.items()]
+
+
+def _mean(members: Sequence[Row]) -> Row:
+    scored = [with_size(row) for row in members if row["status"] == "ok"]
+    found = {key: _known_mean(scored, key) for key in POSE_METRICS}
+    found |= {key: _known_mean(members, key) for key in OTHER_METRICS}
+    failed = sum(row["status"] in ("failed", "partial") for row in members)
+    return {**found, "n": len(scored), "sequences": len(members), "failed": failed}
+
+
+def with_size(row: Row) -> Row:
+    """The row with its focal error by size, since signs would cancel in means."""
+    signed = row["focal_error_percent"]
+    return row | {"focal_abs_percent": None if signed is None else abs(signed)}
+
+
+def _known_mean(rows: Sequence[Row], key: str) -> float | None:
+    values = [row[key] for row in rows if row[key] is not None]
+    return float(np.mean(values)) if values else None
+
+
+@dataclass(frozen=True)
+class Point:
+    """A setting in the plane of seconds and error.
+
+    Attributes:
+        seconds, error: means over the sequences; a smaller error is better.
+        name: of the setting or of COLMAP's variant.
+        label: what to write beside it.
+        complete: scored on every sequence; others are drawn hollow and never count as better.
+        is_default: this is the configured run.
+    """
+
+    seconds: float
+    error: float
+    name: str
+    label: str
+    complete: bool = True
+    is_default: bool = False
+
+
+def pareto_front(points: Sequence[Point]) -> list[Point]:
+    """The complete points that no other one beats in both seconds and error, by rising seconds."""
+    front: list[Point] = []
+    for point in sorted((p for p in points if p.complete), key=lambda p: (p.seconds, p.error)):
+        if not front or point.error < front[-1].error:
+            front.append(point)
+    return front
+
+
+def next_tenth(points: Sequence[Point], what: str) -> str:
+    """What a tenth less error costs from the configured run on, by measured settings alone.
+
+    Args:
+        points: of our own settings, the configured one among them. A step of several tenths is shared out among them.
+        what: name of the error, with its unit, as in "camera error (% of path)".
+    """
+    front = pareto_front(points)
+    start = next((p for p in points if p.is_default and p.complete), None)
+    if start is None:
+        return f"The configured run has no {what} on every sequence, so that no price of less error can be given."
+    here = f"{decimal(start.error, 2)} in {start.seconds:.0f} s"
+    if front[-1].error > (1 - NOTICED) * start.error:
+        return f"{what}: no measured setting is more than 1 % better than the configured one ({here})."
+    better = [p for p in front if p.error <= 0.9 * start.error]
+    if not better:
+        best = front[-1]
+        return (
+            f"{what}: no measured setting is a tenth better than the configured one ({here}); "
+            f"the best, {best.name}, gives {decimal(best.error, 2)} in {best.seconds:.0f} s."
+        )
+    step = better[0]
+    gain, price = 1 - step.error / start.error, step.seconds - start.seconds
+    reached = f"{step.name} gives {decimal(step.error, 2)} in {step.seconds:.0f} s, {100 * gain:.0f} % less"
+    if price <= 0:
+        return f"{what}: from the configured run ({here}) the next tenth costs no time: {reached}."
+    each = decimal(price * np.log(0.9) / np.log(1 - gain), 1)
+    return f"{what}: from the configured run ({here}) the next tenth costs {each} s: {reached} for {price:.0f} s more."

@@ -1,0 +1,90 @@
+"""Fit dynamic control points to tracks of dynamic pixels (stage 1)."""
+
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+
+from stages.control import sightings, tracks
+from stages.control.options import ControlOptions
+from stages.shared import cli, images
+from stages.shared.artifacts import read_dense, read_json, read_metadata
+from stages.shared.cameras import Cameras, read_cameras
+from stages.shared.cli import In, Out
+from stages.shared.log import logger
+from stages.shared.sequences import Sequence, read_sequence
+from stages.shared.split import held_out
+
+
+def main(
+    sequence: Annotated[Path, In("sequence.json of the input check")],
+    flow: Annotated[Path, In("flow/pairs.arrow")],
+    masks: Annotated[Path, In("folder of dynamic masks, frame_0001.png ...")],
+    poses: Annotated[Path, In("ba/poses.parquet")],
+    depth: Annotated[Path, In("ba/depth.arrow")],
+    scene: Annotated[Path, In("scene.json: whether anything moves, and how")],
+    points: Annotated[Path, Out("control points: x y z radius in the canonical frame")],
+    deformation: Annotated[Path, Out("motion model and its residuals, safetensors")],
+    figure: Annotated[Path, Out("picture for the report")],
+    options: ControlOptions,
+) -> str:
+    """Fit dynamic control points to tracks of dynamic pixels (stage 1).
+
+    Dynamic pixels are followed by flow through the training frames only and lifted by depth. The canonical frame is
+    the one that sees the tracks best; control points are spread over it and their motion is fitted in the image plane.
+    Where nothing moves, nothing can be tracked or the poses failed, no control point is written, and metadata and log
+    say so.
+    """
+    from stages.control import stage1
+    from stages.control.figure import trajectories
+    from stages.deformation.storage import save_deformation, save_points
+
+    content, cameras, decision = read_sequence(sequence), read_cameras(poses), read_json(scene)
+    failed = "failed" in cameras.status
+    status = "the poses failed" if failed else "the scene has no moving parts"
+    model, metadata = None, {"status": status, "arap_weight": 0.0, "region": options.region}
+    if decision["dynamic"]["needed"] and not failed:
+        seen = _sightings(content, flow, masks, cameras, depth, options)
+        model, metadata = stage1.fit_sightings(seen, cameras, decision["non_rigid"], options)
+        if metadata["status"] != "fitted":
+            logger.warning(
+                "control points: %s; look at the figure and the residual in the metadata", metadata["status"]
+            )
+    logger.info("control points: %s", metadata)
+    save_points(points, model, {"status": metadata["status"]})
+    save_deformation(deformation, model, metadata)
+    images.write_image(figure, trajectories(content, cameras, model))
+    if model is None:
+        return f"no control points: {metadata['status']}"
+    return f"{len(model.points)} control points, residual {metadata['median_px']:.2f} px"
+
+
+def _sightings(
+    sequence: Sequence, flow: Path, masks: Path, cameras: Cameras, depth: Path, options: ControlOptions
+) -> sightings.Sightings:
+    """Follow dynamic pixels through the training frames and lift them."""
+    T = len(sequence.frames)
+    is_training = ~held_out(T, options)
+    pairs, scale = read_dense(flow), float(read_metadata(flow)["scale"])
+    links = tracks.training_links(pairs["source"], pairs["target"], pairs["flow"], is_training)
+    if links.missing:
+        logger.warning("no flow edge for %s: tracks end there; add the offset to flow.offsets", links.missing)
+    h, w = pairs["flow"].shape[1:3]
+    training_masks = np.ones((len(links.frames), h, w), bool)
+    if options.region == "dynamic":
+        training_masks = np.stack([_mask(masks, sequence.numbers[k], w, h) for k in links.frames])
+        training_masks &= cameras.masks_used[links.frames, None, None]
+    followed = tracks.track_dynamic_pixels(links, training_masks, options.track_stride_px)
+    dense, stride_px = read_dense(depth), float(read_metadata(depth)["stride_px"])
+    inverse_depth, variance = dense["inverse_depth"][links.frames], dense["variance"][links.frames]
+    return sightings.lift(followed, links.frames, T, scale, inverse_depth, variance, stride_px, cameras)
+
+
+def _mask(folder: Path, number: int, width: int, height: int) -> np.ndarray:
+    """The dynamic mask of a frame on the flow grid, [height, width] bool."""
+    mask = images.read_mask(folder / f"frame_{number:04d}.png").astype(np.float32)
+    return np.asarray(images.reduce(mask, (width, height)) > 0.5)
+
+
+if __name__ == "__main__":
+    cli.run(main)

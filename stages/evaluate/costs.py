@@ -1,0 +1,57 @@
+"""What every stage cost, from the time files that the stages write."""
+
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+
+from stages.shared.artifacts import read_json
+from stages.shared.chain import AFTER, BEFORE, REPEATED
+from stages.shared.tables import Row
+
+LAST = (*AFTER[:-1], "colmap", "colmap_masked")
+"""What follows the rounds, as tables list it."""
+
+
+def time_rows(name: str, files: Sequence[Path]) -> list[Row]:
+    """A row per file `.../stats/<stage>.json`, in the order in which the stages run.
+
+    Args:
+        files: those of a repeated stage in the order of the rounds; their folders say nothing, for runs share them.
+    """
+    of_stage = Counter(path.stem for path in files)
+    rounds, seen, rows = max(of_stage.values()), Counter[str](), []
+    for path in files:
+        seen[path.stem] += 1
+        # Masks may be left out of the first round, never of the last.
+        rows.append(_time_row(name, path, rounds - of_stage[path.stem] + seen[path.stem]))
+    return sorted(rows, key=_stage_order)
+
+
+def spent_to_poses(rows: Sequence[Row], rounds: int) -> list[tuple[float, float, int]]:
+    """Wall and CPU seconds from the frames to the poses of each round, and the most threads of any stage of it."""
+    spent = []
+    for k in range(1, rounds + 1):
+        part = [row for row in rows if row["stage"] == "flow" or (row["round"] or rounds + 1) <= k]
+        seconds = (sum(row[key] for row in part) for key in ("wall_s", "cpu_s"))
+        spent.append((*seconds, max(row["threads"] for row in part)))
+    return spent
+
+
+def is_ours(row: Row) -> bool:
+    """Whether a row of the time table is a stage of ours and not the baseline."""
+    return not str(row["stage"]).startswith("colmap")
+
+
+def _time_row(name: str, path: Path, number: int) -> Row:
+    content = read_json(path)
+    costs = {key: content[key] for key in ("threads", "wall_s", "cpu_s", "peak_mb", "gpu_peak_mb", "output_mb")}
+    return {"sequence": name, "stage": path.stem, "round": number if path.stem in REPEATED else None} | costs
+
+
+def _stage_order(row: Row) -> tuple[int, ...]:
+    """Stages before the rounds, each round, stages after them."""
+    stage = row["stage"]
+    if stage in REPEATED:
+        return 1, row["round"], REPEATED.index(stage)
+    before = stage in BEFORE
+    return 0 if before else 2, (BEFORE if before else LAST).index(stage)

@@ -1,0 +1,130 @@
+"""Rows of the image table: renders against frames, whole and on static and dynamic pixels."""
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from stages.evaluate import image_baselines, image_metrics
+from stages.evaluate.lpips import Distance, load_lpips
+from stages.evaluate.options import EvaluateOptions
+from stages.shared.images import read_rgb
+from stages.shared.sequences import Sequence
+
+REGIONS = ("whole", "static", "dynamic")
+SPLITS = {
+    "train": "frames that are not held out; trained on, but for those without matches of their own",
+    "test": "held-out frames: their pictures enter neither the training nor the choice of effects and control points; "
+    "flow, masks, depth and poses were estimated from all frames, these among them, and each is rendered from its "
+    "own estimated pose",
+    "right": "right-eye views against the clean pass, the only one with right-eye truth",
+}
+
+
+def score_images(
+    sequence: Sequence,
+    renders: Path,
+    flow: Mapping[str, np.ndarray],
+    regions: tuple[Mapping[int, np.ndarray], str],
+    options: EvaluateOptions,
+) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Rows per split and region, and rows per frame.
+
+    Args:
+        renders: folder with train/, test/, right/ (each may be missing), files frame_%04d.png.
+        flow: columns of flow/pairs.arrow, for the baselines of held-out frames.
+        regions: dynamic pixels [H, W] by frame number, and whose they are.
+    """
+    distance = load_lpips(options.lpips_weights) if options.lpips_weights else None
+    table: list[dict[str, Any]] = []
+    frames: list[dict[str, Any]] = []
+    for method, split, protocol, pairs in _pairs(sequence, renders, flow, options):
+        about = {"sequence": sequence.name, "method": method, "split": split, "protocol": protocol}
+        masks = regions[0] if split != "right" else {}  # the masks belong to the left eye
+        rows, per_frame = _score(about, pairs, masks, regions[1], distance)
+        table, frames = table + rows, frames + per_frame
+    return table, frames
+
+
+def _pairs(
+    sequence: Sequence, renders: Path, flow: Mapping[str, np.ndarray], options: EvaluateOptions
+) -> Iterator[tuple[str, str, str, dict[int, tuple[np.ndarray, np.ndarray]]]]:
+    """Method, split, protocol, and image and truth by frame number: our renders, then the baselines."""
+    for split, protocol in SPLITS.items():
+        found = {int(path.stem.removeprefix("frame_")): path for path in sorted((renders / split).glob("frame_*.png"))}
+        truth = true_images(sequence, split)
+        pairs = {number: (read_rgb(path), read_rgb(truth[number])) for number, path in found.items() if number in truth}
+        yield "ours", split, protocol, pairs
+    made = list(image_baselines.made_frames(sequence, flow, options))
+    for method, protocol in image_baselines.PROTOCOLS.items():
+        pairs = {frame.number: (frame.images[method], frame.truth) for frame in made if method in frame.images}
+        yield method, "test", f"{SPLITS['test']}; {protocol}", pairs
+
+
+def _score(
+    about: dict[str, Any],
+    pairs: Mapping[int, tuple[np.ndarray, np.ndarray]],
+    masks: Mapping[int, np.ndarray],
+    mask_source: str,
+    distance: Distance | None,
+) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Rows per region and rows per frame of one method and split."""
+    scores: dict[str, list[tuple[float, float]]] = {region: [] for region in REGIONS}
+    frames, distances = [], []
+    for number, (image, truth) in pairs.items():
+        of_regions = score_frame(image, truth, masks.get(number))
+        for region, score in of_regions.items():
+            scores[region].append(score)
+        if distance:
+            distances.append(distance(image, reduced(truth, image)))
+        psnr, ssim = of_regions["whole"]
+        frames.append({**about, "frame": number, "psnr_db": psnr, "ssim": ssim})
+    rows = []
+    for region, values in scores.items():
+        if values:
+            psnr, ssim = np.mean(values, axis=0).tolist()
+            height, width = next(iter(pairs.values()))[0].shape[:2]
+            lpips = float(np.mean(distances)) if distances and region == "whole" else None
+            row: dict[str, Any] = about | {"region": region, "psnr_db": psnr, "ssim": ssim, "lpips": lpips}
+            row |= {"frames": len(values), "width": width, "height": height}
+            rows.append(row | {"mask_source": None if region == "whole" else mask_source})
+    return rows, frames
+
+
+def score_frame(image: np.ndarray, truth: np.ndarray, mask: np.ndarray | None) -> dict[str, tuple[float, float]]:
+    """PSNR (dB) and SSIM by region; a region without pixels (or without a mask) is left out.
+
+    Args:
+        image: [H, W, 3] uint8.
+        truth: [H', W', 3] uint8, reduced to the size of `image` if that is smaller.
+        mask: dynamic pixels [H', W'], or None.
+    """
+    height, width = image.shape[:2]
+    truth = reduced(truth, image)
+    if mask is not None and mask.shape != (height, width):
+        mask = cv2.resize(mask.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST) > 0
+    x, y = image / 255, truth / 255
+    similarity = image_metrics.ssim_map(x, y)
+    scores = {"whole": (image_metrics.psnr(x, y), float(similarity.mean()))}
+    for region, pixels in (("static", ~mask), ("dynamic", mask)) if mask is not None else ():
+        inner = image_metrics.inside(pixels)
+        if inner.any():
+            scores[region] = image_metrics.psnr(x, y, pixels), float(similarity[inner].mean())
+    return scores
+
+
+def reduced(truth: np.ndarray, image: np.ndarray) -> np.ndarray:
+    """The truth [H', W', 3] at the size of `image` [H, W, 3]."""
+    height, width = image.shape[:2]
+    if truth.shape == image.shape:
+        return truth
+    return np.asarray(cv2.resize(truth, (width, height), interpolation=cv2.INTER_AREA))
+
+
+def true_images(sequence: Sequence, split: str) -> dict[int, Path]:
+    """The files that renders of a split are held against, by frame number."""
+    if split == "right":
+        return sequence.truth.get("clean_right", {})
+    return dict(zip(sequence.numbers, sequence.frames, strict=True))

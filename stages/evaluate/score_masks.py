@@ -1,0 +1,66 @@
+"""Rows of the mask table: the motion prior and the refined masks of every round against true motion masks."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stages.evaluate import mask_metrics
+from stages.shared.artifacts import read_dense
+from stages.shared.images import enlarge, read_mask
+
+PRIOR_THRESHOLD = 0.5
+PRIOR = "motion prior"
+"""What the prior above one half is called; any other method of the table is the masks that the run used."""
+
+
+def read_masks(folder: Path) -> dict[int, np.ndarray]:
+    """Masks [H, W] bool of a folder, by frame number."""
+    return {int(path.stem.removeprefix("frame_")): read_mask(path) for path in sorted(folder.glob("frame_*.png"))}
+
+
+def read_prior_masks(path: Path, width: int, height: int) -> dict[int, np.ndarray]:
+    """The motion prior above one half, at full size [H, W], by frame number."""
+    prior = read_dense(path)
+    size = (width, height)
+    enlarged = (enlarge(p.astype(np.float32), size) for p in prior["probability"])
+    return {int(n): p > PRIOR_THRESHOLD for n, p in zip(prior["frame"], enlarged, strict=True)}
+
+
+def score_masks(
+    name: str,
+    rounds: Mapping[int, Mapping[str, Mapping[int, np.ndarray]]],
+    truth: Mapping[int, np.ndarray],
+    source: str,
+) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Rows per round and method, and rows per frame of the last round.
+
+    Args:
+        rounds: by round, masks by method (`PRIOR`, and what the masks used are called) and frame number.
+        truth: true masks by frame number; without any, only the share of dynamic pixels is given.
+        source: where the truth comes from.
+    """
+    table, frames, last = [], [], max(rounds)
+    for k, methods in rounds.items():
+        for method, masks in methods.items():
+            scored = {n: _score(mask, truth[n]) for n, mask in masks.items() if n in truth}
+            iou, boundary_f = np.mean(list(scored.values()), axis=0).tolist() if scored else (None, None)
+            row = {"sequence": name, "method": method, "round": k, "iou": iou, "boundary_f": boundary_f}
+            shown = [mask for n, mask in masks.items() if n in truth], [truth[n] for n in scored]
+            row["precision"], row["recall"] = mask_metrics.precision_recall(*shown)
+            shares = {
+                "dynamic_percent": 100 * float(np.mean([mask.mean() for mask in masks.values()])),
+                "true_percent": 100 * float(np.mean([truth[n].mean() for n in scored])) if scored else None,
+            }
+            about = f"after round {k} of {last}; truth: {source}"
+            table.append(row | shares | {"frames": len(scored), "protocol": about})
+            if k == last:
+                frames += [
+                    {"method": method, "frame": n, "iou": i, "boundary_f": f} for n, (i, f) in sorted(scored.items())
+                ]
+    return table, frames
+
+
+def _score(mask: np.ndarray, truth: np.ndarray) -> tuple[float, float]:
+    return mask_metrics.iou(mask, truth), mask_metrics.boundary_f(mask, truth)

@@ -1,0 +1,143 @@
+"""Dense optical flow with confidence between near frames of a sequence, and far ones with enough in common."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import cv2
+import numpy as np
+
+from stages.flow import noise
+from stages.flow.confidence import flow_confidence, texture_confidence
+from stages.flow.dis import estimate_flow
+from stages.flow.edges import Edge, edge_list, long_edges
+from stages.flow.matches import restarted_pair
+from stages.flow.options import FlowOptions
+from stages.flow.true_flow import Truth, read_truth, true_flow
+from stages.shared import cli, drawing
+from stages.shared.artifacts import write_dense
+from stages.shared.cli import In, Out
+from stages.shared.images import read_reduced, reduced_size, write_figure
+from stages.shared.log import logger
+from stages.shared.sequences import read_sequence
+from stages.shared.threads import threaded
+
+Flows = dict[Edge, np.ndarray]
+
+
+def main(
+    sequence: Annotated[Path, In("sequence.json of the input check")],
+    output: Annotated[Path, Out("pairs.arrow: flow and confidence of every directed edge")],
+    figure: Annotated[Path, Out("picture for the report: frames, flow, confidence")],
+    options: FlowOptions,
+) -> str:
+    """Estimate dense optical flow between frames by dense inverse search, longer edges started by chaining.
+
+    Fast pairs are started anew from sparse matches where that explains the frames better. Far frames are matched where
+    enough of the picture is in view in both. Flow is in pixels of the flow grid: the frames, reduced to at most
+    --max-width-px.
+    """
+    frames = read_sequence(sequence)
+    rgb = read_reduced(frames.frames, reduced_size(frames.width, frames.height, options.max_width_px))
+    T, h, w = rgb.shape[:3]
+    if options.source == "truth":
+        flows, confidences = _take(read_truth(frames, w, h), T, options)
+        facts: dict[str, Any] = {}
+    else:
+        flows, confidences, facts = _match(rgb, options)
+    edges = sorted(flows)
+    flow = np.stack(threaded(lambda edge: stored(flows[edge]), edges))
+    confidence = np.stack([confidences[edge].astype(np.float16, copy=False) for edge in edges])
+    facts |= {"source": options.source, "long_edges": sum(j - i > max(options.offsets) for i, j in edges)}
+    facts |= {"confident_share": float(np.mean(confidence > 0.5))}
+    logger.info("%d edges of %d x %d px: %s", len(edges), w, h, facts)
+    metadata: dict[str, Any] = {
+        "units": "pixels of the flow grid",
+        "width": w,
+        "height": h,
+        "scale": w / frames.width,
+        **facts,
+    }
+    metadata["options"] = options.model_dump(mode="json")
+    source, target = np.array(edges, np.int64).reshape(-1, 2).T
+    write_dense(output, {"source": source, "target": target, "flow": flow, "confidence": confidence}, metadata)
+    write_figure(figure, _picture(rgb, edges, flow, confidence))
+    return f"{len(edges)} pairs, {facts['confident_share']:.0%} of the pixels confident"
+
+
+def stored(flow: np.ndarray) -> np.ndarray:
+    """Flow [h, w, 2] px as pairs.arrow holds it: float16, off by at most 1/2048 of itself, and never infinite.
+
+    That is 0.06 px at 128 px, yet rounding of many pixels cancels out: camera paths are as good as from float32. What
+    leads further than twice the length of the frame, as true flow of points beside the camera does, is cut to that.
+    """
+    longest = 2 * max(flow.shape[:2])
+    return np.clip(flow, -longest, longest).astype(np.float16)
+
+
+def _match(rgb: np.ndarray, options: FlowOptions) -> tuple[Flows, Flows, dict[str, Any]]:
+    """Flow [h, w, 2] and confidence [h, w] of all edges between frames [T, h, w, 3], and how many began anew."""
+    grey = np.stack([cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY) for frame in rgb])
+    nearest = [(i, i + min(options.offsets)) for i in range(len(rgb) - min(options.offsets))]
+    short = edge_list(len(rgb), options.offsets)
+    threads, scale = cv2.getNumThreads(), options.finest_scale
+    cv2.setNumThreads(1)
+    variances = threaded(noise.flow_variance, grey)
+    noisy = noise.hides_texture(grey, variances)
+    if noisy:
+        grey, variances, left = _averaged(rgb, scale, threads)
+        scale = max(scale, int(left > noise.COARSE_PX**2))
+    flow = estimate_flow(grey, [edge for pair in nearest for edge in (pair, pair[::-1])], scale, threads)
+    anew: Flows = {}
+    for found in threaded(lambda pair: restarted_pair(rgb, grey, flow, pair, scale), nearest):
+        anew |= found
+    flow |= anew
+    flow |= estimate_flow(grey, [edge for edge in short if edge not in flow], scale, threads, flow)
+    flow |= estimate_flow(grey, long_edges(flow, len(rgb), options.long_edges), scale, threads, flow)
+
+    textured = threaded(texture_confidence, variances)
+
+    def confidence(edge: Edge) -> np.ndarray:
+        i, j = edge
+        return flow_confidence(flow[i, j], flow[j, i], grey[i], grey[j], textured[i]).astype(np.float16)
+
+    confidences = dict(zip(flow, threaded(confidence, flow), strict=True))
+    cv2.setNumThreads(threads)
+    return flow, confidences, {"started_from_matches": len(anew), "frames_averaged": noisy}
+
+
+def _averaged(rgb: np.ndarray, finest_scale: int, threads: int) -> tuple[np.ndarray, list[np.ndarray], float]:
+    """Grey frames [T, h, w] uint8 with less noise than those of rgb, and how far that still makes their flow err.
+
+    Returns:
+        frames, the variance [h, w] px^2 of the flow of each, and that by the noise left, at the median pixel.
+    """
+    loud = noise.quiet_grey(rgb)
+    level = float(np.mean([noise.noise_variance(frame) for frame in loud]))
+    flow = estimate_flow(np.rint(loud).astype(np.uint8), edge_list(len(loud), noise.REACH), finest_scale, threads)
+    frames, left = zip(*threaded(lambda i: noise.averaged(loud, flow, i, level), range(len(loud))), strict=True)
+    typical = noise.typical_variance(threaded(noise.flow_variance, frames, left))
+    return np.stack(frames), threaded(noise.averaged_variance, frames, left), typical
+
+
+def _take(truth: Truth, T: int, options: FlowOptions) -> tuple[Flows, Flows]:
+    """True flow [h, w, 2] of all edges of T frames, and confidence [h, w] 1 where it is known, 0 elsewhere."""
+    short = {edge: true_flow(truth, edge) for edge in edge_list(T, options.offsets)}
+    longer = long_edges({edge: flow for edge, (flow, _) in short.items()}, T, options.long_edges)
+    steps = short | {edge: true_flow(truth, edge) for edge in longer}
+    return {edge: flow for edge, (flow, _) in steps.items()}, {edge: known for edge, (_, known) in steps.items()}
+
+
+def _picture(rgb: np.ndarray, edges: list[Edge], flow: np.ndarray, confidence: np.ndarray) -> np.ndarray:
+    """A row per shown frame: the frame, its flow to the next one, the confidence of that flow."""
+    onward = [e for e, (i, j) in enumerate(edges) if j - i == min(b - a for a, b in edges if b > a)]
+    shown = [onward[k] for k in drawing.spread(len(onward), 4)]
+    longest = float(np.percentile(np.linalg.norm(flow[shown].astype(np.float32), axis=-1), 98))
+    cells = []
+    for e in shown:
+        coloured = drawing.flow_to_rgb(flow[e].astype(np.float32), longest)
+        cells += [rgb[edges[e][0]], coloured, drawing.scalar_to_rgb(confidence[e].astype(np.float32), 0, 1)]
+    return drawing.contact_sheet(cells, columns=3)
+
+
+if __name__ == "__main__":
+    cli.run(main)

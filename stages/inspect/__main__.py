@@ -1,0 +1,123 @@
+"""The input check: decode every frame, read every truth file, and write down what there is."""
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+
+from stages.inspect.options import InspectOptions
+from stages.shared import cli, sintel
+from stages.shared.artifacts import write_json
+from stages.shared.cli import In, Out
+from stages.shared.drawing import contact_sheet, overlay_mask, spread
+from stages.shared.errors import InputError
+from stages.shared.images import read_mask, read_rgb, write_figure
+from stages.shared.log import logger, progress
+from stages.shared.sequences import Sequence, check_sequence, folder_name, sequence_to_json
+
+
+def main(
+    frames: Annotated[Path, In("folder of PNG or JPG frames; MPI-Sintel truth is found beside it")],
+    output: Annotated[Path, Out("sequence.json: frames, size, conversions, truth and its gaps")],
+    figure: Annotated[Path, Out("picture for the report")],
+    options: InspectOptions,
+) -> str:
+    """Check one sequence completely, so that no later stage stumbles over its files."""
+    sequence = first_frames(check_sequence(folder_name(frames), frames), options)
+    digest = frames_digest(sequence)
+    check_truth(sequence)
+    for warning in sequence.warnings:
+        logger.warning("%s: %s", frames, warning)
+    write_figure(figure, draw(sequence))
+    write_json(output, sequence_to_json(sequence) | {"frames_sha256": digest, "missing_truth": missing_truth(sequence)})
+    return f"{len(sequence.frames)} frames of {sequence.width} x {sequence.height} px"
+
+
+def first_frames(sequence: Sequence, options: InspectOptions) -> Sequence:
+    """The sequence cut to so many frames as the options ask for, with the truth of these."""
+    if options.max_frames == "all":
+        return sequence
+    numbers = sequence.numbers[: options.max_frames]
+    truth = {kind: {n: path for n, path in files.items() if n in numbers} for kind, files in sequence.truth.items()}
+    return replace(sequence, frames=sequence.frames[: options.max_frames], numbers=numbers, truth=truth)
+
+
+def frames_digest(sequence: Sequence) -> str:
+    """SHA-256 over all pixels; decodes every frame.
+
+    Raises:
+        InputError: for a frame that cannot be decoded or whose pixels differ in size from its neighbours.
+    """
+    digest = hashlib.sha256()
+    for path in progress(sequence.frames, "frames"):
+        image = read_rgb(path)
+        if image.shape != (sequence.height, sequence.width, 3):
+            expected = f"{sequence.width} x {sequence.height}"
+            raise InputError(path, expected, f"{image.shape[1]} x {image.shape[0]}", "export the frame again")
+        digest.update(image.tobytes())
+    return digest.hexdigest()
+
+
+def check_truth(sequence: Sequence) -> None:
+    """Read every truth file once.
+
+    Raises:
+        InputError: for a wrong tag, a truncated file, or a size other than the frames'.
+    """
+    readers: dict[str, Callable[[Path], np.ndarray]] = {"flow": sintel.read_flo, "depth": sintel.read_dpt}
+    readers |= dict.fromkeys(("motion_mask", "occlusions", "invalid"), read_mask) | {"clean_right": read_rgb}
+    for kind, read in readers.items():
+        for path in sequence.truth.get(kind, {}).values():
+            height, width = read(path).shape[:2]
+            if (width, height) != (sequence.width, sequence.height):
+                expected = f"{sequence.width} x {sequence.height} like the frames"
+                raise InputError(path, expected, f"{width} x {height}", "give truth of the frames' size or none")
+    for kind in ("camdata_left", "camdata_right"):
+        for path in sequence.truth.get(kind, {}).values():
+            check_camera(path)
+
+
+def check_camera(path: Path) -> None:
+    """Refuse a .cam file whose K or pose cannot be a camera's."""
+    K, cam_from_world = sintel.read_cam(path)
+    R = cam_from_world[:, :3]
+    if not np.all(np.isfinite(K)) or K[0, 0] <= 0 or K[1, 1] <= 0:
+        raise InputError(path, "positive focal lengths", f"{K[0, 0]:g} and {K[1, 1]:g}", sintel.ADVICE)
+    if not np.allclose(R @ R.T, np.eye(3), atol=1e-4) or np.linalg.det(R) < 0:
+        raise InputError(path, "a rotation matrix", "one that is not orthonormal, or a reflection", sintel.ADVICE)
+    if not np.all(np.isfinite(cam_from_world[:, 3])):
+        raise InputError(path, "a finite translation", f"{cam_from_world[:, 3].tolist()}", sintel.ADVICE)
+
+
+def missing_truth(sequence: Sequence) -> list[str]:
+    """What cannot be scored on this sequence, in words for the report."""
+    told = {
+        "camdata_left": "no camera truth: no ATE, RPE or focal error",
+        "motion_mask": "no motion masks: no IoU",
+        "flow": "no flow truth: no end-point error",
+        "depth": "no depth truth",
+        "clean_right": "no right-eye frames: no score of novel views",
+    }
+    partly = {"clean_right"}  # right-eye truth may cover only some frames
+    return [
+        text
+        for kind, text in told.items()
+        if not (sequence.truth.get(kind) if kind in partly else sequence.has_truth(kind))
+    ]
+
+
+def draw(sequence: Sequence) -> np.ndarray:
+    """A contact sheet of up to six frames, with true motion masks where there are any."""
+    images = []
+    for k in spread(len(sequence.frames), 6):
+        image = read_rgb(sequence.frames[k])
+        mask_file = sequence.truth.get("motion_mask", {}).get(sequence.numbers[k])
+        images.append(overlay_mask(image, read_mask(mask_file)) if mask_file else image)
+    return contact_sheet(images, columns=3)
+
+
+if __name__ == "__main__":
+    cli.run(main)

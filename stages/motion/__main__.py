@@ -1,0 +1,127 @@
+"""Estimate per pixel how likely it moves in the world, from flow and from the cameras of the round before."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+
+from stages.motion import epipolar, photometric, resweep
+from stages.motion.epipolar import Evidence, PairMatches
+from stages.motion.options import MotionOptions
+from stages.motion.pooling import evidence_weights, pool
+from stages.shared import cli, drawing
+from stages.shared.artifacts import read_dense, read_metadata, write_dense
+from stages.shared.cameras import Cameras, pixel_grid, read_cameras, scale_intrinsics
+from stages.shared.cli import In, Out
+from stages.shared.errors import InputError
+from stages.shared.images import read_reduced, write_figure
+from stages.shared.log import logger
+from stages.shared.sequences import read_sequence
+
+FLOW_CURVE = (0.17, 0.04)
+CAMERA_CURVE = (0.37, 0.1)
+"""Pooled misfit at which a pixel moves as likely as not, and the width of the transition, with and without cameras.
+
+Two-view geometry absorbs part of every motion, so that less misfit means more.
+"""
+
+
+def main(
+    sequence: Annotated[Path, In("sequence.json of the input check")],
+    flow: Annotated[Path, In("flow/pairs.arrow")],
+    output: Annotated[Path, Out("prior.arrow: probability of motion per frame and pixel")],
+    figure: Annotated[Path, Out("picture for the report: frames and their prior")],
+    options: MotionOptions,
+    previous_poses: Annotated[Path | None, In("poses.parquet of the round before")] = None,
+    previous_depth: Annotated[Path | None, In("depth.arrow of the round before")] = None,
+) -> str:
+    """Estimate the probability that a pixel moves in the world, from geometry alone.
+
+    Without cameras: misfit of the flow to the epipolar geometry of many frame pairs (to homographies where nothing
+    shows parallax). With the cameras of the round before: misfit to the best depth per pixel, where flow is unreliable
+    only as far as the pictures confirm it. Both are pooled along the flow. The metadata of the output says which was
+    used, and why.
+    """
+    frames = read_sequence(sequence)
+    pairs, scale = read_dense(flow), float(read_metadata(flow)["scale"])
+    pairs["flow"] = pairs["flow"].astype(np.float32)
+    pairs["weights"] = evidence_weights(pairs["flow"], pairs["confidence"])
+    edges = {(int(i), int(j)): e for e, (i, j) in enumerate(zip(pairs["source"], pairs["target"], strict=True))}
+    rgb = read_reduced(frames.frames, pairs["confidence"].shape[:0:-1])
+    cameras = _usable_cameras(previous_poses, previous_depth)
+    if cameras is None or previous_depth is None:
+        evidence, facts = _from_flow(pairs, edges, len(frames.numbers), options.seed)
+    else:
+        stride_px = float(read_metadata(previous_depth)["stride_px"])
+        evidence, facts = _from_cameras(rgb, pairs, cameras, read_dense(previous_depth), scale, stride_px)
+    misfit = pool(evidence, rgb, edges, pairs["flow"], pairs["weights"])
+    probability = to_probability(misfit, *(FLOW_CURVE if cameras is None else CAMERA_CURVE))
+    facts |= {"moving_share": float((probability > 0.5).mean())}
+    logger.info("%s: %s", frames.name, facts)
+    columns = {"frame": np.array(frames.numbers), "probability": probability.astype(np.float16)}
+    write_dense(output, columns, {"units": "probability", **facts, "options": options.model_dump(mode="json")})
+    write_figure(figure, _picture(rgb, probability))
+    return f"{facts['moving_share']:.1%} of the pixels seem to move"
+
+
+def to_probability(misfit: np.ndarray, midway: float, spread: float) -> np.ndarray:
+    """Probability of motion of a pooled misfit [...] in 0..1: a logistic curve."""
+    return np.asarray(1 / (1 + np.exp((midway - misfit) / spread)))
+
+
+def _usable_cameras(poses: Path | None, depth: Path | None) -> Cameras | None:
+    """Cameras of the round before; none if there was none or it failed."""
+    if (poses is None) != (depth is None):
+        raise InputError("--previous-poses", "together with --previous-depth", "only one of them", "give both or none")
+    cameras = read_cameras(poses) if poses else None
+    if cameras is not None and "failed" in cameras.status:
+        logger.warning("motion: the cameras of the round before failed; the prior comes from flow alone")
+        return None
+    return cameras
+
+
+def _from_flow(
+    pairs: dict[str, np.ndarray], edges: dict[tuple[int, int], int], T: int, seed: int
+) -> tuple[Evidence, dict[str, Any]]:
+    """Evidence from two-view geometry, and what was used."""
+    pixels = pixel_grid(*pairs["weights"].shape[1:]).astype(np.float32)
+    matches = PairMatches(pixels, pixels + pairs["flow"], pairs["weights"])
+    flat = epipolar.flat_share(edges, matches, seed)
+    parallax = flat < epipolar.FLAT_SHARE
+    evidence = epipolar.two_view_evidence(edges, matches, T, parallax, seed)
+    model = "fundamental matrices" if parallax else "homographies: too little parallax for epipolar geometry"
+    return evidence, {"source": "flow", "model": model, "flat_share": flat}
+
+
+def _from_cameras(
+    rgb: np.ndarray,
+    pairs: dict[str, np.ndarray],
+    cameras: Cameras,
+    depth: dict[str, np.ndarray],
+    scale: float,
+    stride_px: float,
+) -> tuple[Evidence, dict[str, Any]]:
+    """Evidence from the cameras of the round before, depth searched anew, and what was used."""
+    h, w = pairs["confidence"].shape[1:]
+    start = resweep.resample(depth["inverse_depth"], stride_px * scale, h, w)
+    seen = cameras.cam_from_world, scale_intrinsics(cameras.Ks, scale)
+    unobserved = cameras.status == "unobserved"  # without a pose of their own, so that nothing can be told of them
+    known = ~(unobserved[pairs["source"]] | unobserved[pairs["target"]])
+    if unobserved.any():  # else the copy would cost memory for nothing
+        pairs = pairs | {"weights": pairs["weights"] * known[:, None, None]}
+    evidence, inverse_depth, sigma_px = resweep.camera_evidence(pairs, *seen, start)
+    evidence = photometric.corroborate(evidence, rgb, pairs, resweep.projections(pairs, *seen), inverse_depth)
+    rotating = set(cameras.status[~unobserved]) == {"rotation-only"}
+    model = "rotations: the camera does not translate" if rotating else "depth re-sweep"
+    return evidence, {"source": "cameras", "model": model, "sigma_px": sigma_px}
+
+
+def _picture(rgb: np.ndarray, probability: np.ndarray) -> np.ndarray:
+    """Shown frames above the probability of motion."""
+    shown = drawing.spread(len(probability), 4)
+    cells = [image for k in shown for image in (rgb[k], drawing.scalar_to_rgb(probability[k], 0, 1))]
+    return drawing.contact_sheet(cells, columns=4)
+
+
+if __name__ == "__main__":
+    cli.run(main)

@@ -1,0 +1,56 @@
+"""Rows on effects: which ones the reconstruction models and why, which ones the simulator drew and what they cost."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from stages.shared.artifacts import read_json
+from stages.shared.tables import Row
+
+
+def simulation_rows(manifests: Path | None, name: str) -> list[Row]:
+    """What `<manifests>/<name>.json` says the simulator drew and left out."""
+    path = manifests / f"{name}.json" if manifests else None
+    if path is None or not path.exists():
+        return []
+    content = read_json(path)
+    seconds, calls = content["seconds"], content["calls"]
+    rows = [
+        {"effect": effect, "simulated": "yes", "settings": _words(settings)}
+        for effect, settings in content["effects"].items()
+    ]
+    rows += [{"effect": effect, "simulated": "no", "settings": ""} for effect in content["not_simulated"]]
+    return [
+        {"sequence": name, **row, "effect": row["effect"].replace("_", " ")}
+        | {"seconds": seconds.get(row["effect"], 0.0), "calls": calls.get(row["effect"], 0)}
+        for row in rows
+    ]
+
+
+def decision_rows(folder: Path) -> list[dict[str, Any]]:
+    """What scene.json decided for a sequence, with its evidence in words."""
+    path = folder / "scene.json"
+    if not path.exists():
+        return []
+    rows = []
+    for effect, decision in read_json(path).items():
+        if isinstance(decision, dict) and "needed" in decision:
+            rows.append({"sequence": folder.name, "effect": effect.replace("_", " ")} | _decision(decision))
+    return rows
+
+
+def _decision(decision: Mapping[str, Any]) -> dict[str, str]:
+    settings = {k: v for k, v in decision.items() if k not in ("needed", "evidence", "why", "source")}
+    return {
+        "modelled": "yes" if decision["needed"] else "no",
+        "why": decision["why"],
+        "source": decision["source"],
+        "settings": _words(settings),
+        "evidence": _words(decision["evidence"]),
+    }
+
+
+def _words(values: Mapping[str, Any]) -> str:
+    """`name value` pairs with four significant digits."""
+    shown = {name: f"{value:.4g}" if isinstance(value, float) else str(value) for name, value in values.items()}
+    return ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in shown.items())

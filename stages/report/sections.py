@@ -1,0 +1,236 @@
+"""What the report shows of one sequence: figures with alternative text, decisions, and what is missing."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from stages.evaluate import pose_diagnostics
+from stages.evaluate.ground_truth import true_masks
+from stages.evaluate.score_images import true_images
+from stages.evaluate.score_masks import read_masks
+from stages.report import embedding
+from stages.shared import charts, sequences, sintel
+from stages.shared.artifacts import read_dense, read_json, read_metadata, read_table
+from stages.shared.drawing import spread
+from stages.shared.images import read_rgb
+from stages.shared.tables import Row, Table, read_rows
+
+SHOWN_FRAMES = 4
+STAGE_FIGURES = {
+    "inspect": "Input frames, with true motion where it is known",
+    "motion": "Motion prior: how likely each pixel moves in the world",
+    "segment": "Mask refinement",
+    "ba": "Bundle adjustment",
+    "scene": "Evidence for the effects",
+    "control": "Control points",
+    "gaussians": "Gaussian training",
+}
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A picture or chart as a data URI, with what it shows in words."""
+
+    title: str
+    source: str
+    alt: str
+    wide: bool = False
+
+
+@dataclass
+class Section:
+    """One sequence in the report."""
+
+    name: str
+    about: str
+    figures: list[Figure] = field(default_factory=list)
+    stage_figures: list[Figure] = field(default_factory=list)
+    tables: list[Table] = field(default_factory=list)
+    more: list[Table] = field(default_factory=list)
+    missing: list[str] = field(default_factory=list)
+    doubts: list[str] = field(default_factory=list)
+
+
+def build_section(folder: Path) -> Section:
+    """Read everything that lies in the folder of a sequence; absent parts are listed as missing."""
+    content = read_json(folder / "sequence.json")
+    sequence = sequences.read_sequence(folder / "sequence.json")
+    truth = ", ".join(sorted(sequence.truth)) or "none"
+    about = f"{len(sequence.frames)} frames, {sequence.width} x {sequence.height} px; truth to score against: {truth}"
+    section = Section(sequence.name, about, missing=list(content.get("missing_truth", [])))
+    section.doubts = [*sequence.warnings, *_doubts(folder)]
+    parts: dict[str, Callable[[], list[Figure]]] = {
+        "trajectories": partial(_trajectory_figures, folder),
+        "masks": partial(_mask_figures, folder, sequence),
+        "flow": partial(_flow_figures, folder),
+        "depth": partial(_depth_figures, folder, sequence),
+        "renders": partial(_render_figures, folder, sequence),
+        "adjustment": partial(_adjustment_figures, folder),
+        "training": partial(_training_figures, folder),
+    }
+    for name, draw in parts.items():
+        try:
+            section.figures += draw()
+        except MissingPart as missing:
+            section.missing.append(f"{name}: no {missing}")
+    section.figures.sort(key=lambda figure: figure.wide)  # the charts side by side, then the pictures
+    section.stage_figures = _stage_figures(folder)
+    return section
+
+
+def _doubts(folder: Path) -> list[str]:
+    model, doubts = folder / "gaussians" / "model.safetensors", pose_diagnostics.doubts_of(folder)
+    found = [f"Doubts about the poses. {doubts}"] if doubts else []
+    if model.exists() and read_metadata(model).get("status") == "poses failed":
+        found.append("Gaussians: the poses failed: a static scene was trained before a camera at rest")
+    return found
+
+
+def _svg(title: str, content: bytes, alt: str) -> Figure:
+    return Figure(title, embedding.data_uri(content, "image/svg+xml"), alt)
+
+
+class MissingPart(Exception):
+    """What the results lack; the message names it, as in "masks" or "rows in ba/convergence.parquet"."""
+
+
+def _existing(folder: Path, name: str) -> Path:
+    if not (folder / name).exists():
+        raise MissingPart(name)
+    return folder / name
+
+
+def _trajectory_figures(folder: Path) -> list[Figure]:
+    rows = read_rows(_existing(folder, "eval/trajectory.parquet"))
+    paths = charts.paths_of(rows)
+    listed = ", ".join(paths) or "no method"
+    found = [
+        _svg("Camera path from above", charts.draw_top(rows), f"Camera centres of {listed}, seen from above"),
+        _svg("Camera path in 3D", charts.draw_space(rows), f"Camera centres of {listed} in three dimensions"),
+    ]
+    errors = _series([row for row in rows if row["error"] is not None and row["method"] in paths], "error")
+    if errors:
+        worst = {method: max(values[1]) for method, values in errors.items()}
+        words = ", ".join(f"{method} at most {value:.3g}" for method, value in worst.items())
+        chart = charts.draw_lines(errors, ("frame", "distance to truth (scene units)"), list(paths), zero=True)
+        found.append(
+            _svg("Error of every camera", chart, f"Distance to the true camera per frame: {words} scene units")
+        )
+    return found
+
+
+def _series(rows: Sequence[Row], key: str) -> dict[str, tuple[list[float], list[float]]]:
+    """Frame numbers and values by method."""
+    found: dict[str, tuple[list[float], list[float]]] = {}
+    for row in rows:
+        frames, values = found.setdefault(row["method"], ([], []))
+        frames.append(row["frame"])
+        values.append(row[key])
+    return found
+
+
+def _mask_figures(folder: Path, sequence: sequences.Sequence) -> list[Figure]:
+    masks = read_masks(_existing(folder, "masks"))
+    truth, _ = true_masks(sequence)
+    shown = [sequence.numbers[k] for k in spread(len(sequence.numbers), SHOWN_FRAMES)]
+    images = [read_rgb(sequence.frames[sequence.numbers.index(n)]) for n in shown]
+    sheet = embedding.mask_sheet(images, [masks[n] for n in shown], [truth.get(n) for n in shown])
+    outline = "; blue outline: the true ones" if truth else ""
+    title = f"Masks of frames {', '.join(map(str, shown))} (red: called dynamic{outline})"
+    share = 100 * np.mean([mask.mean() for mask in masks.values()])
+    figures = [
+        Figure(title, embedding.webp(sheet), f"Frames with dynamic masks covering {share:.1f} % on average", True)
+    ]
+    return figures + _frame_chart(folder, "masks", "iou", "Mask overlap per frame", "IoU")
+
+
+def _frame_chart(folder: Path, kind: str, metric: str, title: str, label: str) -> list[Figure]:
+    rows = read_rows(_existing(folder, "eval/frames.parquet"))
+    chosen = [row for row in rows if row["kind"] == kind and row["metric"] == metric]
+    for row in chosen:
+        row["method"] = row["method"] if row["split"] is None else f"{row['method']}, {row['split']}"
+    series = _series(chosen, "value")
+    if not series:
+        return []
+    words = ", ".join(f"{name} {np.mean(values[1]):.3g} on average" for name, values in series.items())
+    chart = charts.draw_lines(series, ("frame", label), list(series), zero=metric == "iou")
+    return [_svg(title, chart, f"{label} per frame: {words}")]
+
+
+def _flow_figures(folder: Path) -> list[Figure]:
+    image = read_rgb(_existing(folder, "figures/flow.png"))
+    title = "Frames, optical flow (hue: direction, saturation: length), its confidence (yellow: sure)"
+    return [Figure(title, embedding.webp(image), f"Picture of the flow stage. {title}", True)]
+
+
+def _depth_figures(folder: Path, sequence: sequences.Sequence) -> list[Figure]:
+    depth = read_dense(_existing(folder, "ba/depth.arrow"))
+    shown = spread(len(sequence.numbers), 3)
+    has_truth = sequence.has_truth("depth")
+    files = [sequence.truth["depth"][sequence.numbers[k]] if has_truth else None for k in shown]
+    truths = [sintel.read_dpt(file) if file else None for file in files]
+    sheet = embedding.depth_sheet(depth["inverse_depth"][shown], truths)
+    beside = " (left: ours, right: truth)" if has_truth else ""
+    numbers = ", ".join(str(sequence.numbers[k]) for k in shown)
+    title = f"Inverse depth of frames {numbers}{beside}, near is yellow"
+    return [Figure(title, embedding.webp(sheet), f"Inverse depth maps of frames {numbers}{beside}", True)]
+
+
+def _render_figures(folder: Path, sequence: sequences.Sequence) -> list[Figure]:
+    found = []
+    for split, words in {"test": "held-out", "right": "right-eye"}.items():
+        renders = {int(p.stem.removeprefix("frame_")): p for p in (folder / "renders" / split).glob("frame_*.png")}
+        truth = true_images(sequence, split)
+        numbers = [n for n in sorted(renders) if n in truth]
+        shown = [numbers[k] for k in spread(len(numbers), 2)] if numbers else []
+        if shown:
+            pairs = [(read_rgb(truth[n]), read_rgb(renders[n])) for n in shown]
+            title = f"{words.capitalize()} frames {', '.join(map(str, shown))}: truth, render, difference x4"
+            alt = f"True {words} frames beside our renders and their difference"
+            found.append(Figure(title, embedding.webp(embedding.comparison_sheet(pairs)), alt, True))
+    if not found:
+        raise MissingPart("renders/test")
+    if (folder / "figures" / "render.gif").exists():
+        fly = embedding.animation(folder / "figures" / "render.gif")
+        found.append(Figure("Fly-through at moving time", fly, "Animation of the reconstructed scene from new views"))
+    return found + _frame_chart(folder, "images", "psnr_db", "Image quality per frame", "PSNR (dB)")
+
+
+def _rows_of(folder: Path, name: str) -> dict[str, np.ndarray]:
+    """A table of the results that has rows: given poses take no adjustment, and 0 steps no training."""
+    table = read_table(_existing(folder, name))
+    if not len(next(iter(table.values()))):
+        raise MissingPart(f"rows in {name}")
+    return table
+
+
+def _adjustment_figures(folder: Path) -> list[Figure]:
+    steps = _rows_of(folder, "ba/convergence.parquet")
+    cost = steps["cost"]
+    runs = list(zip(steps["phase"].tolist(), steps["sigma_px"].tolist(), strict=True))
+    title = "Bundle adjustment (orange: final refinement; grey: starts that compete)"
+    alt = f"Robust cost over {len(cost)} iterations in {len(set(runs))} runs, at the end {cost[-1]:.4g}"
+    return [_svg(title, charts.draw_runs(cost.tolist(), runs, "robust cost"), alt)]
+
+
+def _training_figures(folder: Path) -> list[Figure]:
+    training = _rows_of(folder, "gaussians/convergence.parquet")
+    window = max(1, len(training["loss"]) // 20)
+    loss = np.convolve(training["loss"], np.full(window, 1 / window), "valid")
+    line = {"ours": (training["step"][window - 1 :].tolist(), loss.tolist())}
+    chart = charts.draw_lines(line, ("training step", "loss"), ["ours"], log=True)
+    alt = f"Training loss, mean of {window} steps, from {loss[0]:.3g} to {loss[-1]:.3g}"
+    return [_svg(f"Gaussian training (mean of {window} steps)", chart, alt)]
+
+
+def _stage_figures(folder: Path) -> list[Figure]:
+    found = []
+    for name, title in STAGE_FIGURES.items():
+        path = folder / "figures" / f"{name}.png"
+        if path.exists():
+            picture = embedding.webp(read_rgb(path), embedding.STAGE_WIDTH_PX, embedding.STAGE_MAX_BYTES)
+            found.append(Figure(title, picture, f"Picture of the {name} stage: {title}", True))
+    return found

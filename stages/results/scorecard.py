@@ -1,0 +1,125 @@
+"""One row per scene with everything that a run reached on it; what failed is a row too."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from stages.evaluate import costs, image_baselines, ratios
+from stages.evaluate.score_images import REGIONS
+from stages.evaluate.score_masks import PRIOR
+from stages.shared.artifacts import read_json
+from stages.shared.chain import STAGES
+from stages.shared.digest import code_digest
+from stages.shared.tables import Row, decimal, read_rows
+
+OWN = "own"
+"""The split of a scene that names none."""
+MOVING_PERCENT = 0.01
+"""A scene in which less than this share of the pixels truly moves has no mask to overlap with."""
+
+
+def score_rows(results: Path, scenes: Path | None = None, manifests: Path | None = None) -> list[Row]:
+    """A row per sequence of a dataset's results and per scene file that has none, by name.
+
+    Args:
+        results: results/<dataset>.
+        scenes: folder of the scene files that were to run.
+        manifests: folder with what the simulator drew, <sequence>.json.
+    """
+    names = {path.parent.name for path in results.glob("*/sequence.json")}
+    promised = {path.stem: path for path in scenes.glob("*.yaml")} if scenes else {}
+    return [
+        {"sequence": name, "split": _split(name, promised, manifests)} | score_row(results / name)
+        for name in sorted(names | set(promised))
+    ]
+
+
+def _split(name: str, promised: Mapping[str, Path], manifests: Path | None) -> str:
+    """The split that a scene names: by what was drawn, else by its file."""
+    manifest = manifests / f"{name}.json" if manifests else None
+    if manifest and manifest.exists():
+        return str(read_json(manifest).get("split", OWN))
+    return str(yaml.safe_load(promised[name].read_text()).get("split", OWN)) if name in promised else OWN
+
+
+def score_row(folder: Path) -> Row:
+    """What a run reached on one sequence; where it has no end, `missing` is the first stage without results."""
+    ended = [stage for stage in STAGES if (folder / f"stats/{stage}.json").exists()]
+    if len(ended) < len(STAGES):
+        missing = next(stage for stage in STAGES if stage not in ended)
+        return {"status": "failed", "missing": missing}
+    tables = {kind: read_rows(folder / f"eval/{kind}.parquet") for kind in ("poses", "images", "masks", "time")}
+    times = [row for row in tables["time"] if costs.is_ours(row)]
+    row: Row = {"frames": len(read_json(folder / "sequence.json")["numbers"])}
+    row |= _camera_scores(tables["poses"]) | _mask_scores(tables["masks"]) | _image_scores(tables["images"])
+    row |= {key: sum(line[key] for line in times) for key in ("wall_s", "cpu_s")}
+    old = [stage for stage in STAGES if not _is_current(folder / f"stats/{stage}.json")]
+    return row | {"threads": max(line["threads"] for line in times), "old": ", ".join(old) or None}
+
+
+def _is_current(stats: Path) -> bool:
+    """Whether the code that a stage ran is that of this checkout."""
+    content = read_json(stats)
+    return bool(content["code"] == code_digest(f"stages.{content['stage']}"))
+
+
+def _camera_scores(poses: Sequence[Row]) -> Row:
+    ours = next(row for row in poses if row["method"] == "ours")
+    rivals = ratios.plain_rivals(poses, ours["sequence"])
+    rival = ratios.best_rival(rivals)
+    found = {key: ours[key] for key in ("status", "ate_percent", "focal_error_percent", "given", "camera", "doubts")}
+    rotation = {"rotation_deg": ours["rpe_rot_deg"] if ours["ate_percent"] is None else None}
+    return {
+        **found,
+        **rotation,
+        "failure": ours["note"] if ours["status"] == "failed" else None,
+        "flags": in_short(ours["flags"]),
+        "error": error_in_words(ours),
+        "poses_s": ours["wall_s"],
+        "poses_cpu_s": ours["cpu_s"],
+        "colmap": rival["method"] if rival else None,
+        "colmap_percent": rival["ate_percent"] if rival else None,
+        "colmap_error": error_in_words(rival) if rival else _incomplete(rivals),
+        "colmap_cpu_s": rival["cpu_s"] if rival else None,
+        "colmap_threads": max((row["threads"] for row in rivals), default=None),
+    }
+
+
+def error_in_words(row: Mapping[str, Any]) -> str | None:
+    """The error of a row of the pose table with its unit: ATE, or of the rotations where the truth defines no ATE."""
+    if row["status"] == "failed":
+        return "failed"
+    if row["ate_percent"] is not None:
+        partial = f" ({row['registered']} of {row['total']} frames)" if row["status"] == "partial" else ""
+        return f"{decimal(row['ate_percent'], 3)} %{partial}"
+    return None if row["rpe_rot_deg"] is None else f"{decimal(row['rpe_rot_deg'], 3)} deg"
+
+
+def _incomplete(rivals: Sequence[Row]) -> str | None:
+    """What became of variants of which none has every pose and an error."""
+    statuses = {row["status"] for row in rivals}
+    return next((word for word in ("partial", "failed") if word in statuses), None)
+
+
+def in_short(flags: str | None) -> str | None:
+    """The flags of a pose estimate, each up to its colon."""
+    parts = (part.partition(":")[0].strip() for part in (flags or "").split("; "))
+    return "; ".join(dict.fromkeys(part for part in parts if part)) or None
+
+
+def _mask_scores(masks: Sequence[Row]) -> Row:
+    """Scores of the masks of the last round; where nothing moves, what share is masked instead."""
+    used = max((row for row in masks if row["method"] != PRIOR), key=lambda row: row["round"])
+    still = used["true_percent"] is not None and used["true_percent"] < MOVING_PERCENT
+    names = ("iou", "precision", "recall")
+    scores = {name: None if still else used[name] for name in names}
+    return scores | {"masks": used["method"], "masked_percent": used["dynamic_percent"] if still else None}
+
+
+def _image_scores(images: Sequence[Row]) -> Row:
+    found = {(row["method"], row["split"], row["region"]): row["psnr_db"] for row in images}
+    scores: Row = {f"psnr_{region}": found.get(("ours", "test", region)) for region in REGIONS}
+    scores |= {f"warp_{region}": found.get((image_baselines.WARP, "test", region)) for region in REGIONS}
+    return scores | {"right_db": found.get(("ours", "right", "whole"))}

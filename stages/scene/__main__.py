@@ -1,0 +1,95 @@
+"""Decide from evidence which effects the reconstruction has to model, and write why."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+
+from stages.scene import exposure, geometry, photometry, rules
+from stages.scene.observed import Observed, depth_on_grid
+from stages.scene.options import SceneOptions
+from stages.shared import cli, images
+from stages.shared.artifacts import read_dense, read_metadata, write_json
+from stages.shared.cameras import read_cameras, scale_intrinsics
+from stages.shared.cli import In, Out
+from stages.shared.log import logger
+from stages.shared.sequences import Sequence, read_sequence
+from stages.shared.split import held_out
+
+
+def main(
+    sequence: Annotated[Path, In("sequence.json of the input check")],
+    flow: Annotated[Path, In("flow/pairs.arrow")],
+    masks: Annotated[Path, In("folder of dynamic masks, frame_0001.png ...")],
+    poses: Annotated[Path, In("ba/poses.parquet")],
+    depth: Annotated[Path, In("ba/depth.arrow")],
+    output: Annotated[Path, Out("scene.json: each effect with needed, evidence, why, source")],
+    figure: Annotated[Path, Out("picture for the report")],
+    options: SceneOptions,
+) -> str:
+    """Decide from evidence which effects the reconstruction has to model, and write why.
+
+    Moving parts, a camera that only turns, exposure change, view-dependent colour and bending movers: each is looked
+    for in the training frames alone, and modelled only where it is found. Every decision can be overruled.
+    """
+    content = read_sequence(sequence)
+    seen = _observe(content, flow, masks, poses, depth, options)
+    cameras = read_cameras(poses)
+    turning = cameras.status[cameras.status != "unobserved"] == "rotation-only"
+    decisions = _decide(seen, float(turning.mean()), options)
+    decisions["dynamic"] |= rules.about_masks(decisions["dynamic"], cameras.masks_trusted, cameras.masks_used)
+    for name, decision in decisions.items():
+        logger.info("%s: %s (%s): %s", name, decision["needed"], decision["source"], decision["why"])
+    write_json(output, {"sequence": content.name, **decisions})
+
+    from stages.scene.figure import decision_table
+
+    images.write_image(figure, decision_table(decisions))
+    found = [name.replace("_", " ") for name, decision in decisions.items() if decision["needed"]]
+    return f"to model: {', '.join(found) or 'a static scene'}"
+
+
+def _decide(seen: Observed, rotation_only_share: float, options: SceneOptions) -> dict[str, dict[str, Any]]:
+    gains = exposure.measure_gains(seen)
+    view = photometry.view_evidence(seen, gains.common)
+    parallax = geometry.parallax_evidence(seen) | {"frames_marked_share": rotation_only_share}
+    return {
+        "dynamic": rules.decide_dynamic(geometry.dynamic_evidence(seen), options.dynamic),
+        "rotation_only": rules.decide_rotation_only(parallax, options.rotation_only),
+        "exposure": rules.decide_exposure(exposure.exposure_evidence(gains), options.exposure),
+        "view_dependent": rules.decide_view_dependent(view, options.view_dependent),
+        "non_rigid": rules.decide_non_rigid(geometry.bending_evidence(seen), options.non_rigid),
+    }
+
+
+def _observe(sequence: Sequence, flow: Path, masks: Path, poses: Path, depth: Path, options: SceneOptions) -> Observed:
+    """The training frames on the flow grid and the edges between them."""
+    is_training = ~held_out(len(sequence.frames), options)
+    frames = np.flatnonzero(is_training)
+    pairs, scale = read_dense(flow), float(read_metadata(flow)["scale"])
+    dense, stride_px = read_dense(depth), float(read_metadata(depth)["stride_px"])
+    cameras = read_cameras(poses)
+    h, w = pairs["flow"].shape[1:3]
+    rows = np.flatnonzero(is_training[pairs["source"]] & is_training[pairs["target"]])
+    ends = np.stack([pairs["source"][rows], pairs["target"][rows]], axis=-1)
+
+    def resized(image: np.ndarray) -> np.ndarray:
+        return images.reduce(image.astype(np.float32), (w, h))
+
+    names = [f"frame_{sequence.numbers[k]:04d}.png" for k in frames]
+    return Observed(
+        rgb=np.stack([resized(images.read_rgb(sequence.frames[k])) / 255 for k in frames]),
+        dynamic=np.stack([resized(images.read_mask(masks / name)) > 0.5 for name in names])
+        & cameras.masks_used[frames, None, None],
+        depth=depth_on_grid(dense["inverse_depth"][frames], stride_px, scale, h, w),
+        cam_from_world=cameras.cam_from_world[frames],
+        Ks=scale_intrinsics(cameras.Ks[frames], scale),
+        edges=np.searchsorted(frames, ends),
+        flow=pairs["flow"][rows].astype(np.float32),
+        confidence=pairs["confidence"][rows].astype(np.float32),
+        offsets=ends[:, 1] - ends[:, 0],
+    )
+
+
+if __name__ == "__main__":
+    cli.run(main)
