@@ -1,0 +1,47 @@
+"""docs/dataflow.png shows the workflow as it is."""
+
+import re
+from pathlib import Path
+
+import pytest
+from conftest import REPO
+from PIL import Image
+
+from workflow import dataflow
+
+
+@pytest.fixture(scope="module")
+def rules() -> list[dataflow.Rule]:
+    """The rules of the workflow, as a dry run has them."""
+    return dataflow.planned_rules()
+
+
+def test_the_picture_draws_every_rule_and_every_artifact(rules: list[dataflow.Rule]) -> None:
+    drawn = "\n".join(text.get_text() for text in dataflow.draw(rules).axes[0].texts)
+    sources = "".join(path.read_text() for path in sorted((REPO / "workflow/rules").glob("*.smk")))
+    names = re.findall(r"^(?:use )?rule (?:\w+ as )?(\w+)", sources, re.MULTILINE)
+    assert sorted(names) == sorted(rule.name for rule in rules)
+    assert set(names) <= set(drawn.split("\n"))
+    artifacts = re.findall(r'"<results>/\{dataset\}/\{seq\}/(?:\{\w+\})+((?!figures/|stats/)[\w/.]+)"', sources)
+    assert {"flow/pairs.arrow", "ba/poses.parquet", "eval/checks.parquet"} <= set(artifacts)
+    for artifact in artifacts:
+        assert Path(artifact).stem in drawn, artifact
+
+
+def test_the_picture_follows_files_within_and_between_rounds(rules: list[dataflow.Rule]) -> None:
+    lanes = {name: lane for lane in dataflow.lanes_of(rules) for name in lane.artifacts}
+    assert set(lanes["masks/"].readers) == {"ba", "scene", "control", "train", "colmap_masked", "evaluate"}
+    assert set(lanes["ba/poses.parquet"].before) == {"motion", "ba"}
+    assert set(lanes["ba/depth.arrow"].before) == {"motion"}
+    assert lanes["gaussians/gaussians.ply"].readers == ()
+    names = [rule.name for rule in rules]
+    assert all(names.index(lane.maker.name) < names.index(name) for lane in lanes.values() for name in lane.readers)
+    assert {rule.name for rule in rules if rule.repeated} == {"motion", "segment", "ba"}
+
+
+def test_the_picture_in_docs_is_the_workflow_of_today(rules: list[dataflow.Rule]) -> None:
+    with Image.open(REPO / "docs/dataflow.png") as picture:
+        about = picture.info["Description"]
+        assert picture.width >= 1000
+    assert about == dataflow.described(rules), "make it again: python -m workflow.dataflow --output docs/dataflow.png"
+    assert (REPO / "docs/dataflow.png").stat().st_size <= 200_000
