@@ -9,6 +9,7 @@ import pytest
 import yaml
 from conftest import REPO
 
+from stages.colmap.options import ColmapOptions
 from stages.configuration import config as configuration
 from stages.configuration import datasets
 from stages.shared.errors import InputError
@@ -87,6 +88,9 @@ def test_numbers_as_text_are_numbers() -> None:
     with pytest.raises(InputError, match="rate"):
         validate(Example, {"rate": "nan"}, "test")
     assert to_flags(Example()) == "--rate 0.1 --count 1"
+    assert validate(ColmapOptions, {"upsample": ["1", "2"]}, "test").upsample == (1, 2)
+    with pytest.raises(InputError, match="expected 1, 2 or 4, found 3"):
+        validate(ColmapOptions, {"upsample": ["3"]}, "test")
 
 
 @pytest.mark.parametrize("script", SCRIPTS)

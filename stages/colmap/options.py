@@ -1,10 +1,13 @@
 """Options of the COLMAP baseline."""
 
-from typing import Literal
+from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from stages.shared.options import Options
+
+Factor = Annotated[Literal[1, 2, 4], BeforeValidator(lambda value: int(value) if str(value).isdigit() else value)]
+"""Flags and Snakemake's --config hand numbers over as text, which pydantic takes for no choice among numbers."""
 
 
 class ColmapOptions(Options):
@@ -13,10 +16,10 @@ class ColmapOptions(Options):
     mappers: tuple[Literal["global", "incremental"], ...] = Field(
         ("global",), min_length=1, description="COLMAP's global (GLOMAP) and incremental mapping"
     )
-    upsample: tuple[Literal[1, 2, 4], ...] = Field(
+    upsample: tuple[Factor, ...] = Field(
         (1,), min_length=1, description="run on frames enlarged by these factors; 2 helps small frames, costs 3 times"
     )
-    upsample_masked: tuple[Literal[1, 2, 4], ...] = Field(
+    upsample_masked: tuple[Factor, ...] = Field(
         (), description="the same with features on dynamic pixels left out, by our masks; none of it if empty"
     )
     matching: Literal["sequential", "exhaustive"] = Field(

@@ -62,7 +62,7 @@ def run(main: Callable[..., str | None], argv: Sequence[str] | None = None) -> N
         _check_paths(flags, paths)
         call: dict[str, Any] = dict(paths)
         if model is not None:
-            given = {name: _typed(value) for name, value in arguments.items() if value is not None}
+            given = {name: value for name, value in arguments.items() if value is not None}
             call["options"] = validate(model, given, stage)
             log.logger.info("options: %s", call["options"].model_dump_json())
         summary = main(**call)
@@ -128,19 +128,6 @@ def _parser(
     parser.add_argument("--log", type=Path, help="file for the log (default: none)")
     parser.add_argument("--stats", type=Path, help="file for cost, result and warnings, as JSON (default: none)")
     return parser
-
-
-def _typed(value: Any) -> Any:
-    """A flag's text as the number that it reads as, if any: a choice among numbers has no text form in pydantic."""
-    if isinstance(value, list):
-        return [_typed(part) for part in value]
-    if isinstance(value, str):
-        for number in (int, float):
-            try:
-                return number(value)
-            except ValueError:
-                continue
-    return value
 
 
 def _dashed(name: str) -> str:
