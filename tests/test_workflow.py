@@ -35,16 +35,20 @@ def planned(result: subprocess.CompletedProcess[str]) -> set[str]:
 def everything_done(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A working folder in which Snakemake believes that everything has run (empty outputs, recorded params)."""
     folder = with_comparisons(copy_sources(tmp_path_factory.mktemp("done")))
-    plan = run_snakemake(folder, "-n", "sweep", "scaling")
+    write_outputs(folder, run_snakemake(folder, "-n", "sweep", "scaling"))
+    for arguments in (["sweep", "scaling", "-F"], []):  # last the plain run: its report reads what the others left
+        assert run_snakemake(folder, *arguments, "--touch").returncode == 0
+    assert planned(run_snakemake(folder, "-n")) == set()
+    return folder
+
+
+def write_outputs(folder: Path, plan: subprocess.CompletedProcess[str]) -> None:
+    """Empty files and folders for all that a dry run would make."""
     for line in re.findall(r"^    output: (.*)$", plan.stdout + plan.stderr, re.MULTILINE):
         for name in line.split(", "):
             path = folder / name
             path.parent.mkdir(parents=True, exist_ok=True)
             path.touch() if path.suffix else path.mkdir(exist_ok=True)
-    for arguments in (["sweep", "scaling", "-F"], []):  # last the plain run: its report reads what the others left
-        assert run_snakemake(folder, *arguments, "--touch").returncode == 0
-    assert planned(run_snakemake(folder, "-n")) == set()
-    return folder
 
 
 @pytest.fixture
@@ -144,6 +148,19 @@ def test_sequences_of_a_folder_with_memory_by_pixels(repo_copy: Path) -> None:
     assert memory["large"] > memory["small"] > 0
     assert all("threads: " in job for job in flow.values())
     assert "simulate" not in planned(result)
+
+
+@pytest.mark.parametrize(
+    ("target", "message"),
+    [
+        ("results/simulated/nosuch/ba/poses.parquet", "no sequence of this configuration is called 'nosuch'"),
+        ("results/simulated/demo/settings/mine/scene.json", "no setting of this configuration is called 'mine'"),
+    ],
+)
+def test_a_target_of_unknown_name_says_so(repo_copy: Path, target: str, message: str) -> None:
+    result = run_snakemake(repo_copy, "-n", target)
+    assert result.returncode != 0
+    assert message in result.stdout + result.stderr
 
 
 def test_names_with_spaces_stay_one_word(repo_copy: Path) -> None:

@@ -1,14 +1,20 @@
 """The sequences of the chosen dataset: folders of frames, or scenes that the simulator will render."""
 
 import functools
+from collections.abc import Mapping
 from pathlib import Path
 
 from stages.configuration.config import SIMULATED, Config
 from stages.shared.errors import InputError
-from stages.shared.sequences import Sequence, check_sequence, choose, sequence_folders
+from stages.shared.sequences import Sequence, check_headers, choose, list_sequence, sequence_folders
 
 SCENES = Path(__file__).parents[1] / "simulate" / "scenes"
 """The scene library."""
+EARLY_FRAMES = 1000
+"""So many frames are checked one by one before any work; of more, the first of each sequence. `inspect` checks all.
+
+Thousands of headers take seconds, on the file systems of clusters minutes.
+"""
 
 
 def dataset_name(config: Config) -> str:
@@ -16,15 +22,24 @@ def dataset_name(config: Config) -> str:
     return SIMULATED if config.dataset == SIMULATED else Path(config.dataset).resolve().name
 
 
-def find_sequences(config: Config) -> dict[str, Sequence]:
-    """The chosen sequences with frames and sizes; simulated ones as their scene files promise.
+def find_sequences(config: Config, folders: Mapping[str, str], headers: bool = True) -> dict[str, Sequence]:
+    """The chosen sequences with frames and sizes, but without truth; simulated ones as their scene files promise.
+
+    Args:
+        folders: the folder of frames of every chosen sequence.
+        headers: read those of all frames, where there are no more than EARLY_FRAMES; else that of each first frame.
 
     Raises:
-        InputError: for missing folders, unknown names and unreadable frames.
+        InputError: for too few frames, gaps in their numbers and unreadable frames.
     """
     if config.dataset == SIMULATED:
-        return {name: _promised(name, scene_files(config)[name]) for name in frame_folders(config)}
-    return {name: check_sequence(name, Path(folder)) for name, folder in frame_folders(config).items()}
+        scenes = scene_files(config)
+        return {name: _promised(name, scenes[name]) for name in folders}
+    sequences = {name: list_sequence(name, Path(folder)) for name, folder in folders.items()}
+    if headers and sum(len(sequence.frames) for sequence in sequences.values()) <= EARLY_FRAMES:
+        for sequence in sequences.values():
+            check_headers(sequence)
+    return sequences
 
 
 def frame_folders(config: Config) -> dict[str, str]:

@@ -4,7 +4,7 @@ import difflib
 import os
 import re
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -97,11 +97,11 @@ def choose(wanted: str | Iterable[str], folders: dict[str, Path], dataset: Path)
     return {name: folders[name] for name in wanted}
 
 
-def check_sequence(name: str, folder: Path) -> Sequence:
-    """Check the frames by their names, headers and last bytes (no decoding) and list the truth beside them.
+def list_sequence(name: str, folder: Path) -> Sequence:
+    """What the names of the frames and the header of the first one tell, without truth: no other file is touched.
 
     Raises:
-        InputError: for fewer than 3 frames, a gap in the numbering, different sizes, or an unreadable file.
+        InputError: for fewer than 3 frames, a gap in the numbering, or an unreadable first frame.
     """
     files = _frame_files(folder)
     if len(files) < MIN_FRAMES:
@@ -115,13 +115,51 @@ def check_sequence(name: str, folder: Path) -> Sequence:
         if after != before + 1:
             found = "the same number twice" if after == before else f"{after} after {before}"
             raise InputError(path, f"frame number {before + 1}", found, "renumber the frames without gaps")
-    sizes, modes = zip(*(_header(path) for path in files), strict=True)
-    for path, size in zip(files, sizes, strict=True):
-        if size != sizes[0]:
-            found = f"{size[0]} x {size[1]}"
-            raise InputError(path, f"{sizes[0][0]} x {sizes[0][1]} like the first frame", found, "resize the frames")
-    width, height = sizes[0]
-    return Sequence(name, files, numbers, width, height, _truth(folder), _conversions(set(modes)))
+    (width, height), mode = _header(files[0])
+    return Sequence(name, files, numbers, width, height, warnings=_conversions({mode}))
+
+
+def check_sequence(name: str, folder: Path) -> Sequence:
+    """Check the frames by their names, headers and last bytes (no decoding) and list the truth beside them.
+
+    Raises:
+        InputError: for fewer than 3 frames, a gap in the numbering, different sizes, or an unreadable file.
+    """
+    sequence = list_sequence(name, folder)
+    modes = check_headers(sequence)
+    return replace(sequence, truth=find_truth(folder), warnings=_conversions(modes))
+
+
+def check_headers(sequence: Sequence) -> set[str]:
+    """Check headers and last bytes of all frames, without decoding, and return their Pillow modes.
+
+    Raises:
+        InputError: for a size other than the first frame's, or an unreadable file.
+    """
+    modes = set()
+    for path in sequence.frames:
+        (width, height), mode = _header(path)
+        if (width, height) != (sequence.width, sequence.height):
+            expected = f"{sequence.width} x {sequence.height} like the first frame"
+            raise InputError(path, expected, f"{width} x {height}", "resize the frames")
+        modes.add(mode)
+    return modes
+
+
+def truth_folders(folder: Path) -> dict[str, Path]:
+    """The folders of truth beside `<training>/<pass>/<sequence>`, by kind."""
+    if folder.parent.name not in ("clean", "final"):
+        return {}
+    beside = {kind: folder.parent.parent / kind / folder.name for kind in TRUTH_KINDS}
+    return {kind: path for kind, path in beside.items() if path.is_dir()}
+
+
+def find_truth(folder: Path) -> dict[str, dict[int, Path]]:
+    """Truth files beside the folder of a sequence's frames, by kind and frame number."""
+    return {
+        kind: {_number(path): path for path in sorted(beside.glob(f"*{TRUTH_KINDS[kind]}"))}
+        for kind, beside in truth_folders(folder).items()
+    }
 
 
 def sequence_to_json(sequence: Sequence) -> dict[str, Any]:
@@ -154,7 +192,12 @@ def read_sequence(path: Path) -> Sequence:
 
 
 def _frame_files(folder: Path) -> list[Path]:
-    return sorted(path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES and path.is_file())
+    with os.scandir(folder) as entries:  # it knows files from folders without a look at each
+        return sorted(folder / entry.name for entry in entries if _is_frame(entry))
+
+
+def _is_frame(entry: os.DirEntry[str]) -> bool:
+    return entry.name.lower().endswith(SUFFIXES) and entry.is_file()
 
 
 def _number(path: Path) -> int:
@@ -192,14 +235,3 @@ def _conversions(modes: set[str]) -> list[str]:
         "P": "palette frames are expanded to RGB",
     }
     return sorted(told[mode] for mode in modes if mode in told)
-
-
-def _truth(folder: Path) -> dict[str, dict[int, Path]]:
-    """Truth files beside `<training>/<pass>/<sequence>`, by kind and frame number."""
-    training = folder.parent.parent
-    found = {}
-    for kind, suffix in TRUTH_KINDS.items():
-        if folder.parent.name in ("clean", "final") and (training / kind / folder.name).is_dir():
-            files = sorted((training / kind / folder.name).glob(f"*{suffix}"))
-            found[kind] = {_number(path): path for path in files}
-    return found

@@ -1,11 +1,15 @@
 # Shared by all stages: the checked configuration, the sequences, code digests, flags and memory.
+import functools
+import gc
 import os
 import re
 import shlex
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 from snakemake.common.configfile import load_configfile
+from snakemake.exceptions import WorkflowError
 from snakemake.utils import update_config
 
 REPO = Path(workflow.basedir)
@@ -23,6 +27,11 @@ from stages.shared.artifacts import write_json
 from stages.shared.chain import MEASURED
 from stages.shared.digest import code_digest
 from stages.shared.errors import InputError
+from stages.shared.sequences import find_truth
+
+# A plan of a thousand sequences is a million objects that stay: looking through them all again and again for garbage
+# takes a quarter of the time to the first job.
+gc.set_threshold(200_000, 50, 1000)
 
 # Jobs run `python -m stages...` from any working directory with this environment's Python.
 os.environ.update(
@@ -47,8 +56,11 @@ try:
     MINE = own_values()
     CONFIGURED = settings.configured(config, MINE)
     CONFIG = CONFIGURED.config
-    SEQUENCES = datasets.find_sequences(CONFIG)
     FOLDERS = datasets.frame_folders(CONFIG)
+    # Jobs on a cluster read this file again: one look at all headers is enough.
+    SEQUENCES = datasets.find_sequences(
+        CONFIG, FOLDERS, headers=workflow.is_main_process
+    )
     SWEPT, SCALED = settings.compared(config, MINE)
     SWEPT_SEQUENCES = settings.choose_sequences(CONFIG.sweep, SEQUENCES)
     SCALED_SEQUENCES = settings.choose_sequences(CONFIG.scaling, SEQUENCES)
@@ -58,23 +70,45 @@ except InputError as error:
 
 DATASET = datasets.dataset_name(CONFIG)
 SETTINGS = {setting.folder: setting for setting in [CONFIGURED, *SWEPT, *SCALED]}
+EVERY_SETTING = list(SETTINGS.values())
 
 
+# No list of names: Snakemake would search it for every file, for half a minute with a thousand sequences.
 wildcard_constraints:
     dataset=re.escape(DATASET),
-    seq="|".join(map(re.escape, SEQUENCES)),
-    setting=f"({'|'.join(map(re.escape, SETTINGS))})",
+    seq=r"[^/]+",
+    setting=r"(settings/[^/]+/)?",
     round=r"(round\d+/)?",
 
 
 def setting_of(wildcards):
     """The setting of a job; the configured one for rules without settings."""
-    return SETTINGS[getattr(wildcards, "setting", "")]
+    folder = getattr(wildcards, "setting", "")
+    if folder not in SETTINGS:
+        raise WorkflowError(
+            f"no setting of this configuration is called '{folder[9:-1]}'"
+        )
+    return SETTINGS[folder]
+
+
+def known_sequence(wildcards):
+    """The name of a job's sequence, which is one of the chosen ones."""
+    if wildcards.seq not in SEQUENCES:
+        raise WorkflowError(
+            f"no sequence of this configuration is called '{wildcards.seq}'"
+        )
+    return wildcards.seq
+
+
+@functools.cache
+def flags_of(setting, section):
+    """The command-line flags of one script under a setting; remembered, as every job asks."""
+    return configuration.flags(setting.config, section)
 
 
 def flags(section):
     """The command-line flags of one script: Snakemake reruns it when they change."""
-    return lambda wildcards: configuration.flags(setting_of(wildcards).config, section)
+    return lambda wildcards: flags_of(setting_of(wildcards), section)
 
 
 def round_number(wildcards):
@@ -83,9 +117,15 @@ def round_number(wildcards):
     return int(digits or setting_of(wildcards).config.rounds)
 
 
+@functools.cache
+def home_of(setting, stage, number):
+    """The folder, within a sequence's, of what a stage makes in a round under a setting; remembered like the flags."""
+    return plan.find_home(EVERY_SETTING, setting, stage, number)
+
+
 def artifact_path(wildcards, stage, name, number):
     """A file or folder that a stage makes in a round under the job's setting, where the stage is run for it."""
-    home = plan.find_home(list(SETTINGS.values()), setting_of(wildcards), stage, number)
+    home = home_of(setting_of(wildcards), stage, number)
     return f"<results>/{wildcards.dataset}/{wildcards.seq}/{home}{name}"
 
 
@@ -147,7 +187,7 @@ def optional_flags(*names):
 
 def scene_file(wildcards):
     """The scene file of a simulated sequence."""
-    return datasets.scene_files(CONFIG)[wildcards.seq]
+    return datasets.scene_files(CONFIG)[known_sequence(wildcards)]
 
 
 def frame_folder(wildcards):
@@ -157,9 +197,10 @@ def frame_folder(wildcards):
 
 def frame_source(wildcards):
     """What `inspect` depends on: the frames, or the manifest that the simulator writes last."""
+    name = known_sequence(wildcards)
     if CONFIG.dataset == configuration.SIMULATED:
-        return {"manifest": f"simulated/{wildcards.seq}.json"}
-    return {"frames": [str(path) for path in SEQUENCES[wildcards.seq].frames]}
+        return {"manifest": f"simulated/{name}.json"}
+    return {"frames": [str(path) for path in SEQUENCES[name].frames]}
 
 
 def stage_stats(wildcards):

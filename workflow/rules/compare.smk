@@ -4,7 +4,12 @@ TABLES = {
     "scaling": f"<results>/{DATASET}/scaling/growth.parquet",
 }
 os.environ.update(MOTIONSPLAT_REPORT=f"results/{DATASET}/report/index.html")
-EVERY_SETTING = list(SETTINGS.values())
+
+
+@functools.cache
+def with_truth(sequence):
+    """A sequence with the truth beside its frames, which plans need only of those that are compared."""
+    return replace(SEQUENCES[sequence], truth=find_truth(Path(FOLDERS[sequence])))
 
 
 def can_run(sequence, setting):
@@ -13,7 +18,7 @@ def can_run(sequence, setting):
         return not (
             truth_inputs.takes_one_camera(setting) and datasets.zooms(CONFIG, sequence)
         )
-    return not truth_inputs.lacks_truth(setting, SEQUENCES[sequence])
+    return not truth_inputs.lacks_truth(setting, with_truth(sequence))
 
 
 def needed_by(listed):
