@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from conftest import REPO, run_snakemake, write_frames
 
+from stages.configuration import config as configuration
 from stages.configuration import datasets
 from stages.inspect import __main__ as inspect_stage
 from stages.inspect.options import InspectOptions
@@ -105,12 +106,12 @@ def test_of_many_frames_and_in_jobs_the_first_header_alone_is_read(
 ) -> None:
     truncate(frames / "clip")
     config = configuration.load({"dataset": str(frames)})
-    folders = configuration.frame_folders(config)
+    folders = datasets.frame_folders(config)
     with pytest.raises(InputError, match="ends too early"):
-        configuration.find_sequences(config, folders)
-    in_job = configuration.find_sequences(config, folders, headers=False)["clip"]
-    monkeypatch.setattr(configuration, "EARLY_FRAMES", 3)
-    assert configuration.find_sequences(config, folders)["clip"] == in_job
+        datasets.find_sequences(config, folders)
+    in_job = datasets.find_sequences(config, folders, headers=False)["clip"]
+    monkeypatch.setattr(datasets, "EARLY_FRAMES", 3)
+    assert datasets.find_sequences(config, folders)["clip"] == in_job
     assert (in_job.width, in_job.height, in_job.numbers) == (64, 48, [1, 2, 3, 4])
     with pytest.raises(InputError, match="ends too early"):
         check_sequence("clip", frames / "clip")

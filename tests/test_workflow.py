@@ -150,6 +150,22 @@ def test_sequences_of_a_folder_with_memory_by_pixels(repo_copy: Path) -> None:
     assert "simulate" not in planned(result)
 
 
+def test_truth_that_appears_later_is_noticed(repo_copy: Path) -> None:
+    training = repo_copy / "sintel" / "training"
+    write_frames(training / "final" / "clip")
+    options = ["--configfile", "config.yaml", str(repo_copy / "mine.yaml")]
+    (repo_copy / "mine.yaml").write_text("dataset: sintel")
+    write_outputs(repo_copy, run_snakemake(repo_copy, "-n", *options))
+    assert run_snakemake(repo_copy, "--touch", *options).returncode == 0
+    assert planned(run_snakemake(repo_copy, "-n", *options)) == set()
+    (training / "depth" / "clip").mkdir(parents=True)
+    assert {"inspect", "evaluate", "report"} <= planned(run_snakemake(repo_copy, "-n", *options))
+    assert run_snakemake(repo_copy, "--touch", *options).returncode == 0
+    assert planned(run_snakemake(repo_copy, "-n", *options)) == set()
+    (training / "depth" / "clip" / "frame_0001.dpt").touch()
+    assert {"inspect", "evaluate", "report"} <= planned(run_snakemake(repo_copy, "-n", *options))
+
+
 @pytest.mark.parametrize(
     ("target", "message"),
     [

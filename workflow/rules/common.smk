@@ -27,7 +27,7 @@ from stages.shared.artifacts import write_json
 from stages.shared.chain import MEASURED
 from stages.shared.digest import code_digest
 from stages.shared.errors import InputError
-from stages.shared.sequences import find_truth
+from stages.shared.sequences import find_truth, truth_folders
 
 # A plan of a thousand sequences is a million objects that stay: looking through them all again and again for garbage
 # takes a quarter of the time to the first job.
@@ -196,11 +196,17 @@ def frame_folder(wildcards):
 
 
 def frame_source(wildcards):
-    """What `inspect` depends on: the frames, or the manifest that the simulator writes last."""
+    """What `inspect` depends on: frames and the folders of truth beside them, or the manifest that the simulator writes
+    last. A folder is newer when a file appears or goes; hundreds of files more for each sequence would slow every plan.
+    """
     name = known_sequence(wildcards)
     if CONFIG.dataset == configuration.SIMULATED:
         return {"manifest": f"simulated/{name}.json"}
-    return {"frames": [str(path) for path in SEQUENCES[name].frames]}
+    truth = truth_folders(Path(FOLDERS[name])).values()
+    return {
+        "frames": [str(path) for path in SEQUENCES[name].frames],
+        "truth": [str(folder) for folder in truth],
+    }
 
 
 def stage_stats(wildcards):
