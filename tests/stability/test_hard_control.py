@@ -141,7 +141,8 @@ def test_a_mover_that_few_frames_see_is_fitted_from_these() -> None:
     uv = moved[:, :2] / moved[:, 2:] * 200 + K[:2, 2]
     poses, Ks = torch.eye(4).repeat(F, 1, 1), K.repeat(F, 1, 1)
     depth_std = torch.full_like(moved[:, 2], 0.02)
-    seen = fitting.Observations(canonical, track, frame, uv, moved[:, 2], depth_std, torch.linspace(0, 1, F), poses, Ks)
+    times = torch.linspace(0, 1, F)
+    seen = fitting.TrackPositions(canonical, track, frame, uv, moved[:, 2], depth_std, times, poses, Ks)
     fitting.fit(model, seen, steps=60, learning_rate=0.01, arap_weight=0.0, seed=0)
     report = fitting.residual_report(model, seen)
     assert report["median_px"] < 0.3 * report["at_rest_px"]
