@@ -4,10 +4,14 @@ import json
 import re
 import subprocess
 import sys
+import tomllib
+from importlib import metadata
 
 import pytest
 import yaml
 from conftest import REPO
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
 from stages.colmap.options import ColmapOptions
 from stages.configuration import config as configuration
@@ -109,7 +113,36 @@ def test_help_is_quick_and_complete(script: str) -> None:
         assert "HEAVY []" in result.stdout
 
 
+def pinned(file: str) -> dict[str, str]:
+    """The packages of a lock file, as it writes them, by their canonical names."""
+    lines = [line for line in (REPO / file).read_text().splitlines() if "==" in line]
+    return {canonicalize_name(line.partition("==")[0]): line for line in lines}
+
+
+def needed(requirements: list[str]) -> set[str]:
+    """Canonical names of all installed packages that these requirements bring, by the packages' own metadata."""
+    found, queue = set(), [(text, "") for text in requirements]
+    while queue:
+        text, extra = queue.pop()
+        requirement = Requirement(text)
+        key = canonicalize_name(requirement.name), extra, frozenset(requirement.extras)
+        if key in found or (requirement.marker and not requirement.marker.evaluate({"extra": extra})):
+            continue
+        found.add(key)
+        below = metadata.requires(requirement.name) or []
+        queue += [(text, wanted) for text in below for wanted in ("", *requirement.extras)]
+    return {name for name, _, _ in found}
+
+
+def test_locks_are_what_the_project_needs_and_development_besides() -> None:
+    project = tomllib.loads((REPO / "pyproject.toml").read_text())["project"]
+    running, developing = pinned("requirements.lock"), pinned("requirements-dev.lock")
+    assert set(running) == needed(project["dependencies"])
+    both = needed(project["dependencies"] + project["optional-dependencies"]["dev"])
+    assert set(developing) == both - set(running)
+    assert not {"pytest", "ruff", "mypy", "evo"} & set(running)
+
+
 def test_conda_environment_is_the_lock() -> None:
-    lock = [line for line in (REPO / "requirements.lock").read_text().splitlines() if not line.startswith("#")]
     environment = yaml.safe_load((REPO / "workflow/envs/motionsplat.yaml").read_text())
-    assert environment["dependencies"][-1] == {"pip": lock}
+    assert environment["dependencies"][-1] == {"pip": list(pinned("requirements.lock").values())}
