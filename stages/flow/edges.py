@@ -23,6 +23,14 @@ def edge_list(T: int, offsets: Sequence[int]) -> list[Edge]:
     return sorted((i, j) for i in range(T) for j in range(T) if abs(i - j) in offsets)
 
 
+def most_edges(T: int, offsets: Sequence[int], per_frame: int) -> int:
+    """How many edges T frames have at most: where all that far frames show stays in view."""
+    near = {offset for offset in offsets if offset < T}
+    rungs = [rung for rung in LADDER if rung > max(near, default=0)]
+    short = sum(T - offset for offset in near)
+    return 2 * (short + sum(min(per_frame, sum(i + rung < T for rung in rungs)) for i in range(T)))
+
+
 def long_edges(flow: Mapping[Edge, np.ndarray], T: int, per_frame: int) -> list[Edge]:
     """Directed edges (i, j) beyond the known ones of flow [h, w, 2] px, both ways, sorted.
 

@@ -17,7 +17,7 @@ rule ba:
         "../envs/motionsplat.yaml"
     threads: 4
     resources:
-        mem_mb=megabytes(800, 100),
+        mem_mb=memory("ba"),
     params:
         code=code_digest("stages.ba"),
         flags=flags("ba"),

@@ -1,6 +1,7 @@
 # Shared by all stages: the checked configuration, the sequences, code digests, flags and memory.
 import functools
 import gc
+import math
 import os
 import re
 import shlex
@@ -23,10 +24,13 @@ from stages.configuration import (
     settings,
     truth_inputs,
 )
+from stages.flow.edges import most_edges
 from stages.shared.artifacts import write_json
 from stages.shared.chain import MEASURED
 from stages.shared.digest import code_digest
 from stages.shared.errors import InputError
+from stages.shared.images import reduced_size
+from stages.shared.memory import Held, megabytes
 from stages.shared.sequences import find_truth, truth_folders
 
 # A plan of a thousand sequences is a million objects that stay: looking through them all again and again for garbage
@@ -146,19 +150,38 @@ def artifacts(stage, name):
     return of_rounds
 
 
-def megabytes(base, bytes_per_pixel):
-    """Memory of a job: a base and a share per pixel of the sequence (frames x width x height)."""
+def memory(stage):
+    """The memory of a job, in megabytes, from what its stage holds; more at each attempt."""
 
-    def of_job(wildcards):
-        sequence = SEQUENCES[wildcards.seq]
-        frames = len(sequence.frames)
-        if hasattr(wildcards, "setting"):
-            limit = setting_of(wildcards).config.inspect.max_frames
-            frames = frames if limit == "all" else min(frames, limit)
-        pixels = frames * sequence.width * sequence.height
-        return base + round(bytes_per_pixel * pixels / 1e6)
+    def of_job(wildcards, attempt):
+        return megabytes(stage, held(setting_of(wildcards), wildcards.seq), attempt)
 
     return of_job
+
+
+@functools.cache
+def held(setting, name):
+    """The pixels of a sequence, and of its flow, under a setting; remembered like the flags."""
+    sequence, config = SEQUENCES[name], setting.config
+    size, limit = (sequence.width, sequence.height), config.inspect.max_frames
+    frames = len(sequence.frames)
+    frames = frames if limit == "all" else min(frames, limit)
+    edges = most_edges(frames, config.flow.offsets, config.flow.long_edges)
+    grid = reduced_size(*size, config.flow.max_width_px)
+    return Held(edges * math.prod(grid), frames * math.prod(size), math.prod(size))
+
+
+def colmap_memory(wildcards, attempt):
+    """The memory of COLMAP, which may see enlarged frames."""
+    setting = setting_of(wildcards)
+    options = setting.config.colmap
+    factor = max([*options.upsample, *options.upsample_masked]) ** 2
+    seen = held(setting, wildcards.seq)
+    return megabytes(
+        "colmap",
+        Held(frames=factor * seen.frames, frame=factor * seen.frame),
+        attempt,
+    )
 
 
 def optional(stage, name, before=0):

@@ -17,7 +17,7 @@ rule control:
         "../envs/motionsplat.yaml"
     threads: 4
     resources:
-        mem_mb=megabytes(1200, 60),
+        mem_mb=memory("control"),
     params:
         code=code_digest("stages.control"),
         flags=flags("control"),

@@ -11,7 +11,7 @@ rule colmap:
     # No core is kept for it: at the lowest priority it takes what our own stages leave idle, and never delays them.
     threads: 0
     resources:
-        mem_mb=megabytes(800, 60),
+        mem_mb=colmap_memory,
         colmap=1,
     params:
         code=code_digest("stages.colmap"),
@@ -74,7 +74,7 @@ rule evaluate:
     conda:
         "../envs/motionsplat.yaml"
     resources:
-        mem_mb=megabytes(600, 60),
+        mem_mb=memory("evaluate"),
     params:
         code=code_digest("stages.evaluate"),
         flags=flags("evaluate"),
@@ -110,7 +110,7 @@ rule report:
     conda:
         "../envs/motionsplat.yaml"
     resources:
-        mem_mb=1500,
+        mem_mb=lambda wildcards, attempt: megabytes("report", Held(), attempt),
     params:
         code=code_digest("stages.report"),
         flags=flags("report"),

@@ -11,7 +11,7 @@ rule flow:
         "../envs/motionsplat.yaml"
     threads: 4
     resources:
-        mem_mb=megabytes(500, 60),
+        mem_mb=memory("flow"),
     params:
         code=code_digest("stages.flow"),
         flags=flags("flow"),
@@ -36,7 +36,7 @@ rule motion:
         "../envs/motionsplat.yaml"
     threads: 4
     resources:
-        mem_mb=megabytes(600, 160),
+        mem_mb=memory("motion"),
     params:
         code=code_digest("stages.motion"),
         flags=flags("motion"),

@@ -20,7 +20,7 @@ rule gaussians:
         "../envs/motionsplat.yaml"
     threads: 4
     resources:
-        mem_mb=megabytes(1500, 60),
+        mem_mb=memory("gaussians"),
         gpu=1,
     params:
         code=code_digest("stages.gaussians"),
@@ -53,7 +53,7 @@ rule render:
         "../envs/motionsplat.yaml"
     threads: 4
     resources:
-        mem_mb=megabytes(1000, 10),
+        mem_mb=memory("render"),
         gpu=1,
     params:
         code=code_digest("stages.render"),

@@ -15,7 +15,7 @@ rule inspect:
     conda:
         "../envs/motionsplat.yaml"
     resources:
-        mem_mb=megabytes(300, 3),
+        mem_mb=memory("inspect"),
     params:
         code=code_digest("stages.inspect"),
         folder=frame_folder,

@@ -14,7 +14,7 @@ rule scene:
     conda:
         "../envs/motionsplat.yaml"
     resources:
-        mem_mb=megabytes(500, 60),
+        mem_mb=memory("scene"),
     params:
         code=code_digest("stages.scene"),
         flags=flags("scene"),

@@ -13,7 +13,7 @@ rule segment:
         "../envs/motionsplat.yaml"
     threads: 4
     resources:
-        mem_mb=megabytes(500, 60),
+        mem_mb=memory("segment"),
     params:
         code=code_digest("stages.segment"),
         flags=flags("segment"),

@@ -10,7 +10,7 @@ rule simulate:
         "../envs/motionsplat.yaml"
     threads: 4
     resources:
-        mem_mb=megabytes(600, 0),
+        mem_mb=memory("simulate"),
     params:
         code=code_digest("stages.simulate"),
         flags=flags("simulate"),

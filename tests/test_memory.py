@@ -1,0 +1,50 @@
+"""The memory that jobs ask for, against peaks measured on scenes and clips, and the number of edges it rests on."""
+
+import math
+
+import numpy as np
+import pytest
+
+from stages.flow.edges import edge_list, long_edges, most_edges
+from stages.shared.images import reduced_size
+from stages.shared.memory import Held, megabytes
+
+OFFSETS = {512: ((1, 2, 3, 5), 2), 320: ((1, 2, 4), 1)}
+"""Offsets and long edges of the measured runs, by the width of their flow."""
+MEASURED = [
+    *[("flow", 300, (1920, 1080), 512, 9300), ("motion", 300, (1920, 1080), 512, 13987)],
+    *[("flow", 120, (1920, 1080), 512, 3677), ("motion", 120, (1920, 1080), 512, 5609)],
+    *[("segment", 24, (854, 480), 512, 349), ("ba", 24, (854, 480), 512, 652), ("scene", 24, (854, 480), 512, 753)],
+    *[("control", 24, (854, 480), 512, 691), ("gaussians", 24, (854, 480), 512, 1219)],
+    *[("gaussians", 24, (1920, 1080), 512, 3253), ("render", 24, (1920, 1080), 512, 652)],
+    *[("flow", 200, (512, 218), 320, 1334), ("motion", 200, (512, 218), 320, 1956), ("ba", 200, (512, 218), 320, 961)],
+    *[("segment", 200, (512, 218), 320, 619), ("scene", 200, (512, 218), 320, 1433)],
+    *[("control", 200, (512, 218), 320, 1004), ("gaussians", 200, (512, 218), 320, 1936)],
+    *[
+        ("evaluate", 24, (512, 218), 320, 310),
+        ("colmap", 24, (854, 480), 512, 424),
+        ("inspect", 300, (1920, 1080), 512, 144),
+    ],
+]
+"""Stage, frames, their size, width of the flow, and the peak of the job in MiB."""
+
+
+@pytest.mark.parametrize(("stage", "T", "size", "width", "peak_mib"), MEASURED)
+def test_jobs_ask_for_what_they_use(stage: str, T: int, size: tuple[int, int], width: int, peak_mib: int) -> None:
+    edges = most_edges(T, *OFFSETS[width]) * math.prod(reduced_size(*size, width))
+    asked = megabytes(stage, Held(edges, T * math.prod(size), math.prod(size)))
+    assert 1.0 <= asked / (peak_mib * 1.048576) <= 1.3
+
+
+def test_every_attempt_asks_for_more() -> None:
+    first, second, third = (megabytes("flow", Held(10**9), attempt) for attempt in (1, 2, 3))
+    assert third > second > first
+    assert second == pytest.approx(1.5 * first, rel=1e-3)
+
+
+@pytest.mark.parametrize("T", [3, 9, 40])
+@pytest.mark.parametrize(("offsets", "per_frame"), [((1, 2, 3, 5), 2), ((1, 4), 7), ((1, 12), 1), ((1,), 0)])
+def test_a_still_picture_has_the_most_edges(T: int, offsets: tuple[int, ...], per_frame: int) -> None:
+    short = edge_list(T, offsets)
+    far = long_edges({edge: np.zeros((16, 16, 2), np.float32) for edge in short}, T, per_frame)
+    assert most_edges(T, offsets, per_frame) == len(short) + len(far)
