@@ -179,6 +179,17 @@ def test_a_target_of_unknown_name_says_so(repo_copy: Path, target: str, message:
     assert message in result.stdout + result.stderr
 
 
+@pytest.mark.parametrize(
+    ("override", "rules"),
+    [("device: cpu", set()), ("device: cuda", {"train", "render"}), ("{device: cpu, render: {device: cuda}}", {"render"})],
+)
+def test_jobs_ask_for_a_gpu_only_where_they_use_one(repo_copy: Path, override: str, rules: set[str]) -> None:
+    result = run_snakemake(repo_copy, *with_options(repo_copy, override))
+    jobs = re.split(r"^(?=(?:local)?rule \w+:)", result.stdout + result.stderr, flags=re.MULTILINE)
+    asking = {job.partition(":")[0].removeprefix("rule ") for job in jobs if re.search(r"resources: .*\bgpu=", job)}
+    assert asking == rules
+
+
 def test_names_with_spaces_stay_one_word(repo_copy: Path) -> None:
     """Or worse: a folder called `a; b` would run b."""
     write_frames(repo_copy / "my clips" / "take 1; two", 4, (48, 64))

@@ -27,6 +27,7 @@ from stages.configuration import (
 from stages.flow.edges import most_edges
 from stages.shared.artifacts import write_json
 from stages.shared.chain import MEASURED
+from stages.shared.devices import takes_gpu
 from stages.shared.digest import code_digest
 from stages.shared.errors import InputError
 from stages.shared.images import reduced_size
@@ -75,6 +76,12 @@ except InputError as error:
 DATASET = datasets.dataset_name(CONFIG)
 SETTINGS = {setting.folder: setting for setting in [CONFIGURED, *SWEPT, *SCALED]}
 EVERY_SETTING = list(SETTINGS.values())
+
+
+# How many jobs may take them at a time on one machine (profiles/default); on a cluster each job has a machine.
+resource_scopes:
+    gpu="local",
+    colmap="local",
 
 
 # No list of names: Snakemake would search it for every file, for half a minute with a thousand sequences.
@@ -169,6 +176,16 @@ def held(setting, name):
     edges = most_edges(frames, config.flow.offsets, config.flow.long_edges)
     grid = reduced_size(*size, config.flow.max_width_px)
     return Held(edges * math.prod(grid), frames * math.prod(size), math.prod(size))
+
+
+def gpus(section):
+    """The GPUs of a job: one where its stage runs on CUDA; else None, which leaves the resource out of the job."""
+
+    def of_job(wildcards):
+        options = configuration.section(setting_of(wildcards).config, section)
+        return 1 if takes_gpu(options.device) else None
+
+    return of_job
 
 
 def colmap_memory(wildcards, attempt):

@@ -21,7 +21,7 @@ rule gaussians:
     threads: 4
     resources:
         mem_mb=memory("gaussians"),
-        gpu=1,
+        gpu=gpus("gaussians"),
     params:
         code=code_digest("stages.gaussians"),
         flags=flags("gaussians"),
@@ -54,7 +54,7 @@ rule render:
     threads: 4
     resources:
         mem_mb=memory("render"),
-        gpu=1,
+        gpu=gpus("render"),
     params:
         code=code_digest("stages.render"),
         flags=flags("render"),
