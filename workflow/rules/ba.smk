@@ -13,6 +13,8 @@ rule ba:
         stats="<results>/{dataset}/{seq}/{setting}{round}stats/ba.json",
     log:
         "<logs>/{dataset}/{seq}/{setting}{round}ba.log",
+    group:
+        submission("poses")
     conda:
         "../envs/motionsplat.yaml"
     threads: 4

@@ -188,6 +188,15 @@ def gpus(section):
     return of_job
 
 
+def submission(name):
+    """The group that a job travels in to a cluster: one submission per sequence and setting. Local runs know no groups."""
+
+    def of_job(wildcards):
+        return name + re.sub(r"\W+", "_", getattr(wildcards, "setting", "")).rstrip("_")
+
+    return of_job
+
+
 def colmap_memory(wildcards, attempt):
     """The memory of COLMAP, which may see enlarged frames."""
     setting = setting_of(wildcards)

@@ -13,6 +13,8 @@ rule control:
         stats="<results>/{dataset}/{seq}/{setting}stats/control.json",
     log:
         "<logs>/{dataset}/{seq}/{setting}control.log",
+    group:
+        submission("poses")
     conda:
         "../envs/motionsplat.yaml"
     threads: 4

@@ -7,6 +7,8 @@ rule flow:
         stats="<results>/{dataset}/{seq}/{setting}stats/flow.json",
     log:
         "<logs>/{dataset}/{seq}/{setting}flow.log",
+    group:
+        submission("poses")
     conda:
         "../envs/motionsplat.yaml"
     threads: 4
@@ -32,6 +34,8 @@ rule motion:
         stats="<results>/{dataset}/{seq}/{setting}{round}stats/motion.json",
     log:
         "<logs>/{dataset}/{seq}/{setting}{round}motion.log",
+    group:
+        submission("poses")
     conda:
         "../envs/motionsplat.yaml"
     threads: 4

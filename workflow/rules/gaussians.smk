@@ -16,6 +16,8 @@ rule gaussians:
         stats="<results>/{dataset}/{seq}/{setting}stats/gaussians.json",
     log:
         "<logs>/{dataset}/{seq}/{setting}gaussians.log",
+    group:
+        submission("gaussians")
     conda:
         "../envs/motionsplat.yaml"
     threads: 4
@@ -49,6 +51,8 @@ rule render:
         stats="<results>/{dataset}/{seq}/{setting}stats/render.json",
     log:
         "<logs>/{dataset}/{seq}/{setting}render.log",
+    group:
+        submission("gaussians")
     conda:
         "../envs/motionsplat.yaml"
     threads: 4

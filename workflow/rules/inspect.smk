@@ -12,6 +12,8 @@ rule inspect:
         stats="<results>/{dataset}/{seq}/{setting}stats/inspect.json",
     log:
         "<logs>/{dataset}/{seq}/{setting}inspect.log",
+    group:
+        submission("poses")
     conda:
         "../envs/motionsplat.yaml"
     resources:

@@ -11,6 +11,8 @@ rule scene:
         stats="<results>/{dataset}/{seq}/{setting}stats/scene.json",
     log:
         "<logs>/{dataset}/{seq}/{setting}scene.log",
+    group:
+        submission("poses")
     conda:
         "../envs/motionsplat.yaml"
     resources:

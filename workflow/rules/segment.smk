@@ -9,6 +9,8 @@ rule segment:
         stats="<results>/{dataset}/{seq}/{setting}{round}stats/segment.json",
     log:
         "<logs>/{dataset}/{seq}/{setting}{round}segment.log",
+    group:
+        submission("poses")
     conda:
         "../envs/motionsplat.yaml"
     threads: 4

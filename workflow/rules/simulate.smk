@@ -6,6 +6,8 @@ rule simulate:
         stats="<results>/simulated/{seq}/stats/simulate.json",
     log:
         "<logs>/simulated/{seq}/simulate.log",
+    group:
+        submission("poses")
     conda:
         "../envs/motionsplat.yaml"
     threads: 4
