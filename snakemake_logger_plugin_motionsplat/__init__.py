@@ -37,7 +37,7 @@ SILENT = frozenset(
 )
 NOISE = re.compile(
     r"Building DAG|Select jobs|Execute \d+ job|Using shell|Assuming unrestricted|Provided|Rules claiming|host: |"
-    r"Using workflow specific profile|Config file .* is extended|Conda environments|Complete log|Shutting down|"
+    r"Using (workflow specific )?profile|Config file .* is extended|Conda environments|Complete log|Shutting down|"
     r"Storing output|Submitted|Job stats|Trying to restart|Elapsed time|Exiting because|"
     r"(WorkflowError:\s*)?At least one job|RuleException:\s*CalledProcessError"
 )
@@ -97,6 +97,8 @@ class LogHandler(LogHandlerBase):
             self.running[vars(record)["jobid"]] = _job(vars(record))
         elif event == LogEvent.JOB_FINISHED:
             self._finish(vars(record)["job_id"])
+        elif event == LogEvent.GROUP_ERROR:
+            self._fail_group(vars(record))
         elif event == LogEvent.JOB_ERROR:
             self._fail(vars(record)["jobid"])
         elif event == LogEvent.PROGRESS:
@@ -164,6 +166,8 @@ class LogHandler(LogHandlerBase):
         seconds = stats.get("wall_s") or time.monotonic() - job.started_s
         if not self.quiet:
             self._print(f"{job.rule:<10} {job.about:<16} {seconds:7.1f} s  {stats.get('summary') or ''}".rstrip())
+        told = f"{job.rule} {job.about}: "  # where it failed before and was run again, all is well
+        self.last_words["failed"] = [line for line in self.last_words["failed"] if not line.startswith(told)]
         self.last_words["warning"] += [f"{job.about}: {line}" for line in stats.get("warnings", [])]
         self.page = job.page or self.page
 
@@ -175,6 +179,19 @@ class LogHandler(LogHandlerBase):
         reason = f"{words[-1] if words else 'no word in its log'} (log: {job.log})"
         self._print(f"{job.rule:<10} {job.about:<16}  FAILED  {reason}")
         self.last_words["failed"].append(f"{job.rule} {job.about}: {reason}")
+
+    def _fail_group(self, said: dict[str, Any]) -> None:
+        """Tell which stages of a failed submission were cut off: not those that had ended, nor those not yet begun."""
+        jobids = [about["jobid"] for about in said["job_error_info"]]
+        cut_off = [jobid for jobid in jobids if jobid in self.running and _was_cut_off(self.running[jobid])]
+        for jobid in cut_off:
+            self._fail(jobid)
+        for jobid in jobids:  # each is reported again as failed
+            self.running.pop(jobid, None)
+        if not cut_off:
+            self._print(
+                f"{said['groupid']:<27}  FAILED  before any stage began ({', '.join(map(str, said['aux_logs']))})"
+            )
 
     def _advance(self, done: int, total: int) -> None:
         if self.bar is not None:
@@ -215,6 +232,12 @@ def _tail(log: Path | None) -> str:
         return log.read_bytes()[-TAIL_BYTES:].decode("utf-8", errors="replace") if log else ""
     except OSError:
         return ""
+
+
+def _was_cut_off(job: Job) -> bool:
+    """Whether the job began and did not end, by its log (`stages.shared.cli` ends it in "done: ...")."""
+    began = job.log is not None and job.log.exists()
+    return began and " done: " not in "".join(_tail(job.log).strip().splitlines()[-1:])
 
 
 def _share_done(job: Job) -> str:

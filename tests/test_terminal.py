@@ -132,6 +132,30 @@ def test_a_failed_stage_is_told_with_the_last_words_of_its_log(tmp_path: Path, m
     assert last.startswith("failed: flow demo: flow.estimate: a.png")
 
 
+def test_of_a_failed_group_only_the_stage_that_was_cut_off_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stream = io.StringIO()
+    shown = handler(stream, monkeypatch)
+    stages = {1: "inspect", 2: "flow", 3: "ba"}
+    for jobid, rule in stages.items():
+        start(shown, jobid, rule, tmp_path, seq="demo")
+    (tmp_path / "inspect.log").write_text("2026 INFO options\n2026 INFO done: 6 frames\n")
+    (tmp_path / "flow.log").write_text("2026 INFO options\n2026 INFO edge: 3 of 9\n")
+    about = {"groupid": "poses", "aux_logs": ["slurm/1.log"], "job_error_info": [{"jobid": jobid} for jobid in stages]}
+    tell(shown, LogEvent.GROUP_ERROR, "Error in group poses", **about)
+    for jobid in stages:
+        tell(shown, LogEvent.JOB_ERROR, jobid=jobid)
+    (line,) = stream.getvalue().splitlines()
+    assert "flow" in line
+    assert "FAILED  2026 INFO edge: 3 of 9" in line
+    for jobid, rule in stages.items():  # and again, until it ends well
+        start(shown, jobid, rule, tmp_path, seq="demo")
+        tell(shown, LogEvent.JOB_FINISHED, job_id=jobid)
+    shown.close()
+    assert "failed:" not in stream.getvalue()
+
+
 @pytest.mark.parametrize(("stream", "barred"), [(Terminal(), True), (io.StringIO(), False)])
 def test_the_bar_over_all_jobs_is_for_terminals_alone(
     stream: io.StringIO, barred: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
