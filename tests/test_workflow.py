@@ -222,6 +222,18 @@ def test_a_sweep_runs_only_what_differs(repo_copy: Path) -> None:
     assert "collect_scaling" not in counts
 
 
+def test_on_a_cluster_short_stages_travel_together_and_settings_apart(repo_copy: Path) -> None:
+    pytest.importorskip("snakemake_executor_plugin_slurm")
+    result = run_snakemake(with_comparisons(repo_copy), "-n", "sweep", "--profile", "profiles/slurm")
+    assert result.returncode == 0, result.stderr
+    groups = re.findall(r"Group job (\w+)(.*?)(?=^\S)", result.stdout, re.MULTILINE | re.DOTALL)
+    rules = {name: set(re.findall(r"rule (\w+):", text)) for name, text in groups}
+    own = {"scene", "control"}  # of settings that share the poses of another
+    poses = {"poses": {"simulate", "inspect", "flow", "motion", "segment", "ba"} | own, "poses_rounds_1": own}
+    poses |= {"poses_presets_fast": poses["poses"] - {"simulate", "inspect"}, "poses_claims_static": own}
+    assert rules == poses | {name.replace("poses", "gaussians"): {"train", "render"} for name in poses}
+
+
 @pytest.mark.parametrize(
     ("target", "override", "rerun"),
     [

@@ -192,7 +192,8 @@ def submission(name):
     """The group that a job travels in to a cluster: one submission per sequence and setting. Local runs know no groups."""
 
     def of_job(wildcards):
-        return name + re.sub(r"\W+", "_", getattr(wildcards, "setting", "")).rstrip("_")
+        setting = getattr(wildcards, "setting", "").removeprefix("settings/")
+        return re.sub(r"\W+", "_", f"{name}/{setting}").rstrip("_")
 
     return of_job
 
