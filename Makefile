@@ -7,7 +7,7 @@ LIBRARY := library
 # Of the demo and of the results: fast, balanced (what plain `snakemake` runs) or accurate.
 PRESET := fast
 
-.PHONY: install demo results test test-long bench lint clean
+.PHONY: install demo results test test-long test-slurm bench lint clean
 
 install: $(INSTALLED)
 
@@ -41,6 +41,10 @@ lint: $(INSTALLED)
 
 test-long: $(INSTALLED)
 	$(BIN)/pytest -m long
+
+# With the part that plain `make test` leaves out; skipped, with a reason, where a Slurm cannot be had.
+test-slurm: $(INSTALLED)
+	$(BIN)/pytest -m slurm -rs
 
 bench: $(INSTALLED)
 	for bench in benchmarks/bench_*.py; do $(BIN)/python -m benchmarks.$$(basename $$bench .py) || exit 1; done

@@ -12,16 +12,26 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import yaml
 
 REPO = Path(__file__).resolve().parents[1]
 DATA = REPO.parent / "shared" / "data"
 SOURCES = ("Snakefile", "config.yaml", "profiles", "workflow", "stages")
 
 
-def run_snakemake(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    """`snakemake ARGUMENTS` in `folder`, with its output as text."""
+def run_snakemake(folder: Path, *arguments: str, env: dict[str, str] | None = None) -> subprocess.CompletedProcess[str]:
+    """`snakemake ARGUMENTS` in `folder` and in the environment `env` (None: this one), with its output as text."""
     command = [sys.executable, "-m", "snakemake", *arguments]
-    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=900, check=False)
+    return subprocess.run(command, cwd=folder, env=env, capture_output=True, text=True, timeout=900, check=False)
+
+
+def write_scenes(folder: Path, frames: int = 8, width: int = 256, height: int = 112) -> None:
+    """The demo scene, small and without effects, with and without its walker: moving.yaml and still.yaml."""
+    scene = yaml.safe_load((REPO / "stages/simulate/scenes/demo.yaml").read_text())
+    scene |= {"frames": frames, "width": width, "height": height, "effects": {}}
+    still = [thing for thing in scene["objects"] if thing["name"] != "walker"]
+    (folder / "moving.yaml").write_text(yaml.safe_dump(scene))
+    (folder / "still.yaml").write_text(yaml.safe_dump(scene | {"objects": still}))
 
 
 def write_frames(folder: Path, count: int = 4, size: tuple[int, int] = (48, 64), first: int = 1) -> Path:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from conftest import REPO, run_snakemake
+from conftest import REPO, run_snakemake, write_scenes
 from evo.tools import file_interface
 
 from stages.results.scorecard import score_rows
@@ -30,15 +30,6 @@ OPTIONS["sweep"] = {"presets": [], "knobs": KNOBS, "runs": dict.fromkeys(SHIPPED
 FRAMES, WIDTH, HEIGHT = 8, 256, 112
 
 
-def write_scenes(folder: Path) -> None:
-    """The demo scene, small and without effects, with and without its walker."""
-    scene = yaml.safe_load((REPO / "stages/simulate/scenes/demo.yaml").read_text())
-    scene |= {"frames": FRAMES, "width": WIDTH, "height": HEIGHT, "effects": {}}
-    still = [thing for thing in scene["objects"] if thing["name"] != "walker"]
-    (folder / "moving.yaml").write_text(yaml.safe_dump(scene))
-    (folder / "still.yaml").write_text(yaml.safe_dump(scene | {"objects": still}))
-
-
 def snakemake(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     """The repository's workflow with `folder` as working directory."""
     flags = ["-s", str(REPO / "Snakefile"), "--directory", str(folder), "--configfile", str(folder / "mine.yaml")]
@@ -49,7 +40,7 @@ def snakemake(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]
 def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A working folder after a complete run."""
     folder = tmp_path_factory.mktemp("run")
-    write_scenes(folder)
+    write_scenes(folder, FRAMES, WIDTH, HEIGHT)
     (folder / "mine.yaml").write_text(yaml.safe_dump(OPTIONS))
     result = snakemake(folder)
     assert result.returncode == 0, result.stderr[-4000:]
