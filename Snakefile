@@ -8,17 +8,22 @@ configfile: f"{workflow.basedir}/config.yaml"
 
 
 include: "workflow/rules/common.smk"
+include: "workflow/rules/resources.smk"
+include: "workflow/rules/compare.smk"
 include: "workflow/rules/simulate.smk"
 include: "workflow/rules/inspect.smk"
 include: "workflow/rules/flow.smk"
+include: "workflow/rules/motion.smk"
 include: "workflow/rules/segment.smk"
 include: "workflow/rules/ba.smk"
 include: "workflow/rules/scene.smk"
 include: "workflow/rules/control.smk"
 include: "workflow/rules/gaussians.smk"
-include: "workflow/rules/compare.smk"
+include: "workflow/rules/render.smk"
+include: "workflow/rules/colmap.smk"
+include: "workflow/rules/evaluate.smk"
 include: "workflow/rules/sweep.smk"
-include: "workflow/rules/eval.smk"
+include: "workflow/rules/report.smk"
 
 
 # profiles/default bounds them on one machine; on a cluster the bound is that of each job, and Slurm counts GPUs.

@@ -1,4 +1,4 @@
-# Shared by all stages: the checked configuration, the sequences, code digests, flags and memory.
+# Shared by all stages: the checked configuration, the sequences, settings, artifacts and flags.
 import functools
 import gc
 import math
@@ -157,60 +157,6 @@ def artifacts(stage, name):
     return of_rounds
 
 
-def memory(stage):
-    """The memory of a job, in megabytes, from what its stage holds; more at each attempt."""
-
-    def of_job(wildcards, attempt):
-        return megabytes(stage, held(setting_of(wildcards), wildcards.seq), attempt)
-
-    return of_job
-
-
-@functools.cache
-def held(setting, name):
-    """The pixels of a sequence, and of its flow, under a setting; remembered like the flags."""
-    sequence, config = SEQUENCES[name], setting.config
-    size, limit = (sequence.width, sequence.height), config.inspect.max_frames
-    frames = len(sequence.frames)
-    frames = frames if limit == "all" else min(frames, limit)
-    edges = most_edges(frames, config.flow.offsets, config.flow.long_edges)
-    grid = reduced_size(*size, config.flow.max_width_px)
-    return Held(edges * math.prod(grid), frames * math.prod(size), math.prod(size))
-
-
-def gpus(section):
-    """The GPUs of a job: one where its stage runs on CUDA; else None, which leaves the resource out of the job."""
-
-    def of_job(wildcards):
-        options = configuration.section(setting_of(wildcards).config, section)
-        return 1 if takes_gpu(options.device) else None
-
-    return of_job
-
-
-def submission(name):
-    """The group that a job travels in to a cluster: one submission per sequence and setting. Local runs know no groups."""
-
-    def of_job(wildcards):
-        setting = getattr(wildcards, "setting", "").removeprefix("settings/")
-        return re.sub(r"\W+", "_", f"{name}/{setting}").rstrip("_")
-
-    return of_job
-
-
-def colmap_memory(wildcards, attempt):
-    """The memory of COLMAP, which may see enlarged frames."""
-    setting = setting_of(wildcards)
-    options = setting.config.colmap
-    factor = max([*options.upsample, *options.upsample_masked]) ** 2
-    seen = held(setting, wildcards.seq)
-    return megabytes(
-        "colmap",
-        Held(frames=factor * seen.frames, frame=factor * seen.frame),
-        attempt,
-    )
-
-
 def optional(stage, name, before=0):
     """The input function of what a stage makes, `before` rounds ago; nothing where it is not run in that round."""
 
@@ -257,21 +203,3 @@ def frame_source(wildcards):
         "frames": [str(path) for path in SEQUENCES[name].frames],
         "truth": [str(folder) for folder in truth],
     }
-
-
-def stage_stats(wildcards):
-    """The time files of every stage up to the evaluation, those of a repeated stage in the order of the rounds."""
-    return [
-        path
-        for stage in MEASURED
-        for path in artifacts(stage, f"stats/{stage}.json")(wildcards)
-    ]
-
-
-def evaluated_folders(wildcards, input):
-    """The results folder of every sequence, from its table of poses (params do not expand <results>)."""
-    return [
-        str(Path(table).parents[1])
-        for table in input.tables
-        if table.endswith("eval/poses.parquet")
-    ]

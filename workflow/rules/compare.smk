@@ -1,4 +1,4 @@
-# Functions of the rules that compare runs, and of the report that shows them.
+# What is compared, evaluated and reported: inputs and flags of the rules that collect the results of others.
 TABLES = {
     "sweep": f"<results>/{DATASET}/sweep/costs.parquet",
     "scaling": f"<results>/{DATASET}/scaling/growth.parquet",
@@ -29,6 +29,28 @@ def needed_by(listed):
     return [f"<results>/{DATASET}/{path}" for path in files]
 
 
+def masked_baseline(name):
+    """What COLMAP with our masks makes, where a setting asks for it: the configured run, or a setting about COLMAP."""
+
+    def of_job(wildcards):
+        if not settings.runs_masked_baseline(setting_of(wildcards)):
+            return []
+        return [
+            f"<results>/{wildcards.dataset}/{wildcards.seq}/{wildcards.setting}{name}"
+        ]
+
+    return of_job
+
+
+def stage_stats(wildcards):
+    """The time files of every stage up to the evaluation, those of a repeated stage in the order of the rounds."""
+    return [
+        path
+        for stage in MEASURED
+        for path in artifacts(stage, f"stats/{stage}.json")(wildcards)
+    ]
+
+
 def asked_tables(wildcards):
     """The tables of comparisons that are among the targets: plain `snakemake` runs no comparison."""
     targets = workflow.dag_settings.targets
@@ -46,14 +68,10 @@ def comparison_flags(wildcards, input):
     )
 
 
-def masked_baseline(name):
-    """What COLMAP with our masks makes, where a setting asks for it: the configured run, or a setting about COLMAP."""
-
-    def of_job(wildcards):
-        if not settings.runs_masked_baseline(setting_of(wildcards)):
-            return []
-        return [
-            f"<results>/{wildcards.dataset}/{wildcards.seq}/{wildcards.setting}{name}"
-        ]
-
-    return of_job
+def evaluated_folders(wildcards, input):
+    """The results folder of every sequence, from its table of poses (params do not expand <results>)."""
+    return [
+        str(Path(table).parents[1])
+        for table in input.tables
+        if table.endswith("eval/poses.parquet")
+    ]

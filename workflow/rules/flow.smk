@@ -20,31 +20,3 @@ rule flow:
     shell:
         "python -m stages.flow --sequence {input.sequence:q} --output {output.flow:q}"
         " --figure {output.figure:q} {params.flags} --log {log:q} --stats {output.stats:q} 2>> {log:q}"
-
-
-rule motion:
-    input:
-        sequence=artifact("inspect", "sequence.json"),
-        flow=artifact("flow", "flow/pairs.arrow"),
-        previous_poses=optional("ba", "ba/poses.parquet", before=1),
-        previous_depth=optional("ba", "ba/depth.arrow", before=1),
-    output:
-        prior="<results>/{dataset}/{seq}/{setting}{round}motion/prior.arrow",
-        figure="<results>/{dataset}/{seq}/{setting}{round}figures/motion.png",
-        stats="<results>/{dataset}/{seq}/{setting}{round}stats/motion.json",
-    log:
-        "<logs>/{dataset}/{seq}/{setting}{round}motion.log",
-    group:
-        submission("poses")
-    conda:
-        "../envs/motionsplat.yaml"
-    threads: 4
-    resources:
-        mem_mb=memory("motion"),
-    params:
-        code=code_digest("stages.motion"),
-        flags=flags("motion"),
-        previous=optional_flags("previous_poses", "previous_depth"),
-    shell:
-        "python -m stages.motion --sequence {input.sequence:q} --flow {input.flow:q} {params.previous}"
-        " --output {output.prior:q} --figure {output.figure:q} {params.flags} --log {log:q} --stats {output.stats:q} 2>> {log:q}"
