@@ -33,19 +33,38 @@ class Floor:
 
 
 FLOORS = {
-    "demo": Floor(ate_percent=0.1, iou=0.8, psnr_db=30.5, static_db=32.5, moving_db=22.5),
-    "soft_body": Floor(rotation_deg=0.01, iou=0.9, psnr_db=28),
-    "crowd_thin": Floor(rotation_deg=0.01, iou=0.24, moving_db=16.5, psnr_db=22.6, static_db=25.1),
-    "exposure_drift": Floor(ate_percent=0.14, iou=0.9, moving_db=23.7, psnr_db=28.1, static_db=29.3),
-    "fast_chase": Floor(ate_percent=0.06, iou=0.79, moving_db=19.9, psnr_db=27.5, static_db=30.2),
-    "large_object": Floor(ate_percent=0.24, iou=0.91, moving_db=28.0, psnr_db=29.5, static_db=31.4),
-    "splitting": Floor(rotation_deg=0.005, iou=0.9, moving_db=25.3, psnr_db=27.3, static_db=28.6),
-    "glossy_zoom": Floor(rotation_deg=0.6, iou=0.88, moving_db=19.6, psnr_db=27.8, static_db=35.0),
-    "heron_fence": Floor(ate_percent=0.11, iou=0.26, moving_db=19.1, psnr_db=22.9, static_db=23.2),
-    "pan_canal": Floor(rotation_deg=0.009, iou=0.86, moving_db=23.2, psnr_db=28.5, static_db=32.0),
-    "shaky_wood": Floor(ate_percent=0.09, iou=0.69, moving_db=23.2, psnr_db=26.5, static_db=26.7),
+    "balloon_field": Floor(ate_percent=0.17, iou=0.55, moving_db=27.0, psnr_db=30.5, static_db=32.5),
+    "breathing_wall": Floor(ate_percent=1.6, iou=0.32, moving_db=34.7, psnr_db=35.4, static_db=35.8),
+    "crowd_thin": Floor(rotation_deg=0.0098, iou=0.23, moving_db=16.5, psnr_db=22.5, static_db=25.1),
+    "demo": Floor(ate_percent=0.069, iou=0.78, moving_db=23.2, psnr_db=31.0, static_db=32.8),
+    "dolly_walker": Floor(rotation_deg=0.0051, iou=0.81, moving_db=22.5, psnr_db=30.7, static_db=32.3),
+    "exposure_drift": Floor(ate_percent=0.15, iou=0.9, moving_db=23.5, psnr_db=28.1, static_db=29.3),
+    "fast_chase": Floor(ate_percent=0.06, iou=0.78, moving_db=19.5, psnr_db=27.2, static_db=30.1),
+    "festival_crowd": Floor(ate_percent=0.35, iou=0.68, moving_db=19.2, psnr_db=22.3, static_db=25.5),
+    "fog_harbour": Floor(ate_percent=0.98, iou=0, moving_db=31.2, psnr_db=35.9, static_db=36.9),
+    "following_van": Floor(ate_percent=0.039, iou=0.78, moving_db=29.1, psnr_db=31.0, static_db=31.6),
+    "glossy_zoom": Floor(rotation_deg=0.6, iou=0.88, moving_db=19.7, psnr_db=27.8, static_db=35.0),
+    "heron_fence": Floor(ate_percent=0.11, iou=0.26, moving_db=19.0, psnr_db=22.8, static_db=23.1),
+    "large_object": Floor(ate_percent=0.25, iou=0.91, moving_db=27.9, psnr_db=29.4, static_db=31.3),
+    "long_shadows": Floor(ate_percent=0.087, iou=0.32, moving_db=17.5, psnr_db=24.9, static_db=26.3),
+    "long_take": Floor(ate_percent=0.054, iou=0.56, moving_db=13.1, psnr_db=25.7, static_db=29.5),
+    "night_alley": Floor(ate_percent=0.18, iou=0.6, moving_db=21.4, psnr_db=22.3, static_db=22.4),
+    "orbit_two": Floor(ate_percent=0.079, iou=0.52, moving_db=18.3, psnr_db=26.6, static_db=29.1),
+    "pan_canal": Floor(rotation_deg=0.0088, iou=0.86, moving_db=23.1, psnr_db=28.5, static_db=32.0),
+    "pure_rotation": Floor(rotation_deg=0.0065, iou=0.87, moving_db=18.4, psnr_db=29.3, static_db=33.6),
+    "rotation_static": Floor(rotation_deg=0.0099, psnr_db=34.0, static_db=34.0),
+    "ruin_walk": Floor(ate_percent=0.12, psnr_db=30.5, static_db=30.5),
+    "shaky_wood": Floor(ate_percent=0.09, iou=0.69, moving_db=23.2, psnr_db=26.5, static_db=26.6),
+    "soft_body": Floor(rotation_deg=0.0053, iou=0.9, moving_db=25.5, psnr_db=28.7, static_db=30.6),
+    "splitting": Floor(rotation_deg=0.0049, iou=0.89, moving_db=25.2, psnr_db=27.3, static_db=28.5),
+    "static_flight": Floor(ate_percent=0.067, psnr_db=35.3, static_db=35.3),
+    "toy_train": Floor(ate_percent=0.044, iou=0.5, moving_db=18.4, psnr_db=27.9, static_db=29.7),
+    "zoom_station": Floor(ate_percent=3.7, iou=0.02, moving_db=19.8, psnr_db=26.2, static_db=28.5),
 }
-"""Twice the error, IoU less 0.07, PSNR less 1 dB (moving: 1.5 dB) of what docs/results.md shows."""
+"""Twice the error, IoU less 0.07, PSNR less 1 dB (moving: 1.5 dB) of what docs/results.md shows.
+
+The adjustment has no model of a zoom and does not flag it: glossy_zoom and zoom_station are held where they are.
+"""
 KNOWN = {
     "all_moving": "nothing is at rest",
     "dark_fog": "noise is nine times the texture",
@@ -54,6 +73,7 @@ KNOWN = {
     "museum_dolly": "a slow dolly that pans past paintings",
     "oncoming_tram": "the mover closes along the camera's track",
     "resting_fair": "the camera hardly moves",
+    "blurred_karts": "blurred movers fill the view; the camera is taken for a turning one",
 }
 """Scenes of which no accuracy is asked, and why: they must fail or be flagged."""
 
@@ -73,8 +93,6 @@ def rows(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, Any]]:
 @pytest.mark.long
 @pytest.mark.parametrize("name", sorted(path.stem for path in SCENES.glob("*.yaml")))
 def test_a_scene_keeps_its_floors(rows: dict[str, dict[str, Any]], name: str) -> None:
-    if name not in FLOORS and name not in KNOWN:
-        pytest.skip("no floor yet: docs/results.md has no figures of it")
     row, floor = rows[name], FLOORS.get(name, Floor())
     assert not row.get("missing"), "a stage stopped: see the output"
     if name in KNOWN:

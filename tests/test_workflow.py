@@ -181,7 +181,11 @@ def test_a_target_of_unknown_name_says_so(repo_copy: Path, target: str, message:
 
 @pytest.mark.parametrize(
     ("override", "rules"),
-    [("device: cpu", set()), ("device: cuda", {"train", "render"}), ("{device: cpu, render: {device: cuda}}", {"render"})],
+    [
+        ("device: cpu", set()),
+        ("device: cuda", {"train", "render"}),
+        ("{device: cpu, render: {device: cuda}}", {"render"}),
+    ],
 )
 def test_jobs_ask_for_a_gpu_only_where_they_use_one(repo_copy: Path, override: str, rules: set[str]) -> None:
     result = run_snakemake(repo_copy, *with_options(repo_copy, override))

@@ -206,7 +206,7 @@ def _draw_lane(axes: "Axes", lane: Lane, y: float, rows: dict[str, float], x: fl
 
 def _read_plan(text: str) -> dict[str, Rule]:
     """The rules in the words of a dry run, merged over the jobs of the configured run; a sweep's others are alike."""
-    jobs = sorted(re.split(r"^(?=(?:local)?rule \w+:)", text, flags=re.MULTILINE)[1:])
+    jobs = sorted(re.split(r"^ *(?=(?:local)?rule \w+:)", text, flags=re.MULTILINE)[1:])
     rules: dict[str, Rule] = {}
     for job in jobs:
         name, made = job.partition(":")[0].split()[-1], _listed(job, "output").split(", ")
@@ -227,7 +227,7 @@ def _read_plan(text: str) -> dict[str, Rule]:
 
 def _listed(job: str, kind: str) -> str:
     """The paths of a job, "input" or "output", as the dry run lists them."""
-    found = re.search(rf"^    {kind}: (.*)$", job, re.MULTILINE)
+    found = re.search(rf"^ +{kind}: (.*)$", job, re.MULTILINE)
     return found[1] if found else ""
 
 

@@ -65,7 +65,7 @@ FIGURES: tuple[tuple[str, str, int], ...] = (
 )
 HEADLINE = (
     *("ate_percent", "colmap_percent", "focal_abs_percent", "iou", "psnr_whole", "psnr_static", "psnr_dynamic"),
-    *("warp_whole", "warp_static", "warp_dynamic", "wall_s", "poses_cpu_s", "colmap_cpu_s"),
+    *("warp_whole", "warp_static", "warp_dynamic", "cpu_s", "poses_cpu_s", "colmap_cpu_s"),
 )
 """The figures of the README's block."""
 
