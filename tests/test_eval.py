@@ -7,11 +7,12 @@ import finished_run as run
 import numpy as np
 import pytest
 
-from stages.evaluate import costs, score_geometry, score_masks, score_models, score_poses
+from stages.evaluate import costs, score_geometry, score_models, score_poses
 from stages.report import overview
 from stages.shared import lie
 from stages.shared.artifacts import read_dense, write_model
 from stages.shared.cameras import Cameras, make_cameras, read_cameras, write_cameras
+from stages.shared.masks import read_masks
 from stages.shared.sequences import read_sequence
 from stages.shared.tables import read_rows
 from stages.shared.truth_used import Given, read_given
@@ -114,7 +115,7 @@ def test_a_frame_without_matches_has_a_pose_in_no_table(scored: Path, tmp_path: 
     write_cameras(tmp_path / "poses.parquet", cameras)
     (candidate,) = score_poses.own_candidates([tmp_path / "poses.parquet"], [(1.0, 1.0, 1)], Given("refined masks"))
     sequence, flow = read_sequence(scored / "sequence.json"), read_dense(scored / "flow/pairs.arrow")
-    depth, masks = read_dense(scored / "ba/depth.arrow"), score_masks.read_masks(scored / "masks")
+    depth, masks = read_dense(scored / "ba/depth.arrow"), read_masks(scored / "masks", sequence)
     checks = score_geometry.score_geometry(sequence, flow, cameras, depth, run.STRIDE, masks)
     assert candidate.cameras is not None
     assert len(candidate.cameras.numbers) == _row(checks, quantity="frames with a pose")["value"] == run.T - 1

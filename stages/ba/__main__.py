@@ -37,8 +37,9 @@ from stages.shared.cameras import (
 )
 from stages.shared.cli import In, Out
 from stages.shared.errors import InputError
-from stages.shared.images import read_mask, read_reduced
+from stages.shared.images import read_reduced
 from stages.shared.log import logger
+from stages.shared.masks import read_masks
 from stages.shared.sequences import Sequence, read_sequence
 from stages.shared.threads import threaded
 
@@ -161,16 +162,7 @@ def _read_masks(folder: Path | None, frames: Sequence) -> np.ndarray:
     """Masks [T, H, W] bool, true where dynamic; without a folder nothing is."""
     if folder is None:
         return np.zeros((len(frames.numbers), frames.height, frames.width), bool)
-    masks = []
-    for number in frames.numbers:
-        path = folder / f"frame_{number:04d}.png"
-        if not path.is_file():
-            raise InputError(path, "a mask", "nothing there", "run the segment stage again")
-        masks.append(read_mask(path))
-        if masks[-1].shape != (frames.height, frames.width):
-            found = f"{masks[-1].shape[1]} x {masks[-1].shape[0]}"
-            raise InputError(path, f"{frames.width} x {frames.height}", found, "run the segment stage again")
-    return np.stack(masks)
+    return np.stack(list(read_masks(folder, frames).values()))
 
 
 def _known_intrinsics(frames: Sequence, matches: _Matches, options: BAOptions) -> tuple[np.ndarray, float | None]:

@@ -16,8 +16,9 @@ from stages.shared import cli, lie
 from stages.shared.artifacts import write_table
 from stages.shared.cameras import scale_intrinsics
 from stages.shared.cli import In, Out
-from stages.shared.images import read_mask, read_rgb, write_image
+from stages.shared.images import read_rgb, write_image
 from stages.shared.log import logger
+from stages.shared.masks import read_mask
 from stages.shared.sequences import Sequence, read_sequence
 from stages.shared.truth_used import MASKS, TRUTH, WITH_MASKS, mask_source
 
@@ -70,11 +71,11 @@ def run_variants(
 ) -> list[Variant]:
     """Features and matches once, then each mapper, on frames enlarged by `factor`; seconds include the shared part."""
     images, database, still = scratch / "images", scratch / "database.db", scratch / "masks" if masks else None
-    for path, number in zip(frames.frames, frames.numbers, strict=True):
+    for k, (path, number) in enumerate(zip(frames.frames, frames.numbers, strict=True)):
         name = f"frame_{number:04d}.png"
         write_image(images / name, _enlarge(read_rgb(path), factor))
         if masks and still:
-            static = ~read_mask(masks / name)
+            static = ~read_mask(masks, frames, k)
             write_image(still / f"{name}.png", static.repeat(factor, axis=0).repeat(factor, axis=1))
     matching = images, still, database, options
     _, shared_failure, shared_s = _timed(find_matches, matching, options)

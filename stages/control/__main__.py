@@ -12,6 +12,7 @@ from stages.shared.artifacts import read_dense, read_json, read_metadata
 from stages.shared.cameras import Cameras, read_cameras
 from stages.shared.cli import In, Out
 from stages.shared.log import logger
+from stages.shared.masks import read_masks_on_grid
 from stages.shared.sequences import Sequence, read_sequence
 from stages.shared.split import held_out
 
@@ -72,18 +73,12 @@ def _sightings(
     h, w = pairs["flow"].shape[1:3]
     training_masks = np.ones((len(links.frames), h, w), bool)
     if options.region == "dynamic":
-        training_masks = np.stack([_mask(masks, sequence.numbers[k], w, h) for k in links.frames])
+        training_masks = read_masks_on_grid(masks, sequence, links.frames, (w, h))
         training_masks &= cameras.masks_used[links.frames, None, None]
     followed = tracks.track_dynamic_pixels(links, training_masks, options.track_stride_px)
     dense, stride_px = read_dense(depth), float(read_metadata(depth)["stride_px"])
     inverse_depth, variance = dense["inverse_depth"][links.frames], dense["variance"][links.frames]
     return sightings.lift(followed, links.frames, T, scale, inverse_depth, variance, stride_px, cameras)
-
-
-def _mask(folder: Path, number: int, width: int, height: int) -> np.ndarray:
-    """The dynamic mask of a frame on the flow grid, [height, width] bool."""
-    mask = images.read_mask(folder / f"frame_{number:04d}.png").astype(np.float32)
-    return np.asarray(images.reduce(mask, (width, height)) > 0.5)
 
 
 if __name__ == "__main__":

@@ -29,6 +29,7 @@ from stages.shared.cameras import read_cameras
 from stages.shared.charts import draw_trajectories
 from stages.shared.cli import In, Out
 from stages.shared.log import logger
+from stages.shared.masks import read_masks
 from stages.shared.sequences import Sequence, read_sequence
 from stages.shared.tables import Row, read_rows, write_rows
 from stages.shared.truth_used import Given, read_given
@@ -85,7 +86,7 @@ def main(
     paths = _write_poses(frames, candidates, poses_table, trajectory_table)
     with atomic(figure) as partial:
         partial.write_bytes(draw_trajectories(paths, "png"))
-    own_masks = [score_masks.read_masks(folder) for folder in masks]
+    own_masks = [read_masks(folder, frames) for folder in masks]
     pairs = read_dense(flow)
     by_round = dict(enumerate(zip(priors, own_masks, strict=True), given.masked_from))
     mask_frames = _write_masks(frames, by_round, given, masks_table)

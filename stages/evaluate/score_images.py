@@ -10,7 +10,7 @@ import numpy as np
 from stages.evaluate import image_baselines, image_metrics
 from stages.evaluate.lpips import Distance, load_lpips
 from stages.evaluate.options import EvaluateOptions
-from stages.shared.images import read_rgb
+from stages.shared.images import numbered_frames, read_rgb
 from stages.shared.sequences import Sequence
 
 REGIONS = ("whole", "static", "dynamic")
@@ -53,7 +53,7 @@ def _pairs(
 ) -> Iterator[tuple[str, str, str, dict[int, tuple[np.ndarray, np.ndarray]]]]:
     """Method, split, protocol, and image and truth by frame number: our renders, then the baselines."""
     for split, protocol in SPLITS.items():
-        found = {int(path.stem.removeprefix("frame_")): path for path in sorted((renders / split).glob("frame_*.png"))}
+        found = numbered_frames(renders / split)
         truth = true_images(sequence, split)
         pairs = {number: (read_rgb(path), read_rgb(truth[number])) for number, path in found.items() if number in truth}
         yield "ours", split, protocol, pairs

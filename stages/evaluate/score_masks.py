@@ -8,16 +8,11 @@ import numpy as np
 
 from stages.evaluate import mask_metrics
 from stages.shared.artifacts import read_dense
-from stages.shared.images import enlarge, read_mask
+from stages.shared.images import enlarge
 
 PRIOR_THRESHOLD = 0.5
 PRIOR = "motion prior"
 """What the prior above one half is called; any other method of the table is the masks that the run used."""
-
-
-def read_masks(folder: Path) -> dict[int, np.ndarray]:
-    """Masks [H, W] bool of a folder, by frame number."""
-    return {int(path.stem.removeprefix("frame_")): read_mask(path) for path in sorted(folder.glob("frame_*.png"))}
 
 
 def read_prior_masks(path: Path, width: int, height: int) -> dict[int, np.ndarray]:

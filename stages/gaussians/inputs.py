@@ -7,10 +7,10 @@ import numpy as np
 from stages.gaussians.training_frames import TrainingFrames, dense_depth, nearest_on_frame
 from stages.shared.artifacts import read_dense, read_metadata
 from stages.shared.cameras import Cameras, read_cameras
-from stages.shared.errors import InputError
-from stages.shared.images import read_mask, read_rgb
+from stages.shared.images import read_rgb
 from stages.shared.log import logger
-from stages.shared.sequences import Sequence, read_sequence
+from stages.shared.masks import read_mask
+from stages.shared.sequences import read_sequence
 from stages.shared.split import SplitOptions, frame_times, held_out
 
 MIN_OBSERVED = 2
@@ -21,7 +21,7 @@ def read_observations(sequence: Path, masks: Path, poses: Path, depth: Path, spl
     """The frames of `training_indices`; no file of any other is opened. Masks left out (`masks_used`) are empty.
 
     Raises:
-        InputError: if a mask has another size than the frames.
+        InputError: if a mask is missing or has another size than the frames.
     """
     content, cameras = read_sequence(sequence), read_cameras(poses)
     frames = training_indices(cameras, split).tolist()
@@ -31,7 +31,7 @@ def read_observations(sequence: Path, masks: Path, poses: Path, depth: Path, spl
     guessed = nearest_on_frame(grid["filled"][frames] > 0, stride_px, content.height, content.width)
     return TrainingFrames(
         images,
-        np.stack([_read_mask(masks, content, k) for k in frames]) & cameras.masks_used[frames, None, None],
+        np.stack([read_mask(masks, content, k) for k in frames]) & cameras.masks_used[frames, None, None],
         np.stack(dense),
         guessed,
         cameras.cam_from_world[frames],
@@ -64,12 +64,3 @@ def canonical_row(seen: TrainingFrames, sequence: Path, deformation: Path) -> in
     numbers = read_sequence(sequence).numbers
     time = frame_times(len(numbers))[numbers.index(read_metadata(deformation)["canonical_frame"])]
     return int(np.abs(seen.times - time).argmin())
-
-
-def _read_mask(folder: Path, content: Sequence, k: int) -> np.ndarray:
-    path = folder / f"frame_{content.numbers[k]:04d}.png"
-    mask = read_mask(path)
-    if mask.shape != (content.height, content.width):
-        found = f"{mask.shape[1]} x {mask.shape[0]}"
-        raise InputError(path, f"{content.width} x {content.height}", found, "run the segment stage again")
-    return mask

@@ -10,12 +10,12 @@ import numpy as np
 from stages.evaluate import pose_diagnostics
 from stages.evaluate.ground_truth import true_masks
 from stages.evaluate.score_images import true_images
-from stages.evaluate.score_masks import read_masks
 from stages.report import embedding
 from stages.shared import charts, sequences, sintel
 from stages.shared.artifacts import read_dense, read_json, read_metadata, read_table
 from stages.shared.drawing import spread
-from stages.shared.images import read_rgb
+from stages.shared.images import numbered_frames, read_rgb
+from stages.shared.masks import read_masks
 from stages.shared.tables import Row, Table, read_rows
 
 SHOWN_FRAMES = 4
@@ -133,7 +133,7 @@ def _series(rows: Sequence[Row], key: str) -> dict[str, tuple[list[float], list[
 
 
 def _mask_figures(folder: Path, sequence: sequences.Sequence) -> list[Figure]:
-    masks = read_masks(_existing(folder, "masks"))
+    masks = read_masks(_existing(folder, "masks"), sequence)
     truth, _ = true_masks(sequence)
     shown = [sequence.numbers[k] for k in spread(len(sequence.numbers), SHOWN_FRAMES)]
     images = [read_rgb(sequence.frames[sequence.numbers.index(n)]) for n in shown]
@@ -182,9 +182,9 @@ def _depth_figures(folder: Path, sequence: sequences.Sequence) -> list[Figure]:
 def _render_figures(folder: Path, sequence: sequences.Sequence) -> list[Figure]:
     found = []
     for split, words in {"test": "held-out", "right": "right-eye"}.items():
-        renders = {int(p.stem.removeprefix("frame_")): p for p in (folder / "renders" / split).glob("frame_*.png")}
+        renders = numbered_frames(folder / "renders" / split)
         truth = true_images(sequence, split)
-        numbers = [n for n in sorted(renders) if n in truth]
+        numbers = [n for n in renders if n in truth]
         shown = [numbers[k] for k in spread(len(numbers), 2)] if numbers else []
         if shown:
             pairs = [(read_rgb(truth[n]), read_rgb(renders[n])) for n in shown]

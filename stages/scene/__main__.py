@@ -13,6 +13,7 @@ from stages.shared.artifacts import read_dense, read_metadata, write_json
 from stages.shared.cameras import read_cameras, scale_intrinsics
 from stages.shared.cli import In, Out
 from stages.shared.log import logger
+from stages.shared.masks import read_masks_on_grid
 from stages.shared.sequences import Sequence, read_sequence
 from stages.shared.split import held_out
 
@@ -72,15 +73,10 @@ def _observe(sequence: Sequence, flow: Path, masks: Path, poses: Path, depth: Pa
     h, w = pairs["flow"].shape[1:3]
     rows = np.flatnonzero(is_training[pairs["source"]] & is_training[pairs["target"]])
     ends = np.stack([pairs["source"][rows], pairs["target"][rows]], axis=-1)
-
-    def resized(image: np.ndarray) -> np.ndarray:
-        return images.reduce(image.astype(np.float32), (w, h))
-
-    names = [f"frame_{sequence.numbers[k]:04d}.png" for k in frames]
+    rgb = (images.read_rgb(sequence.frames[k]).astype(np.float32) for k in frames)
     return Observed(
-        rgb=np.stack([resized(images.read_rgb(sequence.frames[k])) / 255 for k in frames]),
-        dynamic=np.stack([resized(images.read_mask(masks / name)) > 0.5 for name in names])
-        & cameras.masks_used[frames, None, None],
+        rgb=np.stack([images.reduce(image, (w, h)) / 255 for image in rgb]),
+        dynamic=read_masks_on_grid(masks, sequence, frames, (w, h)) & cameras.masks_used[frames, None, None],
         depth=depth_on_grid(dense["inverse_depth"][frames], stride_px, scale, h, w),
         cam_from_world=cameras.cam_from_world[frames],
         Ks=scale_intrinsics(cameras.Ks[frames], scale),

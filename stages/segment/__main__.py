@@ -14,6 +14,7 @@ from stages.shared.cli import In, Out
 from stages.shared.errors import InputError
 from stages.shared.images import enlarge, read_mask, read_rgb, write_figure, write_image
 from stages.shared.log import logger
+from stages.shared.masks import mask_path
 from stages.shared.sequences import Sequence, read_sequence
 
 PRIOR_THRESHOLD = 0.5
@@ -44,7 +45,7 @@ def main(
         for k, (path, number) in enumerate(zip(frames.frames, frames.numbers, strict=True)):
             rgb = read_rgb(path)
             mask, was_guarded = masks(k, rgb)
-            write_image(folder / f"frame_{number:04d}.png", mask)
+            write_image(mask_path(folder, number), mask)
             shares[number] = float(mask.mean())
             guarded += [number] if was_guarded else []
             overlays += [drawing.overlay_mask(rgb, mask)] if k in shown else []

@@ -66,6 +66,12 @@ def enlarge(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     return np.asarray(cv2.copyMakeBorder(grown, 0, size[1] - len(grown), 0, 0, cv2.BORDER_REPLICATE))
 
 
+def numbered_frames(folder: Path) -> dict[int, Path]:
+    """The files frame_0001.png, ... of a folder by frame number, in order; none where there is no folder."""
+    found = {int(path.stem.removeprefix("frame_")): path for path in folder.glob("frame_*.png")}
+    return dict(sorted(found.items()))
+
+
 def read_mask(path: Path) -> np.ndarray:
     """A mask file as [H, W] bool, true where the value is above 127."""
     return np.asarray(_decode(path, cv2.IMREAD_GRAYSCALE) > 127)
