@@ -10,6 +10,8 @@ from numpy.testing import assert_allclose
 from stages.shared import lie
 from stages.shared.cameras import (
     centred_intrinsics,
+    frame_from_grid,
+    grid_from_frame,
     intrinsics,
     make_cameras,
     pixel_grid,
@@ -100,3 +102,20 @@ def test_masks_are_left_out_while_most_are_trusted(distrusted: list[int], used: 
     np.testing.assert_array_equal(cameras.masks_trusted, trusted)
     assert cameras.masks_used.sum() == used
     assert not cameras.masks_used[list(distrusted)].any() or used == 5
+
+
+@pytest.mark.parametrize("stride_px", [2, 5, 6.671875])
+def test_the_pixels_of_a_grid_are_the_centres_of_what_they_cover(stride_px: float) -> None:
+    """Grid pixel k covers the frame from s k - 0.5 to s (k + 1) - 0.5, as areas of pixels are."""
+    k = np.arange(9.0)
+    at = frame_from_grid(k, stride_px)
+    edges = stride_px * np.arange(10) - 0.5
+    assert_allclose(at, (edges[:-1] + edges[1:]) / 2)
+    assert_allclose(grid_from_frame(at, stride_px), k, atol=1e-12)
+
+
+def test_the_grid_is_where_opencv_averages_the_frame() -> None:
+    """Area means of a ramp are its values at the centres of the areas."""
+    u = pixel_grid(24, 36)[..., 0]
+    reduced = cv2.resize(u, None, fx=1 / 3, fy=1 / 3, interpolation=cv2.INTER_AREA)
+    assert_allclose(reduced, frame_from_grid(pixel_grid(8, 12), 3)[..., 0], atol=1e-9)

@@ -6,6 +6,7 @@ from square_inputs import HELD_OUT
 
 from stages.control import canonical, sightings, tracks
 from stages.shared.split import SplitOptions, held_out
+from stages.shared.warp import bilinear
 
 F, H, W = 9, 48, 64
 STEP = np.array([2.0, 1.0])  # pixels per frame of the moving block
@@ -75,7 +76,7 @@ def test_tracks_end_where_flow_and_flow_back_disagree(error_px: float, survive: 
 def test_more_tracks_than_opencv_has_rows_are_sampled() -> None:
     ramp = np.broadcast_to(np.arange(W, dtype=np.float32), (H, W))
     uv = np.random.default_rng(0).uniform(0, H - 1, (70_000, 2))
-    np.testing.assert_allclose(tracks.bilinear(ramp, uv), uv[:, 0], atol=0.02)  # OpenCV's steps of 1/32 px
+    np.testing.assert_allclose(bilinear(ramp, uv), uv[:, 0], atol=0.02)  # OpenCV's steps of 1/32 px
 
 
 def test_short_tracks_are_kept_where_no_long_one_passes() -> None:

@@ -10,6 +10,7 @@ from stages.ba.estimate import Estimate
 from stages.ba.graph import FlowGraph
 from stages.ba.uncertainty import median_residual
 from stages.shared import lie, sintel
+from stages.shared.cameras import frame_from_grid, pixel_grid
 from stages.shared.errors import InputError
 from stages.shared.sequences import Sequence
 
@@ -88,8 +89,7 @@ def _require(frames: Sequence, kind: str, option: str) -> None:
 
 
 def _resample(image: np.ndarray, shape: tuple[int, ...], stride_px: float) -> np.ndarray:
-    """The image [H, W] at the pixels stride_px k + (stride_px - 1) / 2 of a grid [h, w], nearest: edges stay sharp."""
-    v, u = (np.arange(size, dtype=np.float32) * stride_px + (stride_px - 1) / 2 for size in shape)
-    columns, rows = np.meshgrid(u.astype(np.float32), v.astype(np.float32))
+    """The image [H, W] at the pixels of a grid [h, w], nearest: edges stay sharp."""
+    columns, rows = cv2.split(frame_from_grid(pixel_grid(*shape), stride_px).astype(np.float32))
     near = cv2.remap(image.astype(np.float32), columns, rows, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE)
     return near.astype(float)

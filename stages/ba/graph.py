@@ -5,8 +5,10 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
+from stages.shared.cameras import frame_from_grid, grid_from_frame, pixel_grid
 from stages.shared.finite import require_finite
 from stages.shared.images import reduce
+from stages.shared.warp import bilinear
 
 MIN_STATIC_SHARE = 0.15
 """A frame with less static area than this cannot be trusted to be masked."""
@@ -75,10 +77,8 @@ class FlowGraph:
 
         Linear between the centres of the cells, constant beyond the outermost ones.
         """
-        cells = ((self.pixels - (stride - 1) / 2) / stride).astype(np.float32).reshape(self.rows, self.columns, 2)
-        u, v = np.ascontiguousarray(cells[..., 0]), np.ascontiguousarray(cells[..., 1])
-        sampled = [cv2.remap(frame, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE) for frame in maps]
-        return np.stack(sampled).reshape(len(maps), -1).astype(float)
+        cells = grid_from_frame(self.pixels, stride)
+        return np.stack([bilinear(frame, cells) for frame in maps]).astype(float)
 
     def spread(self, values: np.ndarray) -> np.ndarray:
         """Values [T, rows, columns] of the cells on the flow grid, [T, height, width]; its rest takes the nearest."""
@@ -111,9 +111,7 @@ def build_graph(
     source, target = np.ascontiguousarray(source), np.ascontiguousarray(target)
     h, w = flow.shape[1:3]
     rows, columns = h // stride, w // stride
-    centre = (stride - 1) / 2
-    v, u = np.meshgrid(np.arange(rows) * stride + centre, np.arange(columns) * stride + centre, indexing="ij")
-    pixels = np.stack([u.ravel(), v.ravel()], axis=1)
+    pixels = frame_from_grid(pixel_grid(rows, columns), stride).reshape(-1, 2)
     matches = np.stack([_sample_cells(edge, stride).reshape(-1, 2) for edge in flow])
     weights = np.stack([_sample_cells(edge[..., None], stride).ravel() for edge in confidence])
     require_finite(flow=matches, confidence=weights)
@@ -154,9 +152,7 @@ def mask_graph(graph: FlowGraph, static: np.ndarray) -> FlowGraph:
     here = np.stack([_sample_cells(frame[..., None], graph.stride).ravel() for frame in static])
     weights = graph.weights.copy()
     for e, (i, j) in enumerate(zip(graph.source, graph.target, strict=True)):
-        u, v = np.ascontiguousarray(graph.matches[e, :, 0]), np.ascontiguousarray(graph.matches[e, :, 1])
-        there = cv2.remap(static[j], u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        weights[e] *= here[i] * there.ravel()
+        weights[e] *= here[i] * bilinear(static[j], graph.matches[e])
     return replace(graph, weights=weights)
 
 

@@ -6,7 +6,7 @@ import torch
 
 from stages.deformation.model import Deformation
 from stages.shared import drawing, images
-from stages.shared.cameras import Cameras, project
+from stages.shared.cameras import Cameras, grid_from_frame, project
 from stages.shared.sequences import Sequence
 
 SHOWN_POINTS = 120
@@ -49,7 +49,7 @@ def _draw_trails(panel: np.ndarray, width: int, frame: int, cameras: Cameras, de
     moved = (deformation.points + translations).double().numpy()[:, shown]
     uv, z = project(moved, cameras.cam_from_world[frame], cameras.Ks[frame])
     zoom = panel.shape[1] / width
-    lines = np.clip((uv + 0.5) * zoom - 0.5, -1e4, 1e4).round().astype(np.int32)
+    lines = np.clip(grid_from_frame(uv, 1 / zoom), -1e4, 1e4).round().astype(np.int32)
     now = frame - int(near[0])
     colours = _colours(deformation.points.numpy()[shown])
     for n in np.flatnonzero((z > 0).all(axis=0)):

@@ -5,8 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import solveh_banded
 
-from stages.control.tracks import Tracks, bilinear
-from stages.shared.cameras import Cameras, unproject
+from stages.control.tracks import Tracks
+from stages.shared.cameras import Cameras, frame_from_grid, grid_from_frame, unproject
+from stages.shared.warp import bilinear
 
 MIN_DEPTH_STD = 0.01
 DEPTH_ACCELERATION = 0.02
@@ -67,10 +68,10 @@ def sample_depth(
     """Log z-depth [n, F] and its standard deviation at full-frame pixels uv [n, F, 2], from the solver's grid.
 
     Args:
-        inverse_depth: [F, h, w] > 0, at full-frame pixels stride_px k + (stride_px - 1) / 2. variance: [F, h, w] of it.
-        stride_px: no whole number where the flow grid is no whole part of the frame (854 to 512 pixels: 6.67).
+        inverse_depth: [F, h, w] > 0. variance: [F, h, w] of it.
+        stride_px: full-frame pixels per pixel of the grid, as in `frame_from_grid`.
     """
-    grid_uv = (uv - (stride_px - 1) / 2) / stride_px
+    grid_uv = grid_from_frame(uv, stride_px)
     F = uv.shape[1]
     log_depth = np.stack([-bilinear(np.log(inverse_depth[k]), grid_uv[:, k]) for k in range(F)], axis=1)
     relative_std = np.sqrt(variance) / inverse_depth
@@ -94,7 +95,7 @@ def lift(
         frames: [F] training frames of T. scale: flow grid width / frame width.
         inverse_depth, variance: [F, h, w] of the training frames, as in `sample_depth`.
     """
-    uv = (tracks.uv.astype(float) + 0.5) / scale - 0.5
+    uv = frame_from_grid(tracks.uv.astype(float), 1 / scale)
     log_depth, std = sample_depth(uv, inverse_depth, variance, stride_px)
     depth = np.exp(smooth_log_depth(log_depth, std, tracks.visible))
     moved = np.zeros((*depth.shape, 3))

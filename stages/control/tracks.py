@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from stages.shared.warp import bilinear
+
 DISAGREEMENT_PX, DISAGREEMENT_PER_PX = 1.0, 0.05
 """A track ends where flow and the flow back disagree by more than this: a floor and a share of the motion. Confidence
 is too strict here: it picks the few pixels that poses need, and half to a sixth of a mover's."""
 MIN_FRAMES = 3
 """A track seen in fewer training frames hardly tells motion from noise: used where there is no other."""
-REMAP_ROWS = 30_000
-"""OpenCV's remap takes fewer than 32768 rows."""
 
 
 @dataclass(frozen=True)
@@ -146,13 +146,3 @@ def _agree(motion: np.ndarray, back: np.ndarray) -> np.ndarray:
     """Whether flow [n, 2] px and the flow back from where it leads [n, 2] nearly cancel, [n] bool."""
     disagreement = np.linalg.norm(motion + back, axis=1)
     return np.asarray(disagreement < DISAGREEMENT_PX + DISAGREEMENT_PER_PX * np.linalg.norm(motion, axis=1))
-
-
-def bilinear(image: np.ndarray, uv: np.ndarray) -> np.ndarray:
-    """Values [n] or [n, C] of image [h, w] or [h, w, C] at pixels uv [n, 2]; the edge continues outside."""
-    if len(uv) == 0:
-        return np.zeros((0, *image.shape[2:]), np.float32)
-    source, (u, v) = np.asarray(image, np.float32), np.ascontiguousarray(uv.T.astype(np.float32))[:, :, None]
-    blocks = [slice(start, start + REMAP_ROWS) for start in range(0, len(uv), REMAP_ROWS)]
-    sampled = [cv2.remap(source, u[b], v[b], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)[:, 0] for b in blocks]
-    return np.concatenate(sampled)

@@ -8,7 +8,7 @@ import numpy as np
 from stages.evaluate import truthfree
 from stages.evaluate.flow_error import flow_rows, has_some_true_flow
 from stages.shared import sintel
-from stages.shared.cameras import Cameras, has_pose
+from stages.shared.cameras import Cameras, frame_from_grid, has_pose, pixel_grid
 from stages.shared.sequences import Sequence
 
 FAR = 10.0  # true depths beyond this many medians (sky) are left out
@@ -34,7 +34,7 @@ def score_geometry(
         masks: our dynamic masks [H, W] by frame number.
     """
     _, height, width = depth["inverse_depth"].shape
-    uv = truthfree.solver_pixels(height, width, stride_px)
+    uv = frame_from_grid(pixel_grid(height, width), stride_px)
     static = static_pixels(sequence, masks, uv) & (depth["filled"] == 0) & (depth["inverse_depth"] > 0)
     residuals = edge_residuals(sequence, flow, cameras, depth["inverse_depth"], uv, static)
     rows = _residual_rows(residuals)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from stages.shared.cameras import project, unproject
+from stages.shared.cameras import grid_from_frame, project, unproject
 
 MIN_CONFIDENCE = 0.5
 PROTOCOL = (
@@ -11,15 +11,9 @@ PROTOCOL = (
 )
 
 
-def solver_pixels(height: int, width: int, stride_px: float) -> np.ndarray:
-    """Full-frame pixels [h, w, 2] of a solver grid [h, w] with this stride."""
-    v, u = np.mgrid[:height, :width].astype(float)
-    return np.stack([u, v], axis=-1) * stride_px + (stride_px - 1) / 2
-
-
 def sample(field: np.ndarray, uv: np.ndarray, scale: float) -> np.ndarray:
     """Values of a field [H', W', ...] on the flow grid at full-frame pixels uv [..., 2], nearest neighbour."""
-    grid = np.rint((uv + 0.5) * scale - 0.5).astype(int)
+    grid = np.rint(grid_from_frame(uv, 1 / scale)).astype(int)
     u = np.clip(grid[..., 0], 0, field.shape[1] - 1)
     v = np.clip(grid[..., 1], 0, field.shape[0] - 1)
     return np.asarray(field[v, u])

@@ -2,10 +2,10 @@
 
 from collections.abc import Container, Iterator, Mapping, Sequence
 
-import cv2
 import numpy as np
 
 from stages.shared.cameras import pixel_grid
+from stages.shared.warp import bilinear
 
 Edge = tuple[int, int]
 
@@ -93,13 +93,7 @@ def _grid(h: int, w: int) -> np.ndarray:
 def _advanced(points: np.ndarray, forward: np.ndarray, backward: np.ndarray) -> np.ndarray:
     """Where points [n, 2] go along one edge, without those that leave the frame or do not find back, [m, 2]."""
     h, w = forward.shape[:2]
-    moved = points + _at(forward, points)
+    moved = points + bilinear(forward, points)
     inside = ((moved >= 0) & (moved <= (w - 1, h - 1))).all(axis=1)
-    found_back = np.linalg.norm(moved + _at(backward, moved) - points, axis=1) < CONSISTENT_PX
+    found_back = np.linalg.norm(moved + bilinear(backward, moved) - points, axis=1) < CONSISTENT_PX
     return np.asarray(moved[inside & found_back])
-
-
-def _at(flow: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Flow [h, w, 2] at points [n, 2], [n, 2]."""
-    u, v = np.ascontiguousarray(points[:, 0]), np.ascontiguousarray(points[:, 1])
-    return np.asarray(cv2.remap(flow, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)).reshape(-1, 2)

@@ -7,7 +7,7 @@ import torch
 from scipy.spatial import cKDTree
 
 from stages.deformation.model import Deformation
-from stages.shared.cameras import project, unproject
+from stages.shared.cameras import frame_from_grid, grid_from_frame, project, unproject
 
 COLOUR_STD = 0.06
 """Difference of colour (0..1) across which depth is not carried over."""
@@ -41,13 +41,13 @@ class TrainingFrames:
 def dense_depth(inverse_depth: np.ndarray, image: np.ndarray, stride_px: float) -> np.ndarray:
     """Full-size z-depth [H, W] from inverse depth [h, w] on the pose stage's grid, with edges where the frame has them.
 
-    Grid pixel k lies at frame pixel s k + (s - 1) / 2. Joint bilateral upsampling (Kopf et al. 2007) over the four
-    surrounding grid pixels: bilinear weights times likeness of colour. Inverse depth is linear across planes in the
-    image. Against rendered truth it leaves a third to a fifth of the pixels wrong that a guided filter does.
+    Joint bilateral upsampling (Kopf et al. 2007) over the four surrounding grid pixels: bilinear weights times likeness
+    of colour. Inverse depth is linear across planes in the image. Against rendered truth it leaves a third to a fifth
+    of the pixels wrong that a guided filter does.
 
     Args:
         image: [H, W, 3] float32 in 0..1.
-        stride_px: s, no whole number where the flow grid is no whole part of the frame (854 to 512 pixels: 6.67).
+        stride_px: frame pixels per grid pixel, as in `frame_from_grid`.
     """
     rows, row_weights = _grid_neighbours(image.shape[0], inverse_depth.shape[0], stride_px)
     columns, column_weights = _grid_neighbours(image.shape[1], inverse_depth.shape[1], stride_px)
@@ -67,7 +67,7 @@ def dense_depth(inverse_depth: np.ndarray, image: np.ndarray, stride_px: float) 
 def nearest_on_frame(grid: np.ndarray, stride_px: float, height: int, width: int) -> np.ndarray:
     """Values [F, h, w] on the pose stage's grid, for every pixel of the frames: [F, height, width]."""
     rows, columns = (
-        np.minimum((np.arange(size) + 0.5) / stride_px, grid_size - 1).astype(int)
+        np.minimum(grid_from_frame(np.arange(size), stride_px) + 0.5, grid_size - 1).astype(int)
         for size, grid_size in zip((height, width), grid.shape[1:], strict=True)
     )
     return np.asarray(grid[:, rows][:, :, columns])
@@ -75,13 +75,13 @@ def nearest_on_frame(grid: np.ndarray, stride_px: float, height: int, width: int
 
 def _grid_centres(size: int, grid_size: int, stride_px: float) -> np.ndarray:
     """The pixel [grid_size] of `size` that is nearest to the centre of each grid pixel, the later one of two."""
-    at = np.arange(grid_size) * stride_px + (stride_px - 1) / 2
+    at = frame_from_grid(np.arange(grid_size), stride_px)
     return np.minimum((at + 0.5).astype(int), size - 1)
 
 
 def _grid_neighbours(size: int, grid_size: int, stride_px: float) -> tuple[np.ndarray, np.ndarray]:
     """The two grid indices [2, size] around each of `size` pixels, clipped, and their linear weights [2, size]."""
-    at = (np.arange(size) - (stride_px - 1) / 2) / stride_px
+    at = grid_from_frame(np.arange(size), stride_px)
     low = np.floor(at).astype(int)
     return np.stack([low, low + 1]).clip(0, grid_size - 1), np.stack([1 - (at - low), at - low])
 

@@ -7,15 +7,15 @@ and masks take no part: a depth solved under a mask, or a mask in the weights, w
 
 from collections.abc import Mapping
 
-import cv2
 import numba
 import numpy as np
 
 from stages.motion.epipolar import Evidence
 from stages.shared import lie
-from stages.shared.cameras import pixel_grid
+from stages.shared.cameras import grid_from_frame, pixel_grid
 from stages.shared.finite import require_finite
 from stages.shared.threads import spread
+from stages.shared.warp import bilinear
 
 D_MAX = 50.0
 """Largest inverse depth, in units of the scene's median."""
@@ -88,13 +88,8 @@ def _rigid_flow(A, b, inverse_depth):  # type: ignore[no-untyped-def]
 
 def resample(inverse_depth: np.ndarray, cell_px: float, h: int, w: int) -> np.ndarray:
     """Inverse depth [T, rows, columns] of cells of `cell_px` flow pixels on the flow grid, [T, h, w] float32."""
-    shift = 0.5 / cell_px - 0.5
-    grid_from_flow = np.array([[1 / cell_px, 0, shift], [0, 1 / cell_px, shift]])
-    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    frames = [
-        cv2.warpAffine(d, grid_from_flow, (w, h), flags=flags, borderMode=cv2.BORDER_REPLICATE) for d in inverse_depth
-    ]
-    return np.stack(frames).astype(np.float32)
+    cells = grid_from_frame(pixel_grid(h, w), cell_px)
+    return np.stack([bilinear(d, cells) for d in inverse_depth])
 
 
 def _median_residual(A: np.ndarray, b: np.ndarray, pairs: Mapping[str, np.ndarray], inverse_depth: np.ndarray) -> float:

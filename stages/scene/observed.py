@@ -2,10 +2,10 @@
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
-from stages.shared.cameras import pixel_grid
+from stages.shared.cameras import grid_from_frame, pixel_grid
+from stages.shared.warp import bilinear
 
 
 @dataclass(frozen=True)
@@ -35,16 +35,11 @@ def depth_on_grid(inverse_depth: np.ndarray, stride_px: float, scale: float, hei
     """z-depth [F, h, w] on the flow grid from the solver's inverse depth [F, h', w'] > 0, bilinear in its logarithm.
 
     Args:
-        stride_px: full-frame pixels per pixel of the solver's grid; no whole number where the flow grid is no whole
-            part of the frame (854 to 512 pixels: 6.67).
+        stride_px: full-frame pixels per pixel of the solver's grid, as in `frame_from_grid`.
         scale: width of the flow grid over that of the frame.
     """
-    full_uv = (pixel_grid(height, width) + 0.5) / scale - 0.5
-    grid_uv = ((full_uv - (stride_px - 1) / 2) / stride_px).astype(np.float32)
-    logs = np.log(inverse_depth).astype(np.float32)
-    maps = grid_uv[..., 0], grid_uv[..., 1]
-    sampled = [cv2.remap(log, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE) for log in logs]
-    return np.exp(-np.stack(sampled))
+    cells = grid_from_frame(pixel_grid(height, width), stride_px * scale)
+    return np.exp(-np.stack([bilinear(log, cells) for log in np.log(inverse_depth)]))
 
 
 def rigid_flow(

@@ -132,10 +132,10 @@ def centred_intrinsics(focal_px: float, width: int, height: int) -> np.ndarray:
 
 
 def scale_intrinsics(Ks: np.ndarray, factor: float) -> np.ndarray:
-    """Ks of the image resized by `factor`, with pixel centres at integers: u' = (u + 0.5) factor - 0.5."""
+    """Ks of the image resized by `factor`: its pixels are those of `grid_from_frame` at a stride of 1 / factor."""
     scaled = np.array(Ks, float)
-    scaled[..., :2, :] *= factor
-    scaled[..., :2, 2] += (factor - 1) / 2
+    scaled[..., :2, :2] *= factor
+    scaled[..., :2, 2] = frame_from_grid(scaled[..., :2, 2], factor)
     return scaled
 
 
@@ -156,3 +156,20 @@ def pixel_grid(height: int, width: int) -> np.ndarray:
     """Pixel coordinates (u, v) [H, W, 2] float64."""
     v, u = np.mgrid[:height, :width]
     return np.stack([u, v], axis=-1).astype(float)
+
+
+def frame_from_grid(uv: np.ndarray, stride_px: float) -> np.ndarray:
+    """Pixels of the frame, of any shape, of the pixels of a grid over it: the centre of pixel k is s k + (s - 1) / 2.
+
+    Pixel centres are at integers, and the grid begins at the frame's edge, at -0.5 of both.
+
+    Args:
+        stride_px: s, frame pixels per grid pixel; no whole number where the flow grid is no whole part of the frame
+            (854 to 512 pixels: 1.67). The flow grid itself has a stride of 1 / scale.
+    """
+    return uv * stride_px + (stride_px - 1) / 2
+
+
+def grid_from_frame(uv: np.ndarray, stride_px: float) -> np.ndarray:
+    """Pixels of the grid of the pixels of the frame; inverse of `frame_from_grid`."""
+    return (uv - (stride_px - 1) / 2) / stride_px

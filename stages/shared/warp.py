@@ -3,6 +3,9 @@
 import cv2
 import numpy as np
 
+REMAP_ROWS = 30_000
+"""OpenCV's remap takes fewer than 32768 rows."""
+
 
 def matches(flow: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Columns and rows [h, w] float32 that flow [h, w, 2] leads to."""
@@ -15,6 +18,25 @@ def warp(image: np.ndarray, flow: np.ndarray) -> np.ndarray:
     """The target's image [h, w] or [h, w, c] as the source sees it: bilinear, the border repeated outside."""
     u, v = matches(flow)
     return np.asarray(cv2.remap(image, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
+
+
+def bilinear(image: np.ndarray, uv: np.ndarray) -> np.ndarray:
+    """Values [...] or [..., C] of an image [h, w] or [h, w, C] at its pixels uv [..., 2]; the border continues outside.
+
+    OpenCV rounds the pixels to 1/32. float64 stays what it is, all else becomes float32.
+    """
+    source = image if image.dtype == np.float64 else image.astype(np.float32, copy=False)
+    if uv.size == 0:
+        return np.zeros((*uv.shape[:-1], *image.shape[2:]), source.dtype)
+    columns = uv.shape[-2] if uv.ndim > 2 else 1
+    u, v = np.moveaxis(uv.reshape(-1, columns, 2).astype(np.float32, copy=False), -1, 0)
+    blocks = [slice(start, start + REMAP_ROWS) for start in range(0, len(u), REMAP_ROWS)]
+    sampled = [
+        cv2.remap(source, np.ascontiguousarray(u[b]), np.ascontiguousarray(v[b]), cv2.INTER_LINEAR,
+                  borderMode=cv2.BORDER_REPLICATE)
+        for b in blocks
+    ]  # fmt: skip
+    return np.concatenate(sampled).reshape(*uv.shape[:-1], *image.shape[2:])
 
 
 def is_inside(flow: np.ndarray) -> np.ndarray:
