@@ -59,8 +59,8 @@ def test_a_mover_stands_out_without_cameras() -> None:
     pairs["flow"] = pairs["flow"] + moving[0][..., None] * steps * np.array([0, 3], np.float32)
     assert epipolar.flat_share(edges, matches(pairs), 0) < epipolar.FLAT_SHARE
     evidence = epipolar.two_view_evidence(edges, matches(pairs), scene.T, parallax=True, seed=0)
-    misfit = pooling.pool(evidence, painted(moving), edges, pairs["flow"], pairs["weights"])
-    probability = motion_stage.to_probability(misfit, *motion_stage.FLOW_CURVE)
+    residual = pooling.pool(evidence, painted(moving), edges, pairs["flow"], pairs["weights"])
+    probability = motion_stage.to_probability(residual, *motion_stage.FLOW_CURVE)
     assert overlap(probability > 0.5, moving) > 0.6
 
 
@@ -72,8 +72,8 @@ def test_threads_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     for threads in ("1", "4"):
         monkeypatch.setenv("OMP_NUM_THREADS", threads)
         evidence = epipolar.two_view_evidence(edges, matches(pairs), scene.T, parallax=True, seed=0)
-        misfit = pooling.pool(evidence, painted(scene.dynamic), edges, pairs["flow"], pairs["weights"])
-        found.append([*evidence, misfit])
+        residual = pooling.pool(evidence, painted(scene.dynamic), edges, pairs["flow"], pairs["weights"])
+        found.append([*evidence, residual])
     for alone, together in zip(*found, strict=True):
         np.testing.assert_array_equal(alone, together)
 
@@ -85,8 +85,8 @@ def test_a_mover_stands_out_sharply_with_cameras() -> None:
     evidence, _, _ = resweep.camera_evidence(
         pairs, scene.cam_from_world, Ks, np.full(scene.depth.shape, 0.2, np.float32)
     )
-    misfit = pooling.pool(evidence, painted(scene.dynamic), edges, pairs["flow"], pairs["weights"])
-    assert overlap(motion_stage.to_probability(misfit, *motion_stage.CAMERA_CURVE) > 0.5, scene.dynamic) > 0.7
+    residual = pooling.pool(evidence, painted(scene.dynamic), edges, pairs["flow"], pairs["weights"])
+    assert overlap(motion_stage.to_probability(residual, *motion_stage.CAMERA_CURVE) > 0.5, scene.dynamic) > 0.7
 
 
 def test_static_scene_fits_its_depth_exactly() -> None:
@@ -97,7 +97,7 @@ def test_static_scene_fits_its_depth_exactly() -> None:
     start = np.full(scene.depth.shape, 0.3, np.float32)
     evidence, _, sigma_px = resweep.camera_evidence(pairs, scene.cam_from_world, Ks, start)
     assert sigma_px == pytest.approx(resweep.SIGMA_RANGE_PX[0])
-    assert evidence.misfit[evidence.weight > 1].max() < 1e-3
+    assert evidence.residual[evidence.weight > 1].max() < 1e-3
 
 
 def test_sweep_is_as_good_as_trying_every_depth() -> None:
@@ -111,10 +111,10 @@ def test_sweep_is_as_good_as_trying_every_depth() -> None:
     b = (scene.K @ relative[:, :3, 3:])[..., 0]
     pointer = np.searchsorted(i, np.arange(scene.T + 1))
     start = np.full(scene.depth.shape, 0.3, np.float32)
-    misfit, inverse_depth = resweep.sweep(pointer, A, b, flow, pairs["weights"], start, 0.5, 1)
+    residual, inverse_depth = resweep.sweep(pointer, A, b, flow, pairs["weights"], start, 0.5, 1)
     reference, at_found = brute_force(scene, A, b, flow, pairs, inverse_depth, 0.5)
-    np.testing.assert_allclose(misfit, at_found, atol=1e-4)
-    assert np.quantile(misfit - reference, 0.95) < 0.05
+    np.testing.assert_allclose(residual, at_found, atol=1e-4)
+    assert np.quantile(residual - reference, 0.95) < 0.05
 
 
 def brute_force(
@@ -126,11 +126,11 @@ def brute_force(
     found: np.ndarray,
     sigma_px: float,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Lowest misfit per pixel over a fine grid of inverse depths, and the misfit at those found."""
+    """Lowest residual per pixel over a fine grid of inverse depths, and the residual at those found."""
     pixels = pixel_grid(*scene.depth.shape[1:])
     homogeneous = np.concatenate([pixels, np.ones_like(pixels[..., :1])], axis=-1)
 
-    def misfit(d: np.ndarray) -> np.ndarray:
+    def residual(d: np.ndarray) -> np.ndarray:
         cost, total = np.zeros(scene.depth.shape), np.zeros(scene.depth.shape)
         for e, i in enumerate(pairs["source"]):
             there = homogeneous @ A[e].T + d[i][..., None] * b[e]
@@ -142,8 +142,8 @@ def brute_force(
         return cost / np.maximum(total, 1e-12)
 
     grid = np.concatenate([[0], np.geomspace(1e-3, resweep.D_MAX, 4000)])
-    best = np.min([misfit(np.full(scene.depth.shape, d)) for d in grid], axis=0)
-    return best, misfit(found.astype(float))
+    best = np.min([residual(np.full(scene.depth.shape, d)) for d in grid], axis=0)
+    return best, residual(found.astype(float))
 
 
 def test_depth_is_resampled_where_its_cells_lie() -> None:
@@ -155,12 +155,12 @@ def test_depth_is_resampled_where_its_cells_lie() -> None:
 
 def test_pooling_fills_from_neighbouring_frames() -> None:
     """A pixel unseen in one frame takes the evidence that the flow brings from the next ones."""
-    misfit, weight = np.zeros((3, 20, 20), np.float32), np.ones((3, 20, 20), np.float32)
-    misfit[1:, 5:15, 5:15] = 1.0
+    residual, weight = np.zeros((3, 20, 20), np.float32), np.ones((3, 20, 20), np.float32)
+    residual[1:, 5:15, 5:15] = 1.0
     weight[0] = 0
     edges = {(0, 1): 0, (0, 2): 1}
     flow, weights = np.zeros((2, 20, 20, 2), np.float32), np.ones((2, 20, 20), np.float32)
-    pooled = pooling.pool(Evidence(misfit, weight), painted(misfit > 0), edges, flow, weights)
+    pooled = pooling.pool(Evidence(residual, weight), painted(residual > 0), edges, flow, weights)
     assert pooled[0, 10, 10] > 0.8
     assert pooled[0, 1, 1] < 1e-6
 
@@ -169,10 +169,10 @@ def test_evidence_speaks_for_pixels_alike_up_to_a_colour_edge() -> None:
     """Half of a mover is matched; the other half, and what stands beside it, say nothing themselves."""
     moving = np.zeros((1, 40, 128), bool)
     moving[:, :, 60:68] = True
-    misfit, weight = moving.astype(np.float32), np.zeros(moving.shape, np.float32)
+    residual, weight = moving.astype(np.float32), np.zeros(moving.shape, np.float32)
     weight[:, :20, 60:68] = 5.0
     flow, weights = np.zeros((0, 40, 128, 2), np.float32), np.zeros((0, 40, 128), np.float32)
-    pooled = pooling.pool(Evidence(misfit, weight), painted(moving), {}, flow, weights)
+    pooled = pooling.pool(Evidence(residual, weight), painted(moving), {}, flow, weights)
     assert pooled[0, 22, 62:66].min() > 0.5
     assert pooled[0, :, 56:59].max() < 0.01
 

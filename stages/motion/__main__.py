@@ -1,4 +1,4 @@
-"""Estimate per pixel how likely it moves in the world, from flow and from the cameras of the round before."""
+"""Estimate the probability that a pixel moves in the world, from flow and the cameras of the previous round."""
 
 from pathlib import Path
 from typing import Annotated, Any
@@ -20,9 +20,9 @@ from stages.shared.sequences import read_sequence
 
 FLOW_CURVE = (0.17, 0.04)
 CAMERA_CURVE = (0.37, 0.1)
-"""Pooled misfit at which a pixel moves as likely as not, and the width of the transition, with and without cameras.
+"""Pooled residual at which the probability of motion is 0.5, and the width of the transition; without, with cameras.
 
-Two-view geometry absorbs part of every motion, so that less misfit means more.
+Two-view geometry absorbs part of every motion, so the threshold without cameras is lower.
 """
 
 
@@ -37,10 +37,10 @@ def main(
 ) -> str:
     """Estimate the probability that a pixel moves in the world, from geometry alone.
 
-    Without cameras: misfit of the flow to the epipolar geometry of many frame pairs (to homographies where nothing
-    shows parallax). With the cameras of the round before: misfit to the best depth per pixel, where flow is unreliable
-    only as far as the pictures confirm it. Both are pooled along the flow. The metadata of the output says which was
-    used, and why.
+    Without cameras the evidence is the epipolar residual of the flow over many frame pairs (the homography residual
+    where no pair shows parallax). With the cameras of the previous round it is the residual at the best depth of each
+    pixel; where flow is unreliable, the images must confirm it. Both are pooled along the flow. The metadata of the
+    output says which was used, and why.
     """
     frames = read_sequence(sequence)
     pairs, scale = read_dense(flow), float(read_metadata(flow)["scale"])
@@ -54,8 +54,8 @@ def main(
     else:
         stride_px = float(read_metadata(previous_depth)["stride_px"])
         evidence, facts = _from_cameras(rgb, pairs, cameras, read_dense(previous_depth), scale, stride_px)
-    misfit = pool(evidence, rgb, edges, pairs["flow"], pairs["weights"])
-    probability = to_probability(misfit, *(FLOW_CURVE if cameras is None else CAMERA_CURVE))
+    residual = pool(evidence, rgb, edges, pairs["flow"], pairs["weights"])
+    probability = to_probability(residual, *(FLOW_CURVE if cameras is None else CAMERA_CURVE))
     facts |= {"moving_share": float((probability > 0.5).mean())}
     logger.info("%s: %s", frames.name, facts)
     columns = {"frame": np.array(frames.numbers), "probability": probability.astype(np.float16)}
@@ -64,13 +64,13 @@ def main(
     return f"{facts['moving_share']:.1%} of the pixels seem to move"
 
 
-def to_probability(misfit: np.ndarray, midway: float, spread: float) -> np.ndarray:
-    """Probability of motion of a pooled misfit [...] in 0..1: a logistic curve."""
-    return np.asarray(1 / (1 + np.exp((midway - misfit) / spread)))
+def to_probability(residual: np.ndarray, midway: float, spread: float) -> np.ndarray:
+    """Probability of motion of a pooled residual [...] in 0..1: a logistic curve."""
+    return np.asarray(1 / (1 + np.exp((midway - residual) / spread)))
 
 
 def _usable_cameras(poses: Path | None, depth: Path | None) -> Cameras | None:
-    """Cameras of the round before; none if there was none or it failed."""
+    """Cameras of the previous round; None in the first round or if it failed."""
     if (poses is None) != (depth is None):
         raise InputError("--previous-poses", "together with --previous-depth", "only one of them", "give both or none")
     cameras = read_cameras(poses) if poses else None
@@ -83,7 +83,7 @@ def _usable_cameras(poses: Path | None, depth: Path | None) -> Cameras | None:
 def _from_flow(
     pairs: dict[str, np.ndarray], edges: dict[tuple[int, int], int], T: int, seed: int
 ) -> tuple[Evidence, dict[str, Any]]:
-    """Evidence from two-view geometry, and what was used."""
+    """Evidence from two-view geometry, and which model was used."""
     pixels = pixel_grid(*pairs["weights"].shape[1:]).astype(np.float32)
     matches = PairMatches(pixels, pixels + pairs["flow"], pairs["weights"])
     flat = epipolar.flat_share(edges, matches, seed)
@@ -101,13 +101,13 @@ def _from_cameras(
     scale: float,
     stride_px: float,
 ) -> tuple[Evidence, dict[str, Any]]:
-    """Evidence from the cameras of the round before, depth searched anew, and what was used."""
+    """Evidence from the cameras of the previous round with depth searched anew, and which model was used."""
     h, w = pairs["confidence"].shape[1:]
     start = resweep.resample(depth["inverse_depth"], stride_px * scale, h, w)
     seen = cameras.cam_from_world, scale_intrinsics(cameras.Ks, scale)
-    unobserved = cameras.status == "unobserved"  # without a pose of their own, so that nothing can be told of them
+    unobserved = cameras.status == "unobserved"  # their poses are interpolated, so their flow is no evidence
     known = ~(unobserved[pairs["source"]] | unobserved[pairs["target"]])
-    if unobserved.any():  # else the copy would cost memory for nothing
+    if unobserved.any():  # otherwise the copy would only cost memory
         pairs = pairs | {"weights": pairs["weights"] * known[:, None, None]}
     evidence, inverse_depth, sigma_px = resweep.camera_evidence(pairs, *seen, start)
     evidence = photometric.corroborate(evidence, rgb, pairs, resweep.projections(pairs, *seen), inverse_depth)
@@ -117,7 +117,7 @@ def _from_cameras(
 
 
 def _picture(rgb: np.ndarray, probability: np.ndarray) -> np.ndarray:
-    """Shown frames above the probability of motion."""
+    """A few frames, each above its probability of motion."""
     shown = drawing.spread(len(probability), 4)
     cells = [image for k in shown for image in (rgb[k], drawing.scalar_to_rgb(probability[k], 0, 1))]
     return drawing.contact_sheet(cells, columns=4)

@@ -1,4 +1,4 @@
-"""Motion evidence from flow alone: how badly each pixel's flow fits the two-view geometry of its frame pair."""
+"""Motion evidence from flow alone: the residual of each pixel's flow to the two-view geometry of its frame pair."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -12,12 +12,12 @@ from stages.shared.threads import threaded
 MIN_CONFIDENCE = 0.5
 MIN_MATCHES = 50
 MAX_ITERATIONS = 500
-"""Enough to draw seven inliers once, with 99.99 %, where 60 % of the matches are inliers."""
+"""Enough to draw seven inliers once with probability 99.99 % where 60 % of the matches are inliers."""
 RANSAC_MATCHES = 1500
 """MAGSAC++ gains nothing from more."""
 FLAT_SHARE = 0.75
 FLAT_PX = 1.0
-"""A homography that meets this share of the confident matches to a pixel leaves a fundamental matrix undetermined."""
+"""If a homography fits this share of the confident matches to 1 px, the fundamental matrix is undetermined."""
 SIGMA_RANGE_PX = (1.0, 3.0)
 """Robust scale: three times the median residual, within these bounds."""
 
@@ -26,9 +26,9 @@ Errors = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 
 
 class Evidence(NamedTuple):
-    """Misfit of the flow to rigid motion [T, h, w] in 0..1, and its weight summed over the edges, [T, h, w]."""
+    """Robust residual (Geman-McClure, 0..1) of the flow to rigid motion [T, h, w]; its weight, summed over edges."""
 
-    misfit: np.ndarray
+    residual: np.ndarray
     weight: np.ndarray
 
 
@@ -41,10 +41,10 @@ class PairMatches(NamedTuple):
 
 
 def flat_share(edges: dict[tuple[int, int], int], pairs: PairMatches, seed: int) -> float:
-    """Share of the confident matches that a homography meets to a pixel, at the frame distance where it is least.
+    """Share of the confident matches that a homography fits to 1 px, at the frame distance where it is least.
 
-    Near 1 there is no parallax: the camera only turns, hardly moves, or looks at a plane. Then the epipole is free,
-    and would be placed to suit whatever moves. 1 without matches.
+    Near 1 there is no parallax: the camera only turns, hardly moves, or looks at a plane. Then the epipole is
+    undetermined and a fit would place it to explain moving objects. 1 without matches.
     """
     forward = [(i, j) for i, j in edges if i < j]
 
@@ -80,25 +80,25 @@ def two_view_evidence(
     fits = dict(zip(forward, threaded(fitted, forward), strict=True))
 
     def of_frame(frame: int) -> tuple[np.ndarray, np.ndarray]:
-        misfit, weight = (np.zeros(pairs.weights.shape[1:], np.float32) for _ in range(2))
+        residual, weight = (np.zeros(pairs.weights.shape[1:], np.float32) for _ in range(2))
         for (i, j), e in edges.items():
             found = fits[min(i, j), max(i, j)] if i == frame else None
             if found is not None:
                 model, sigma_px = found
                 its_model = model if i < j else model.T if parallax else np.linalg.inv(model)
                 squared = (errors(its_model, pairs.pixels, pairs.matches[e]) / np.float32(sigma_px)) ** 2
-                misfit += pairs.weights[e] * squared / (1 + squared)
+                residual += pairs.weights[e] * squared / (1 + squared)
                 weight += pairs.weights[e]
-        return misfit / np.maximum(weight, 1e-6), weight
+        return residual / np.maximum(weight, 1e-6), weight
 
-    misfits, weights = zip(*threaded(of_frame, range(T)), strict=True)
-    return Evidence(np.stack(misfits), np.stack(weights))
+    residuals, weights = zip(*threaded(of_frame, range(T)), strict=True)
+    return Evidence(np.stack(residuals), np.stack(weights))
 
 
 def ransac_threshold_px(edges: dict[tuple[int, int], int], pairs: PairMatches) -> float:
     """Inlier threshold: 7.5 % of the median motion of the shortest edges within 0.2..0.5 px.
 
-    A wider one lets a moving object bend the geometry until it fits.
+    A wider one counts moving objects as inliers and biases the geometry.
     """
     shortest = min((abs(i - j) for i, j in edges), default=0)
     moves = [
@@ -114,7 +114,7 @@ def fit_fundamental(x: np.ndarray, y: np.ndarray, params: cv2.UsacParams) -> np.
     step = max(1, len(x) // RANSAC_MATCHES)
     try:
         F, _ = cv2.findFundamentalMat(x[::step], y[::step], params)
-    except cv2.error:  # its polishing step asserts, rather than returns, when matches leave F undetermined
+    except cv2.error:  # its local optimisation raises an assertion when matches leave F undetermined
         return None
     return F if F is not None and F.shape == (3, 3) else None
 
@@ -177,7 +177,7 @@ def _collect(pixels, matches, weights):  # type: ignore[no-untyped-def]
     for row in range(0, h, 2):
         for column in range(0, w, 2):
             if weights[row, column] > MIN_CONFIDENCE:
-                for c in range(2):  # assigning rows would compile what numba says of arrays that do not fit
+                for c in range(2):  # assigning whole rows would also compile numba's error messages for shapes
                     x[n, c], y[n, c] = pixels[row, column, c], matches[row, column, c]
                 n += 1
     return x[:n], y[:n]

@@ -1,8 +1,8 @@
-"""Does the static world explain the pictures where flow is unreliable?
+"""Photometric test of a static world where flow is unreliable.
 
-Flow that failed fits no depth, just as flow of a mover: fog, blur and repeated texture look like motion. The pictures
-tell them apart: warped by a static depth, its own or that of its neighbours, they match as well as by the flow unless
-something moved.
+Failed flow fits no depth, and neither does the flow of a mover: fog, blur and repeated texture look like motion. The
+images tell them apart. Warped with a static depth (the pixel's own or that of its neighbours) they match as well as
+warped with the flow, unless the pixel moved.
 """
 
 from collections.abc import Mapping
@@ -17,17 +17,17 @@ from stages.shared.threads import threaded
 from stages.shared.warp import is_inside, warp
 
 RELIABLE = 0.5
-"""Mean confidence over its edges from which on a pixel's flow speaks for itself."""
+"""From this mean confidence over its edges on, the flow of a pixel needs no confirmation."""
 REACH = 5
-"""Frames apart up to which pictures are compared: slow motion shows over several frames only."""
+"""Largest distance in frames between compared images: slow motion shows over several frames only."""
 FLOW_SHARE = 0.75
-"""Part of the flow's own residual that the static world is allowed: noise and blur trouble both."""
+"""Share of the flow's photometric residual subtracted from the static one: noise and blur affect both."""
 EXCESS = 0.5
-"""Residual beyond that, in units of the tolerance, that counts by half."""
+"""Excess residual, in units of the tolerance, at which the contradiction is one half."""
 TOLERANCE = 1.0, 0.5
-"""Residual that no motion explains: colour levels, and pixels by which the best static match may be off."""
+"""Residual expected of a static pixel: colour levels, and the position error of the best static match in pixels."""
 EXPLAINED = 0.35
-"""Misfit below which the depth of a pixel is offered to its neighbours."""
+"""Residual below which the depth of a pixel is a candidate for its neighbours."""
 WINDOW_PX, NEIGHBOURS_PX = 5, 15
 MEAN_OF_COLOURS = np.full((1, 3), 1 / 3, np.float32)
 NEVER = np.float32(1e30)
@@ -41,13 +41,13 @@ def corroborate(
     projections: tuple[np.ndarray, np.ndarray],
     inverse_depth: np.ndarray,
 ) -> Evidence:
-    """Evidence with the misfit of unreliable flow cut to what the pictures confirm, and the weight they give it.
+    """Evidence whose residual is reduced where flow is unreliable and the images do not confirm motion.
 
-    The pictures speak where flow is silent, the more the better the frame's other pixels were matched, and no less
-    than the prior that a pixel is static: else nothing would show in frames that are matched badly throughout.
+    Where flow has no weight, the images give it one: the share of confident matches of the frame, at least
+    PRIOR_WEIGHT. Without this minimum no motion would show in frames whose flow is bad everywhere.
 
     Args:
-        evidence: misfit [T, h, w] to the static world, and its weight.
+        evidence: residual [T, h, w] of the flow to a static world, and its weight.
         rgb: [T, h, w, 3] uint8 frames on the flow grid.
         pairs: source, target [E], flow [E, h, w, 2] px, confidence [E, h, w].
         projections: A [E, 3, 3] and b [E, 3] of `resweep`; inverse_depth: [T, h, w] in the units of b.
@@ -58,25 +58,25 @@ def corroborate(
         edges = np.flatnonzero(pairs["source"] == i)
         confidence = pairs["confidence"][edges].astype(np.float32)
         reliability = confidence.sum(axis=0) / (RELIABLE * max(len(edges), 1))
-        depths = _static_depths(inverse_depth[i].astype(np.float32), evidence.misfit[i])
+        depths = _static_depths(inverse_depth[i].astype(np.float32), evidence.residual[i])
         near = edges[np.abs(i - pairs["target"][edges]) <= REACH]
         cameras = projections[0][near], projections[1][near]
         contradicted = _contradicted(frames, i, pairs["target"][near], pairs["flow"][near], cameras, depths)
-        misfit = evidence.misfit[i] * np.maximum(np.minimum(reliability, 1), contradicted)
+        residual = evidence.residual[i] * np.maximum(np.minimum(reliability, 1), contradicted)
         weight = max((confidence > 0.5).mean(), PRIOR_WEIGHT) if len(edges) else 0
-        return misfit, np.maximum(evidence.weight[i], weight)
+        return residual, np.maximum(evidence.weight[i], weight)
 
-    misfit, weight = zip(*threaded(of_frame, range(len(frames))), strict=True)
-    return Evidence(np.stack(misfit), np.stack(weight))
+    residual, weight = zip(*threaded(of_frame, range(len(frames))), strict=True)
+    return Evidence(np.stack(residual), np.stack(weight))
 
 
-def _static_depths(inverse_depth: np.ndarray, misfit: np.ndarray) -> list[np.ndarray]:
-    """Inverse depths [h, w] that a static pixel may have: the one found, smoothed, and the farthest and nearest around.
+def _static_depths(inverse_depth: np.ndarray, residual: np.ndarray) -> list[np.ndarray]:
+    """Candidate inverse depths [h, w] of a static pixel: the smoothed estimate, the farthest and nearest around it.
 
-    The flow of a thin or moving thing spills over the static pixels beside it, and so does the depth found from it.
+    The flow of a thin or moving object leaks onto static pixels beside it, and so does the depth estimated from it.
     """
     smooth = cv2.medianBlur(inverse_depth, WINDOW_PX)
-    sure = cv2.blur(misfit, (WINDOW_PX, WINDOW_PX)) < EXPLAINED
+    sure = cv2.blur(residual, (WINDOW_PX, WINDOW_PX)) < EXPLAINED
     kernel = np.ones((NEIGHBOURS_PX, NEIGHBOURS_PX), np.uint8)
     farthest = cv2.erode(np.where(sure, smooth, NEVER), kernel)
     nearest = cv2.dilate(np.where(sure, smooth, -NEVER), kernel)
@@ -92,9 +92,10 @@ def _contradicted(
     projections: tuple[np.ndarray, np.ndarray],
     depths: list[np.ndarray],
 ) -> np.ndarray:
-    """How clearly [h, w], 0..1, the flow matches the pictures better than any static depth; 0 where nothing is in view.
+    """By how much [h, w], 0..1, the flow matches the images better than any static depth; 0 where nothing is in view.
 
-    Frames before and after are averaged apart and the better side counts: what is hidden on one is seen on the other.
+    Earlier and later frames are averaged separately and the better side counts: a pixel occluded on one side is
+    usually visible on the other.
     """
     here = frames[i]
     total, seen = np.zeros((2, 2, 1 + len(depths), *here.shape[:2]), np.float32)
@@ -115,13 +116,13 @@ def _contradicted(
 
 
 def _exposed(frame: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """A frame [h, w, 3] uint8 as it would be with the exposure of the other, by the median difference per colour."""
+    """A frame [h, w, 3] uint8 corrected to the exposure of the other, by the median difference per colour."""
     change = np.median(other[::2, ::2].astype(np.int16) - frame[::2, ::2], axis=(0, 1))
     return np.asarray(cv2.add(frame, (*change.tolist(), 0.0)))
 
 
 def _tolerance(frame: np.ndarray) -> np.ndarray:
-    """Residual [h, w] in colour levels that the best static match of a static pixel of a frame [h, w, 3] may have."""
+    """Expected residual [h, w], in colour levels, of the best static match of each pixel of a frame [h, w, 3]."""
     grey = cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY)
     slope = np.hypot(cv2.Sobel(grey, cv2.CV_32F, 1, 0, scale=1 / 8), cv2.Sobel(grey, cv2.CV_32F, 0, 1, scale=1 / 8))
     levels, pixels = TOLERANCE

@@ -11,19 +11,19 @@ from stages.shared.warp import warp
 MIN_WEIGHT = 0.1
 POOLED_OFFSETS = (1, 2)
 PRIOR_WEIGHT = 0.3
-"""Weight that a pixel needs before its misfit counts: without evidence a pixel is taken as static."""
+"""Weight of the prior that a pixel is static (residual 0): a pixel without evidence counts as static."""
 REFERENCE_WIDTH = 512
 SMOOTHNESS = 100.0
-"""Weight of edge-aware smoothing for frames of that width: evidence spreads over some ten pixels."""
+"""Weight of edge-aware smoothing for frames of REFERENCE_WIDTH: evidence spreads over some ten pixels."""
 COLOUR_SIGMA = 4.0
-"""Colour step (0..255) that stops it."""
+"""Colour step (0..255) that stops the smoothing."""
 
 
 def evidence_weights(flow: np.ndarray, confidence: np.ndarray) -> np.ndarray:
-    """Weights [E, h, w] float32 of flow [E, h, w, 2] px as evidence of motion: its confidence, but not nothing.
+    """Weights [E, h, w] float32 of flow [E, h, w, 2] px as evidence of motion: its confidence, with a small minimum.
 
-    Things that move fast or turn are matched badly in every pair; flow that fits neither the static world nor itself
-    is weak evidence of motion, and often the only one. Flow that leaves the frame says nothing.
+    Objects that move fast or rotate are matched badly in every pair. Flow that fits neither a static world nor the
+    backward flow is weak evidence of motion, and often the only one. Flow that leaves the frame has weight 0.
     """
     weights = confidence.astype(np.float32)  # half precision is slow to compare
     spread(_weigh, len(weights), flow.astype(np.float32, copy=False), weights)
@@ -53,10 +53,10 @@ def pool(
     flow: np.ndarray,
     weights: np.ndarray,
 ) -> np.ndarray:
-    """Mean misfit [T, h, w] in 0..1, weighted by its evidence, of pixels alike and of the frames one and two away.
+    """Weighted mean residual [T, h, w] in 0..1 over similar pixels and over the frames one and two away.
 
-    Within a frame evidence spreads up to colour edges, as far as that of other pixels does not outweigh it: what is
-    matched well speaks for what is not.
+    Within a frame, evidence spreads up to colour edges in proportion to its weight: well-matched pixels decide for
+    badly matched ones.
 
     Args:
         rgb: [T, h, w, 3] uint8 frames on the flow grid.
@@ -75,12 +75,12 @@ def pool(
     return np.stack(threaded(of_frame, range(len(numerator))))
 
 
-def _spread(misfit: np.ndarray, weight: np.ndarray, rgb: np.ndarray) -> np.ndarray:
-    """Weighted misfit and weight of a frame, [2, h, w], smoothed alike up to its colour edges.
+def _spread(residual: np.ndarray, weight: np.ndarray, rgb: np.ndarray) -> np.ndarray:
+    """Weighted residual and weight of a frame, [2, h, w], both smoothed up to its colour edges.
 
     Their ratio is a normalised convolution (Knutsson and Westin, CVPR 1993) by the fast global smoother (Min et al.,
     TIP 2014), whose reach in pixels grows with the root of its weight: hence the squared width.
     """
     smoothness = SMOOTHNESS * (rgb.shape[1] / REFERENCE_WIDTH) ** 2
     smoother = cv2.ximgproc.createFastGlobalSmootherFilter(rgb, smoothness, COLOUR_SIGMA)
-    return np.stack([smoother.filter(image.astype(np.float32)) for image in (misfit * weight, weight)])
+    return np.stack([smoother.filter(image.astype(np.float32)) for image in (residual * weight, weight)])

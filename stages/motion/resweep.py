@@ -1,8 +1,8 @@
-"""Does any depth explain the flow of a pixel? The best fit over inverse depth with the cameras held fixed.
+"""Residual of the flow at the best inverse depth of each pixel, with the cameras fixed.
 
 A static pixel p of frame i is seen in frame j at A p + d b (homogeneous), with A = K_j R_ij K_i^-1, b = K_j t_ij and
-inverse depth d >= 0. A pixel whose flows to several frames fit no single d moves on its own. Depth is searched anew
-and masks take no part: a depth solved under a mask, or a mask in the weights, would confirm itself.
+inverse depth d >= 0. A pixel moves if its flows to several frames fit no single d. The depth is searched without
+masks: a depth solved with a mask, or a mask in the weights, would confirm the mask.
 """
 
 from collections.abc import Mapping
@@ -20,12 +20,12 @@ from stages.shared.warp import bilinear
 D_MAX = 50.0
 """Largest inverse depth, in units of the scene's median."""
 RIDGE_PX2 = 0.01
-"""Parallax below a tenth of a pixel says nothing about depth: the start is kept."""
+"""Parallax below a tenth of a pixel does not determine depth: the initial depth is kept."""
 Z_MIN = 0.05
 REFINEMENTS = 2
 NOISE_SCALE = 5.0
 SIGMA_RANGE_PX = (0.35, 3.0)
-"""Robust scale: so many times the median residual, within these bounds."""
+"""Bounds of the robust scale, a multiple of the median residual."""
 COARSE = 8
 """Every eighth pixel is enough to measure the noise."""
 
@@ -33,11 +33,11 @@ COARSE = 8
 def camera_evidence(
     pairs: Mapping[str, np.ndarray], cam_from_world: np.ndarray, Ks: np.ndarray, start: np.ndarray
 ) -> tuple[Evidence, np.ndarray, float]:
-    """Misfit [T, h, w] to the best depth under the cameras, with its weight; that inverse depth; the noise scale in px.
+    """Residual [T, h, w] at the best depth with its weight; that inverse depth; the robust scale in px.
 
-    The scale follows the median residual: a fixed one lets masks run away on noisy flow, and is blind to slow motion
-    where flow is good.
-    Edges weigh as much as their frames are apart: slow motion shows over many frames only.
+    The scale follows the median residual: with a fixed one, masks grow without bound on noisy flow and slow motion is
+    missed where flow is good.
+    The weight of an edge is proportional to its frame distance: slow motion shows over many frames only.
 
     Args:
         pairs: source, target [E], flow [E, h, w, 2] px, weights [E, h, w].
@@ -53,11 +53,11 @@ def camera_evidence(
     inputs = (pairs["flow"], weights, (start / unit).astype(np.float32))
     _, inverse_depth = sweep(pointer, A, b, *inputs, 1.0, COARSE)
     sigma_px = float(np.clip(NOISE_SCALE * _median_residual(A, b, pairs, inverse_depth), *SIGMA_RANGE_PX))
-    misfit, inverse_depth = sweep(pointer, A, b, *inputs, sigma_px, 1)
+    residual, inverse_depth = sweep(pointer, A, b, *inputs, sigma_px, 1)
     weight = np.zeros(start.shape, np.float32)
     for of_edge, i in zip(weights, pairs["source"], strict=True):
         weight[i] += of_edge
-    return Evidence(misfit, weight), unit * inverse_depth, sigma_px
+    return Evidence(residual, weight), unit * inverse_depth, sigma_px
 
 
 def projections(
@@ -117,10 +117,10 @@ def sweep(
     sigma_px: float,
     stride: int,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Best robust misfit per pixel over inverse depth, and that inverse depth.
+    """Lowest robust residual per pixel over inverse depth, and that inverse depth.
 
     Candidates are the inverse depths that each edge alone would triangulate, and `start`; the best of them is refined
-    by Gauss-Newton steps. The misfit is the weighted mean of the Geman-McClure cost r^2 / (r^2 + sigma^2) in 0..1.
+    by Gauss-Newton steps. The residual is the weighted mean of the Geman-McClure cost r^2 / (r^2 + sigma^2) in 0..1.
 
     Args:
         pointer: [T + 1] int64, edges pointer[i]..pointer[i + 1] leave frame i.
@@ -130,7 +130,7 @@ def sweep(
         stride: every `stride`-th pixel from (stride - 1) // 2 is solved.
 
     Returns:
-        misfit [T, rows, columns] float32 (0 where no weight), inverse depth of the same shape.
+        residual [T, rows, columns] float32 (0 where no weight), inverse depth of the same shape.
     """
     o = (stride - 1) // 2
     sampled = (np.ascontiguousarray(part[:, o::stride, o::stride], np.float32) for part in (flow, weights, start))
@@ -139,26 +139,26 @@ def sweep(
     flow, weights, start = sampled
     u = (np.arange(start.shape[2]) * stride + o).astype(np.float32)
     v = (np.arange(start.shape[1]) * stride + o).astype(np.float32)
-    misfit, inverse_depth = np.zeros_like(start), np.empty_like(start)
+    residual, inverse_depth = np.zeros_like(start), np.empty_like(start)
     rows = start.shape[0] * start.shape[1]
-    spread(_sweep, rows, pointer, *lines, flow, weights, u, v, start, np.float32(sigma_px**2), misfit, inverse_depth)
-    return misfit, inverse_depth
+    spread(_sweep, rows, pointer, *lines, flow, weights, u, v, start, np.float32(sigma_px**2), residual, inverse_depth)
+    return residual, inverse_depth
 
 
 @numba.njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
-def _sweep(begin, end, pointer, A, b, flow, weights, u, v, start, sigma2, misfit, inverse_depth):  # type: ignore[no-untyped-def]
+def _sweep(begin, end, pointer, A, b, flow, weights, u, v, start, sigma2, residual, inverse_depth):  # type: ignore[no-untyped-def]
     rows = len(v)
     for row in range(begin, end):
         i, y = row // rows, row % rows
         edges = pointer[i], pointer[i + 1]
-        _sweep_row(edges, y, A, b, flow, weights, u, v[y], start[i, y], sigma2, misfit[i, y], inverse_depth[i, y])
+        _sweep_row(edges, y, A, b, flow, weights, u, v[y], start[i, y], sigma2, residual[i, y], inverse_depth[i, y])
 
 
 @numba.njit(cache=True, fastmath=True, error_model="numpy")
-def _sweep_row(edges, y, A, b, flow, weights, u, v, start, sigma2, misfit, inverse_depth):  # type: ignore[no-untyped-def]
-    """Fill the best misfit [n] and inverse depth [n] of row y, of pixels u [n], v.
+def _sweep_row(edges, y, A, b, flow, weights, u, v, start, sigma2, residual, inverse_depth):  # type: ignore[no-untyped-def]
+    """Fill the lowest residual [n] and inverse depth [n] of row y, of pixels u [n], v.
 
-    Pixels are the innermost loop, and lie next to each other, so that it becomes vector instructions.
+    The innermost loop runs over adjacent pixels, so that it becomes vector instructions.
     """
     first, last = edges
     n = len(u)
@@ -168,7 +168,7 @@ def _sweep_row(edges, y, A, b, flow, weights, u, v, start, sigma2, misfit, inver
     for e in range(first, last):
         for x in range(n):
             s[e - first, x], t[e - first, x] = u[x] + flow[e, y, x, 0], v + flow[e, y, x, 1]
-            misfit[x] += weights[e, y, x]
+            residual[x] += weights[e, y, x]
     for trial in range(first - 1, last + REFINEMENTS):
         if first <= trial < last:
             _triangulate(A[trial], b[trial], s[trial - first], t[trial - first], u, v, start, d)
@@ -183,12 +183,12 @@ def _sweep_row(edges, y, A, b, flow, weights, u, v, start, sigma2, misfit, inver
             if matched and cost[x] < best[x]:
                 best[x], best_step[x], inverse_depth[x] = cost[x], gradient[x] / curvature[x], d[x]
     for x in range(n):
-        misfit[x] = best[x] / misfit[x] if misfit[x] > 0 else np.float32(0)
+        residual[x] = best[x] / residual[x] if residual[x] > 0 else np.float32(0)
 
 
 @numba.njit(cache=True, fastmath=True, error_model="numpy")
 def _add_edge(A, b, s, t, weights, u, v, d, sigma2, cost, gradient, curvature):  # type: ignore[no-untyped-def]
-    """Add what one edge, to matches s [n], t [n], costs at inverse depths d [n], and its Gauss-Newton terms."""
+    """Add the cost of one edge with matches s [n], t [n] at inverse depths d [n], and its Gauss-Newton terms."""
     a0, a1, a2 = A[0, 0], A[1, 0], A[2, 0]
     c0, c1, c2 = A[0, 1] * v + A[0, 2], A[1, 1] * v + A[1, 2], A[2, 1] * v + A[2, 2]
     b0, b1, b2 = b[0], b[1], b[2]
@@ -208,7 +208,7 @@ def _add_edge(A, b, s, t, weights, u, v, d, sigma2, cost, gradient, curvature): 
 
 @numba.njit(cache=True, fastmath=True, error_model="numpy")
 def _triangulate(A, b, s, t, u, v, start, d):  # type: ignore[no-untyped-def]
-    """Fill the inverse depths d [n] that meet the matches s [n], t [n] of one edge best; `start` where none does."""
+    """Fill the inverse depths d [n] that fit the matches s [n], t [n] of one edge best; `start` without parallax."""
     a0, a1, a2 = A[0, 0], A[1, 0], A[2, 0]
     c0, c1, c2 = A[0, 1] * v + A[0, 2], A[1, 1] * v + A[1, 2], A[2, 1] * v + A[2, 2]
     b0, b1, b2 = b[0], b[1], b[2]

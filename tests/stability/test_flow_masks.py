@@ -43,8 +43,8 @@ def prior_with_cameras(scene: Scene, cam_from_world: np.ndarray | None = None) -
     Ks = np.broadcast_to(scene.K, (scene.T, 3, 3))
     start = np.full(scene.depth.shape, np.median(1 / scene.depth), np.float32)
     evidence, _, _ = resweep.camera_evidence(pairs, poses, Ks, start)
-    misfit = pooling.pool(evidence, painted(scene.dynamic), edges, pairs["flow"], pairs["weights"])
-    return motion_stage.to_probability(misfit, *motion_stage.CAMERA_CURVE)
+    residual = pooling.pool(evidence, painted(scene.dynamic), edges, pairs["flow"], pairs["weights"])
+    return motion_stage.to_probability(residual, *motion_stage.CAMERA_CURVE)
 
 
 @pytest.mark.parametrize("grey_level", [0, 128, 255])
@@ -65,7 +65,7 @@ def test_still_frames_have_no_parallax_and_no_motion() -> None:
     matches = matches._replace(matches=np.broadcast_to(matches.pixels, matches.matches.shape))
     assert epipolar.flat_share(edges, matches, 0) == 1.0
     evidence = epipolar.two_view_evidence(edges, matches, scene.T, parallax=False, seed=0)
-    assert evidence.misfit.max() < 1e-3
+    assert evidence.residual.max() < 1e-3
 
 
 @pytest.mark.parametrize(("motion_kind", "planes"), [("rotate", None), ("curve", PLANE)])
@@ -75,11 +75,11 @@ def test_rotation_and_planes_take_homographies(motion_kind: str, planes: tuple |
     _, edges, matches = observed(scene)
     assert epipolar.flat_share(edges, matches, 0) > 0.95
     evidence = epipolar.two_view_evidence(edges, matches, scene.T, parallax=False, seed=0)
-    assert evidence.misfit.max() < 0.01
+    assert evidence.residual.max() < 0.01
 
 
 def test_failed_flow_is_no_motion_unless_the_pictures_say_so() -> None:
-    """A still square whose flow is wrong and a moving one, both without confidence, misfit the static world alike."""
+    """A still square with wrong flow and a moving one, both without confidence, leave the same residual."""
     texture = np.random.default_rng(0).integers(0, 255, (64, 200), dtype=np.uint8)
     grey = np.stack([texture[:, 40 + 2 * k : 136 + 2 * k] for k in range(3)])
     failed, moving = np.s_[20:44, 12:36], np.s_[20:44, 56:80]
@@ -94,8 +94,8 @@ def test_failed_flow_is_no_motion_unless_the_pictures_say_so() -> None:
     source, target = np.array(edges).T
     pairs = {"source": source, "target": target, "flow": flow, "confidence": confidence}
     projections = np.tile(np.eye(3), (len(edges), 1, 1)), (target - source)[:, None] * [-2.0, 0, 0]
-    all_misfit = Evidence(np.ones(grey.shape, np.float32), np.ones(grey.shape, np.float32))
-    cut = photometric.corroborate(all_misfit, coloured(grey), pairs, projections, np.ones(grey.shape)).misfit
+    all_residual = Evidence(np.ones(grey.shape, np.float32), np.ones(grey.shape, np.float32))
+    cut = photometric.corroborate(all_residual, coloured(grey), pairs, projections, np.ones(grey.shape)).residual
     assert cut[1][failed].mean() < 0.05
     assert cut[1][moving].mean() > 0.9
     assert (cut[1][:, 40:50] == 1).all()
@@ -109,13 +109,13 @@ def test_a_wrong_depth_beside_a_thin_thing_is_no_motion() -> None:
     source, target = np.array(edges).T
     flow = np.stack([np.full((64, 96, 2), (-2 * (j - i), 0), np.float32) for i, j in edges])
     confidence, strip = np.ones(flow.shape[:3], np.float32), np.s_[:, 40:48]
-    inverse_depth, misfit = np.ones(grey.shape, np.float32), np.zeros(grey.shape, np.float32)
-    confidence[:, :, 40:48], inverse_depth[:, :, 40:48], misfit[:, :, 40:48] = 0, 2.5, 1
+    inverse_depth, residual = np.ones(grey.shape, np.float32), np.zeros(grey.shape, np.float32)
+    confidence[:, :, 40:48], inverse_depth[:, :, 40:48], residual[:, :, 40:48] = 0, 2.5, 1
     pairs = {"source": source, "target": target, "flow": flow, "confidence": confidence}
     projections = np.tile(np.eye(3), (len(edges), 1, 1)), (target - source)[:, None] * [-2.0, 0, 0]
-    evidence = Evidence(misfit, np.zeros(grey.shape, np.float32))
+    evidence = Evidence(residual, np.zeros(grey.shape, np.float32))
     cut = photometric.corroborate(evidence, coloured(grey), pairs, projections, inverse_depth)
-    assert cut.misfit[1][strip].mean() < 0.05
+    assert cut.residual[1][strip].mean() < 0.05
     assert (cut.weight[1] > 0.5).all(), "what the pictures say counts without confident flow"
 
 
@@ -135,8 +135,8 @@ def test_motion_that_only_colour_shows_is_confirmed_where_all_is_matched_badly()
     projections = np.tile(np.eye(3), (len(edges), 1, 1)), np.zeros((len(edges), 3))
     evidence = Evidence(np.ones(moving.shape, np.float32), np.zeros(moving.shape, np.float32))
     found = photometric.corroborate(evidence, rgb, pairs, projections, np.ones(moving.shape))
-    assert found.misfit[1, 24:40, 42:54].min() > 0.9
-    assert found.misfit[1, :, :30].max() < 0.05
+    assert found.residual[1, 24:40, 42:54].min() > 0.9
+    assert found.residual[1, :, :30].max() < 0.05
     assert found.weight.min() >= pooling.PRIOR_WEIGHT
 
 
@@ -146,8 +146,8 @@ def test_pure_rotation_keeps_the_depth_it_starts_from() -> None:
     pairs, _, _ = observed(scene)
     Ks = np.broadcast_to(scene.K, (scene.T, 3, 3))
     evidence, _, _ = resweep.camera_evidence(pairs, scene.cam_from_world, Ks, np.ones(scene.depth.shape, np.float32))
-    assert np.isfinite(evidence.misfit).all()
-    assert evidence.misfit.max() < 1e-3
+    assert np.isfinite(evidence.residual).all()
+    assert evidence.residual.max() < 1e-3
 
 
 def test_wrong_cameras_cannot_hide_behind_no_flow() -> None:
@@ -209,8 +209,8 @@ def test_masks_of_rendered_sequences(rendered: Path, name: str, least_iou: float
     evidence, inverse_depth, _ = resweep.camera_evidence(pairs, *seen, start)
     rgb, projections = np.stack(frames), resweep.projections(pairs, *seen)
     evidence = photometric.corroborate(evidence, rgb, pairs, projections, inverse_depth)
-    misfit = pooling.pool(evidence, rgb, edges, flow, pairs["weights"])
-    probability = vote(motion_stage.to_probability(misfit, *motion_stage.CAMERA_CURVE), edges, flow, confidence)
+    residual = pooling.pool(evidence, rgb, edges, flow, pairs["weights"])
+    probability = vote(motion_stage.to_probability(residual, *motion_stage.CAMERA_CURVE), edges, flow, confidence)
     options = SegmentOptions()
     masks = []
     for p, rgb in zip(probability, frames, strict=True):
