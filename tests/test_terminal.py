@@ -59,7 +59,7 @@ def test_a_finished_stage_is_one_line_with_its_seconds_and_its_result(
     tell(shown, None, "Building DAG of jobs...")
     tell(shown, LogEvent.RUN_INFO, "Job stats: 2", stats={"total": 2})
     start(shown, 1, "ba", tmp_path, seq="demo", setting="settings/fast/", round="round1/")
-    write_stats(tmp_path, "ba", wall_s=4.42, summary="14 of 14 frames", warnings=["ba: demo: doubtful: rough path"])
+    write_stats(tmp_path, "ba", wall_s=4.42, summary="14 of 14 frames", warnings=["ba: demo: rough path"])
     tell(shown, LogEvent.JOB_FINISHED, job_id=1)
     tell(shown, LogEvent.PROGRESS, done=1, total=2)
     page = tmp_path / "report/index.html"
@@ -70,7 +70,7 @@ def test_a_finished_stage_is_one_line_with_its_seconds_and_its_result(
     lines = stream.getvalue().splitlines()
     assert [" ".join(line.split()) for line in lines[:1]] == ["ba demo fast round1 4.4 s 14 of 14 frames"]
     assert lines[1].startswith("report ")
-    assert lines[2:] == ["warning: demo fast round1: ba: demo: doubtful: rough path", f"The report: {page}"]
+    assert lines[2:] == ["warning: demo fast round1: ba: demo: rough path", f"The report: {page}"]
 
 
 def test_the_first_run_on_a_machine_says_once_that_kernels_are_compiled(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -61,10 +61,10 @@ def main(
 ) -> str:
     """Estimate camera poses, one shared focal length and depth from flow and masks.
 
-    Masks that leave too little static area, or that spoil the path, are not believed: `masks_trusted` in poses.parquet
-    says of which frames, and later stages go by it. A camera that only rotates, or hardly moves, is recognised and
-    solved in the model that fits. Doubts about the solution stand as `flags` in the metadata of poses.parquet; a
-    sequence that cannot be solved gets the status "failed" and identity poses.
+    Masks that leave too little static area, or a worse path, are ignored: `masks_trusted` in poses.parquet is false for
+    these frames, and later stages follow it. A camera that only rotates, or hardly moves, is detected and solved with
+    the matching model. Warnings about the solution are stored as `flags` in the metadata of poses.parquet. A sequence
+    that cannot be solved gets the status "failed" and identity poses.
     """
     frames = read_sequence(sequence)
     matches = _read_matches(flow, len(frames.numbers), options)
@@ -77,8 +77,8 @@ def main(
     masked = unmasked is not None or previous is not None
     problem = Problem(graph, masked, known_focal_px, previous, unmasked, options.iterations)
     solution = _solve(problem, matches.shot, frames, options)
-    flags = cuts.doubts(matches.shot, frames.numbers) + solution.flags
-    flags += _round_doubts(solution, static[matches.shot], ignored[matches.shot], previous_poses)
+    flags = cuts.warnings(matches.shot, frames.numbers) + solution.flags
+    flags += _round_warnings(solution, static[matches.shot], ignored[matches.shot], previous_poses)
     _log(frames.name, solution, flags)
     trusted = ~ignored & (solution.static is None or masks is None)
     if solution.static is not None:
@@ -101,11 +101,11 @@ def main(
 
 @dataclass(frozen=True)
 class _Matches:
-    """What flow/pairs.arrow holds of T frames.
+    """The content of flow/pairs.arrow for T frames.
 
     Attributes:
-        columns: of the table, a row per edge.
-        shot: [T] bool, the frames to relate to each other.
+        columns: columns of the table, one row per edge.
+        shot: [T] bool, the frames to solve.
         size: (width, height) of the flow grid; scale: its width over that of the frames.
     """
 
@@ -115,7 +115,7 @@ class _Matches:
     scale: float
 
     def graph(self, stride: int, centre: np.ndarray) -> FlowGraph:
-        """The matches of the shot, unmasked, of one pixel per `stride` px."""
+        """The unmasked matches of the shot, one pixel per `stride` px each way."""
         source, target, flow, confidence = (self.columns[name] for name in ("source", "target", "flow", "confidence"))
         graph = build_graph(source, target, flow, confidence, len(self.shot), stride, centre)
         return cuts.isolate(graph, self.shot)
@@ -149,7 +149,7 @@ def _true_depth(
 def _log(name: str, solution: Estimate, flags: list[str]) -> None:
     logger.info("camera %s; focal length %s; residual %.3f px", solution.camera, solution.focal, solution.residual_px)
     for flag in flags:
-        logger.warning("ba: %s: doubtful: %s", name, flag)
+        logger.warning("ba: %s: %s", name, flag)
 
 
 def _read_texture(frames: Sequence, size: tuple[int, int]) -> np.ndarray:
@@ -159,14 +159,14 @@ def _read_texture(frames: Sequence, size: tuple[int, int]) -> np.ndarray:
 
 
 def _read_masks(folder: Path | None, frames: Sequence) -> np.ndarray:
-    """Masks [T, H, W] bool, true where dynamic; without a folder nothing is."""
+    """Masks [T, H, W] bool, true where dynamic; without a folder all false."""
     if folder is None:
         return np.zeros((len(frames.numbers), frames.height, frames.width), bool)
     return np.stack(list(read_masks(folder, frames).values()))
 
 
 def _known_intrinsics(frames: Sequence, matches: _Matches, options: BAOptions) -> tuple[np.ndarray, float | None]:
-    """Principal point [2] on the flow grid, and the focal length there if the truth is asked for."""
+    """Principal point [2] on the flow grid, and the focal length there if it is taken from ground truth."""
     if options.intrinsics == options.poses_from == "estimate":
         return scale_intrinsics(centred_intrinsics(1, frames.width, frames.height), matches.scale)[:2, 2], None
     if not frames.has_truth("camdata_left"):
@@ -177,22 +177,22 @@ def _known_intrinsics(frames: Sequence, matches: _Matches, options: BAOptions) -
 
 
 def _previous(poses: Path | None, scale: float) -> PoseGuess | None:
-    """The poses of the round before; none if it failed or saw no translation."""
+    """The poses of the previous round; None if it failed or found no translation."""
     cameras = read_cameras(poses) if poses else None
     if cameras is None or set(cameras.status) & {STATUS["failed"], STATUS["rotating"]}:
         return None
     return PoseGuess(cameras.cam_from_world, float(cameras.Ks[0, 0, 0] * scale))
 
 
-def _round_doubts(solution: Estimate, static: np.ndarray, ignored: np.ndarray, previous: Path | None) -> list[str]:
-    """What masks say against the solution, of which those of some frames [T] were ignored, and the round before."""
+def _round_warnings(solution: Estimate, static: np.ndarray, ignored: np.ndarray, previous: Path | None) -> list[str]:
+    """Warnings from the masks, ignored in some frames [T], and from the comparison with the previous round."""
     before = read_metadata(previous) if previous else {}
     found = diagnostics.of_masks(static, ignored, before.get("static_share"))
     return found + (diagnostics.of_rounds(solution.focal, before["focal"]) if before else [])
 
 
 def _cameras(solution: Estimate, graph: FlowGraph, frames: Sequence, scale: float) -> Cameras:
-    """Cameras for full-size frames; a frame without matches of its own is called "unobserved"."""
+    """Cameras for full-size frames; a frame without enough matches has the status "unobserved"."""
     K = centred_intrinsics(solution.state.focal_px, graph.width, graph.height)
     K[:2, 2] = graph.centre
     status = np.full(graph.T, STATUS[solution.camera], object)
@@ -217,7 +217,7 @@ def _pose_metadata(solution: Estimate, flags: list[str], static: np.ndarray, opt
 
 
 def _or_null(value: Any) -> Any:
-    """The value; None in place of a number that JSON has no word for."""
+    """The value; None in place of infinity and NaN, which JSON cannot hold."""
     return None if isinstance(value, float) and not np.isfinite(value) else value
 
 

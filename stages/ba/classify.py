@@ -1,4 +1,4 @@
-"""Named statistics that tell, without truth, what kind of camera motion this is."""
+"""Statistics that classify the camera motion without ground truth."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,43 +12,44 @@ from stages.ba.graph import MIN_MATCHES, MIN_WEIGHT, FlowGraph
 from stages.ba.rotation import FOCALS
 
 NOISE_RATIO = 2.47
-"""What noise alone leaves of a rotation over what it leaves of epipolar geometry, both medians of lengths.
+"""Ratio of the median residuals of a rotation and of epipolar geometry if the residuals are noise alone.
 
-A rotation fits neither component of the noise, of deviation s: the median length of both is s sqrt(2 ln 2) = 1.177 s.
-Depth takes up the component along the epipolar line; of the other, shared between both ends of the match, the Sampson
-distance is s / sqrt(2), its median 0.477 s. (Measured on pans of 8 to 58 px a frame: 2.5 to 3.3; blurred ones to 4.2.)
+Noise has standard deviation s per component. A rotation fits neither component: the median length of the residual is
+s sqrt(2 ln 2) = 1.177 s. Depth absorbs the component along the epipolar line. The Sampson distance shares the other
+between both ends of the match: its standard deviation is s / sqrt(2), the median of its size 0.477 s. (Measured on
+pans of 8 to 58 px a frame: 2.5 to 3.3; on blurred ones up to 4.2.)
 """
 TWO_VIEW_PX = 0.5
-"""Scale of the inliers of a two-view fit."""
+"""Inlier threshold of a two-view fit."""
 FOCAL_TOLERANCE = 0.003
-"""Of the logarithm of the focal length that explains a rotation best."""
+"""Tolerance of the logarithm of the focal length that fits a rotation best."""
 STILL_PX = 1.0
-"""A camera whose rotation-like flow is below this per frame stands nearly still."""
+"""A camera whose flow fits a rotation and is below this per frame is called near-still."""
 FLOOR_PX = 0.05
-"""Two-view residuals below this say nothing more about which model fits."""
+"""Two-view residuals below this do not tell models apart."""
 MOST = 80
-"""Percentile of the residuals that stands for most matches: movers and outliers may be beyond."""
+"""Percentile of the residuals that represents most matches: movers and outliers may lie above it."""
 RESIDUAL_RATIO = 3.0
-"""Residuals that many times larger than others are of another kind."""
+"""From this ratio of residuals on, the larger one is not explained by noise."""
 PAIRS = 8
 BASELINE = 5
-"""Frames of the long baseline, unless told otherwise."""
+"""Default frame distance of the long baseline."""
 MATCHED = 0.5
-"""Distant frames are related as long as they share this part of the matches that neighbours share."""
+"""Distant frames count as well matched if they share this part of the matches that neighbours share."""
 
 
 @dataclass(frozen=True)
 class Statistics:
-    """Medians over pairs of frames, in px of the flow grid, of confident static matches.
+    """Residuals of confident static matches, in px of the flow grid: medians over pairs of frames.
 
     Attributes:
         offset: frame distance of the long baseline.
         flow_px: length of the flow between neighbours.
-        rotation_1_px, rotation_px: what a rotation leaves unexplained, between neighbours and over the long baseline,
-            at the focal length that explains all pairs best.
-        sampson_1_px, sampson_px: the same for epipolar geometry.
-        homography_px: for a homography, over the long baseline.
-        most_sampson_px, most_homography_px: what these leave of four matches in five, at most.
+        rotation_1_px, rotation_px: median residual of a rotation, between neighbours and over the long baseline, at the
+            focal length that fits all pairs best.
+        sampson_1_px, sampson_px: the same of epipolar geometry (Sampson distance).
+        homography_px: the same of a homography, over the long baseline.
+        most_sampson_px, most_homography_px: their 80th percentiles, over the long baseline.
     """
 
     offset: int
@@ -65,10 +66,10 @@ class Statistics:
     def camera(self) -> str:
         """Class of the camera motion: "moving", "rotating" or "near-still".
 
-        It is moving if what a rotation leaves is of another kind than the noise of the flow. The noise is what epipolar
-        geometry leaves of the same matches, and so grows with the length of the flow as theirs does. Neighbours decide
-        as well as the long baseline: what a fast camera passes is matched between neighbours alone, and over several
-        frames only the distance is left, which turns.
+        It is moving if the residual of a rotation is not explained by the noise of the flow. The noise is the epipolar
+        residual of the same matches, so it grows with the length of the flow as the rotation residual does. Both the
+        neighbours and the long baseline can decide: near points that a fast camera passes are matched between
+        neighbours alone; over several frames only far points are matched, whose flow is nearly a rotation.
         """
         pairs = (self.rotation_1_px, self.sampson_1_px), (self.rotation_px, self.sampson_px)
         if any(turned >= RESIDUAL_RATIO * NOISE_RATIO * max(noise, FLOOR_PX) for turned, noise in pairs):
@@ -77,27 +78,28 @@ class Statistics:
 
     @property
     def dominant_plane(self) -> bool:
-        """Whether one plane explains half of what a moving camera sees: it may then draw two-view fits to itself."""
+        """Whether one plane explains half of the view of a moving camera: two-view fits may then be degenerate."""
         return self.camera == "moving" and self.homography_px < RESIDUAL_RATIO * max(self.sampson_px, FLOOR_PX)
 
     @property
     def planar(self) -> bool:
-        """Whether one plane explains most of what a moving camera sees."""
+        """Whether one plane explains most of the view of a moving camera."""
         limit = RESIDUAL_RATIO * max(self.most_sampson_px, FLOOR_PX)
         return self.camera == "moving" and self.most_homography_px < limit
 
 
 def longest_step(graph: FlowGraph) -> int:
-    """The largest distance of frames that are still matched well."""
+    """The largest frame distance that is still matched well."""
     length, confident = np.abs(graph.target - graph.source), (graph.weights > MIN_WEIGHT).sum(axis=1)
     usual = {step: float(np.median(confident[length == step])) for step in np.unique(length).tolist()}
     return max(step for step, count in usual.items() if count >= MATCHED * usual[min(usual)])
 
 
 def measure(graph: FlowGraph, focal_px: float | None, seed: int, baseline: int = BASELINE) -> Statistics:
-    """Statistics of the matches at a known focal length, or else at the one that lets a rotation explain them best.
+    """Statistics of the matches at a known focal length, or else at the one that fits a rotation best.
 
-    A pan seen at a focal length a few per cent off leaves pixels, not noise: no list of focal lengths will do.
+    A focal length a few per cent off leaves residuals of whole pixels on a pan, far above the noise. So the focal
+    length is optimised and not picked from a list.
     """
     offset = max(int(step) for step in np.unique(graph.target - graph.source) if step <= baseline)
     near, far = _pairs(graph, 1), _pairs(graph, offset)
@@ -119,7 +121,7 @@ def measure(graph: FlowGraph, focal_px: float | None, seed: int, baseline: int =
 
 
 def _pairs(graph: FlowGraph, offset: int) -> list[tuple[int, int]]:
-    """At most PAIRS pairs of frames at this distance that have enough matches, spread over the sequence."""
+    """At most PAIRS pairs of frames at this distance with enough matches, spread over the sequence."""
     pairs = [(i, i + offset) for i in range(graph.T - offset)]
     usable = [pair for pair in pairs if len(_rays(graph, pair, 1.0)[0]) >= MIN_MATCHES]
     return [usable[k] for k in np.unique(np.linspace(0, len(usable) - 1, PAIRS).astype(int))] if usable else []
@@ -130,7 +132,7 @@ def _rays(graph: FlowGraph, pair: tuple[int, int], focal_px: float) -> tuple[np.
 
 
 def _rotation_focal(graph: FlowGraph, pairs: list[tuple[int, int]]) -> float:
-    """The focal length in px at which rotations leave least of the matches of these pairs, within those of a camera."""
+    """The focal length in px, within the range FOCALS, that minimises the rotation residual of these pairs."""
 
     def left(log_focal: float) -> float:
         return _median([_rotation(graph, pair, float(np.exp(log_focal))) for pair in pairs])
@@ -149,7 +151,7 @@ def _rotation(graph: FlowGraph, pair: tuple[int, int], focal_px: float) -> float
 
 
 def _sampson(graph: FlowGraph, pair: tuple[int, int], focal_px: float, seed: int) -> np.ndarray:
-    """Residuals [n] in px from the epipolar geometry; infinite without any."""
+    """Sampson distances [n] in px from the fitted epipolar geometry; infinite if none can be fitted."""
     x, y, w = _rays(graph, pair, focal_px)
     fit = twoview.estimate_motion(x, y, w, focal_px, TWO_VIEW_PX, seed)
     if fit is None:
@@ -158,7 +160,7 @@ def _sampson(graph: FlowGraph, pair: tuple[int, int], focal_px: float, seed: int
 
 
 def _homography(graph: FlowGraph, pair: tuple[int, int]) -> np.ndarray:
-    """Residuals [n] in px from a homography; infinite without any."""
+    """Residuals [n] in px from a fitted homography; infinite if none can be fitted."""
     x, y, _ = _rays(graph, pair, 1.0)
     H, _ = cv2.findHomography(x, y, cv2.RANSAC, 1.0)
     if H is None:

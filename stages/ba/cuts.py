@@ -1,4 +1,4 @@
-"""One shot of a sequence: the frames that matches link. A cut, or frames that show nothing, leave others out of it."""
+"""The longest shot of a sequence: the largest set of frames linked by matches. Cuts and blank frames end a shot."""
 
 from dataclasses import replace
 
@@ -11,19 +11,19 @@ from stages.ba.options import BAOptions
 from stages.shared import lie
 
 MIN_FRAMES = 3
-"""Fewer frames than this are no shot: chance links two frames of noise."""
+"""Fewer frames than this are no shot: two frames of noise may match by chance."""
 UNKNOWN_VARIANCE = 1e6
-"""Variance of the twist of a pose that nothing is known of."""
+"""Variance of the twist of an unobserved pose."""
 
 
 def linked_frames(source: np.ndarray, target: np.ndarray, weights: np.ndarray, T: int) -> np.ndarray:
-    """Which of T frames belong to the longest shot: the largest set that MIN_MATCHES sure matches a pair hold together.
+    """Which of T frames belong to the longest shot: the largest set linked by pairs with MIN_MATCHES sure matches.
 
     Args:
         source, target: [E] frame indices; weights: [E, P] confidences of sampled matches, without masks.
 
     Returns:
-        [T] bool; all true where no MIN_FRAMES frames are linked, so that the whole sequence is judged.
+        [T] bool; all true if fewer than MIN_FRAMES frames are linked, so that the whole sequence is solved or fails.
     """
     _, label = connected_components(shared_matches(source, target, weights, T) >= MIN_MATCHES, directed=False)
     sizes = np.bincount(label)
@@ -31,15 +31,15 @@ def linked_frames(source: np.ndarray, target: np.ndarray, weights: np.ndarray, T
 
 
 def isolate(graph: FlowGraph, frames: np.ndarray) -> FlowGraph:
-    """The graph without the observations of edges that touch any but these frames [T]."""
+    """The graph with weight 0 on all edges to or from frames outside `frames` [T] bool."""
     kept = frames[graph.source] & frames[graph.target]
     return replace(graph, weights=graph.weights * kept[:, None])
 
 
 def estimate_shot(problem: Problem, frames: np.ndarray, options: BAOptions) -> Estimate:
-    """The estimate from the frames [T] of one shot; the poses of the others are bridged.
+    """The estimate from the frames [T] of one shot; the poses of the others are interpolated.
 
-    What lies before its first frame and after its last takes no part: statistics and gauge are those of the shot.
+    Frames before its first and after its last are not used: statistics and gauge are those of the shot.
     """
     if frames.all():
         return estimate(problem, options)
@@ -55,7 +55,7 @@ def estimate_shot(problem: Problem, frames: np.ndarray, options: BAOptions) -> E
 
 
 def bridge(cam_from_world: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """Poses [T, 4, 4], those not `known` [T] at constant velocity between the nearest, or equal to it at the ends."""
+    """Poses [T, 4, 4] where those not `known` [T] are interpolated at constant velocity, or constant at the ends."""
     at, bridged = np.flatnonzero(known), cam_from_world.copy()
     for k in np.flatnonzero(~known):
         after = int(np.searchsorted(at, k))
@@ -66,8 +66,8 @@ def bridge(cam_from_world: np.ndarray, known: np.ndarray) -> np.ndarray:
     return bridged
 
 
-def doubts(frames: np.ndarray, numbers: list[int]) -> list[str]:
-    """What to say of a sequence with these numbers [T] of which only some frames [T] form the shot that is solved."""
+def warnings(frames: np.ndarray, numbers: list[int]) -> list[str]:
+    """A warning if only some frames [T] of a sequence with these frame numbers [T] form the shot; else none."""
     if frames.all():
         return []
     left_out = _ranges([number for number, kept in zip(numbers, frames, strict=True) if not kept])
@@ -76,7 +76,7 @@ def doubts(frames: np.ndarray, numbers: list[int]) -> list[str]:
 
 
 def _cut_out(graph: FlowGraph, inside: slice) -> FlowGraph:
-    """The graph of the frames first..stop - 1 alone."""
+    """The graph of the frames `inside` alone."""
     first, stop = inside.start, inside.stop
     kept = (graph.source >= first) & (graph.source < stop) & (graph.target >= first) & (graph.target < stop)
     source, target = graph.source[kept] - first, graph.target[kept] - first
@@ -92,7 +92,7 @@ def _cut_out(graph: FlowGraph, inside: slice) -> FlowGraph:
 
 
 def _put_back(part: Estimate, inside: slice, frames: np.ndarray) -> Estimate:
-    """The estimate of the frames `inside` as one of all; nothing is known of the others."""
+    """The estimate of the frames `inside` extended to all frames; the others are unobserved."""
     around = inside.start, len(frames) - inside.stop
 
     def padded(values: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Dense bundle adjustment: Levenberg-Marquardt with accept and reject on a graduated Geman-McClure cost."""
+"""Dense bundle adjustment: Levenberg-Marquardt on a graduated Geman-McClure cost; steps that raise it are rejected."""
 
 import time
 from collections.abc import Sequence
@@ -12,9 +12,9 @@ from stages.ba.graph import FlowGraph
 from stages.shared import lie
 
 DEPTH_PRIOR = 1e-4
-"""Weight, px^2, that draws an inverse depth to the median 1: far below what one useful match says."""
+"""Weight, px^2, of the prior that an inverse depth is the median 1: far below the weight of one useful match."""
 FLOW_VARIANCE = 1.5
-"""Variance of a match, px^2, against which the prior of the focal length is weighed."""
+"""Variance of a match, px^2, relative to which the focal length prior is weighted."""
 INVERSE_DEPTHS = (1e-4, 20.0)
 """Range of inverse depths, relative to their median."""
 REFINEMENTS = 2
@@ -25,7 +25,7 @@ MAX_DAMPING = 1e4
 
 @dataclass(frozen=True)
 class State:
-    """What bundle adjustment estimates. The gauge: first pose identity, median inverse depth 1.
+    """The unknowns of bundle adjustment. The gauge: first pose identity, median inverse depth 1.
 
     Attributes:
         cam_from_world: [T, 4, 4].
@@ -53,7 +53,7 @@ class Unknowns:
 
 @dataclass(frozen=True)
 class FocalPrior:
-    """Log-normal prior of the focal length: its centre in px and the standard deviation of its logarithm."""
+    """Log-normal prior of the focal length: centre in px and standard deviation of the logarithm."""
 
     focal_px: float
     log_sigma: float = 0.35
@@ -67,7 +67,7 @@ class FocalPrior:
 class Level(NamedTuple):
     """One stage of the graduated robust kernel: its scale in px and its largest number of iterations.
 
-    It ends before them at a step that lowers the cost by less than the share `gain`.
+    It ends early at a step that lowers the cost by less than the relative amount `gain`.
     """
 
     sigma_px: float
@@ -90,7 +90,7 @@ class Step:
 
 
 def normalise(state: State) -> State:
-    """The same solution in the gauge: first pose identity, median inverse depth, which must be positive, 1."""
+    """The same solution in the gauge: first pose identity, median inverse depth (which must be positive) 1."""
     scale = float(np.median(state.inverse_depth))
     cam_from_world = state.cam_from_world @ lie.inverse(state.cam_from_world[0])
     cam_from_world[:, :3, 3] *= scale
@@ -111,9 +111,9 @@ def robust_cost(graph: FlowGraph, errors: np.ndarray, sigma_px: float) -> float:
 
 
 def fitting_pixels(graph: FlowGraph, errors: np.ndarray, sigma_px: float, share: float) -> np.ndarray:
-    """Which pixels [T, P] have `share` of their matches, by weight, fit with errors [E, P] at the scale `sigma_px`.
+    """Which pixels [T, P] have at least `share` inliers, by weight, among their matches with errors [E, P].
 
-    A pixel without matches does.
+    An error counts as inlier by its robust weight at the scale `sigma_px`. A pixel without matches fits.
     """
     fits = graph.weights / (1 + (errors / np.float32(sigma_px)) ** 2) ** 2
     fitting, total = np.zeros((2, graph.T, len(graph.pixels)))
@@ -125,7 +125,7 @@ def fitting_pixels(graph: FlowGraph, errors: np.ndarray, sigma_px: float, share:
 def linear_system(
     graph: FlowGraph, state: State, sigma_px: float, eliminate: bool = True
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Undamped reduced system S [6T + 1, 6T + 1] and right-hand side; depths eliminated, or taken as known."""
+    """Undamped reduced system S [6T + 1, 6T + 1] and right-hand side; depths eliminated, or held fixed."""
     relative = reduced.relative_motions(graph, state.cam_from_world)
     data, at = observations(graph), geometry(graph, state)
     hessians, schur, _, _ = kernel.normal_equations(data, at, float(sigma_px), 0.0, DEPTH_PRIOR)
@@ -205,7 +205,7 @@ def propose(
 
 
 def _objective(graph: FlowGraph, state: State, sigma_px: float, unknowns: Unknowns, prior: FocalPrior) -> float:
-    """What Levenberg-Marquardt compares: data, depth prior and focal prior, per unit of weight, px^2."""
+    """Objective of Levenberg-Marquardt: data, depth prior and focal prior, per unit of weight, px^2."""
     total_weight = max(float(graph.weights.sum(dtype=float)), 1e-12)
     cost = robust_cost(graph, errors_px(graph, state), sigma_px)
     if unknowns.translation:
@@ -216,12 +216,12 @@ def _objective(graph: FlowGraph, state: State, sigma_px: float, unknowns: Unknow
 
 
 def observations(graph: FlowGraph) -> kernel.EdgeMatches:
-    """The graph as the kernels take it."""
+    """The graph in the form that the kernels take."""
     return kernel.EdgeMatches(graph.pointer, graph.source, graph.pixels, graph.matches, graph.weights)
 
 
 def geometry(graph: FlowGraph, state: State) -> kernel.Geometry:
-    """The state as the kernels take it."""
+    """The state in the form that the kernels take."""
     relative = reduced.relative_motions(graph, state.cam_from_world)
     R, t = np.ascontiguousarray(relative[:, :3, :3]), np.ascontiguousarray(relative[:, :3, 3])
     return kernel.Geometry(R, t, state.inverse_depth, np.append(state.focal_px, graph.centre))

@@ -1,4 +1,4 @@
-"""The depth that bundle adjustment hands on: denser than the solver's, with its variance, without holes."""
+"""Output depth of bundle adjustment: denser than the solver's grid, with variance, holes filled."""
 
 from dataclasses import dataclass
 
@@ -11,12 +11,12 @@ from stages.ba.graph import FlowGraph
 from stages.ba.initialise import SWEEP
 
 MATCH_VARIANCE = 0.25
-"""Of one component of a match, px^2: covers the depth errors measured against truth (their median is half a sigma)."""
+"""Variance of one component of a match, px^2. The median depth error against ground truth is then half a sigma."""
 MAX_VARIANCE = 1.0
-"""In units of the squared median inverse depth: what is known no better counts as not triangulated, and gets this."""
+"""Largest variance, in units of the squared median inverse depth; depths with it count as not triangulated."""
 SIGMA_PX = 0.5
 SPAN = np.array([0.5, 0.7, 1.0, 1.4, 2.0])
-"""Factors on the coarse inverse depth that the search for a pixel's own starts from."""
+"""Factors on the coarse inverse depth from which the search for a pixel's inverse depth starts."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ def depth_maps(graph: FlowGraph, coarse: FlowGraph, state: State, static: np.nda
     """Inverse depth of every pixel of `graph` with the poses fixed; holes filled.
 
     Args:
-        graph: masked observations on the grid that is wanted; `coarse`: those that `state` was solved on.
+        graph: masked observations on the output grid; `coarse`: those on which `state` was solved.
         static: [T, height, width], 1 where static, on the flow grid.
         observable: false for a camera that does not translate: every depth is then filled with 1.
     """
@@ -52,8 +52,8 @@ def depth_maps(graph: FlowGraph, coarse: FlowGraph, state: State, static: np.nda
 def fill(inverse_depth: np.ndarray, missing: np.ndarray, dynamic: np.ndarray) -> np.ndarray:
     """Inverse depth [h, w] with its missing pixels filled.
 
-    A dynamic region stands where it touches the static ground: it gets one inverse depth, that of its contact. Other
-    holes take the nearest measured pixel's.
+    A dynamic region is assumed to stand where it touches the static ground: it gets one inverse depth, that of its
+    contact. Other holes take the value of the nearest measured pixel.
     """
     if missing.all():
         return np.ones_like(inverse_depth)
@@ -73,8 +73,8 @@ def fill(inverse_depth: np.ndarray, missing: np.ndarray, dynamic: np.ndarray) ->
 def contact_inverse_depth(region: np.ndarray, inverse_depth: np.ndarray, measured: np.ndarray) -> float:
     """Inverse depth at which a region [h, w] touches the static scene.
 
-    The median over the measured pixels just below its lowest quarter; if there are none (the region is cut off by the
-    image), the near end (80th percentile) of what is measured around it, since it hides what it borders on.
+    The median over the measured pixels just below its lowest quarter. If there are none (the region is cut off by the
+    image), the near end (80th percentile) of the measurements around it, since the region occludes its surroundings.
     """
     rows = np.flatnonzero(region.any(axis=1))
     below = np.zeros_like(region)
@@ -89,7 +89,7 @@ def contact_inverse_depth(region: np.ndarray, inverse_depth: np.ndarray, measure
 
 
 def _search(graph: FlowGraph, coarse: FlowGraph, state: State) -> tuple[np.ndarray, np.ndarray]:
-    """Inverse depth and curvature [T, P] of the fine pixels, searched near the coarse ones and over all depths."""
+    """Inverse depth and curvature [T, P] of the fine pixels, searched near the coarse solution and over all depths."""
     start = graph.resample(state.inverse_depth.reshape(graph.T, coarse.rows, coarse.columns), coarse.stride)
     around = start * SPAN[:, None, None]
     everywhere = np.broadcast_to(SWEEP[:, None, None], (len(SWEEP), *start.shape))

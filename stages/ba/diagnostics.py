@@ -1,4 +1,4 @@
-"""What speaks against a solution, in words: its statistics, its focal length, its masks and the round before."""
+"""Diagnostics of a solution, as warnings in words: from its statistics, focal length, masks and the previous round."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -12,17 +12,18 @@ from stages.shared import lie
 
 ROUGH_PATH = 0.2
 SAME_COST, SAME_PATH, SAME_ROUGHNESS = 0.05, 0.05, 2.0
-"""Rivals in earnest cost as little, go elsewhere (share of the path), and are nearly as smooth."""
+"""An alternative solution is serious if its relative extra cost and its roughness ratio are below the first and last
+limit, and its path differs by more than the second (share of the path length)."""
 SHRINKING = 0.7
-"""A static area that falls below this share of the round before is a sign of masks that run away."""
+"""A static area below this share of that of the previous round suggests that masks grow without bound."""
 MOVED = 3.0
-"""Rounds that agree move the focal length by less than this many predicted errors (measured: by at most 0.4)."""
+"""Converged rounds change the focal length by less than this many predicted errors (measured: by at most 0.4)."""
 
 
 def of_solution(
     chosen: Candidate, others: Sequence[Candidate], statistics: Statistics, residual_px: float
 ) -> list[str]:
-    """Reasons, in words, to distrust a solution; empty when none of its statistics speaks against it."""
+    """The checks that a solution fails, in words; empty if it passes all."""
     found = []
     if statistics.camera == "moving" and chosen.roughness > ROUGH_PATH:
         found.append(f"rough camera path: mean |a| / mean |v| = {chosen.roughness:.2f} > {ROUGH_PATH}")
@@ -30,7 +31,7 @@ def of_solution(
         found.append(f"median residual {residual_px:.2f} px against {statistics.sampson_px:.2f} px of two-view fits")
     for other in others:
         apart, length = path_difference(chosen.state.cam_from_world, other.state.cam_from_world)
-        # Paths that part by less than moves a pixel of median depth, 1, by the noise of the flow are the same.
+        # Paths are the same if their difference moves a pixel of median depth, 1, by less than the noise of the flow.
         seen = apart * chosen.state.focal_px > max(residual_px, FLOOR_PX)
         as_smooth = other.roughness <= SAME_ROUGHNESS * chosen.roughness
         if seen and other.cost <= chosen.cost * (1 + SAME_COST) and as_smooth and apart > SAME_PATH * length:
@@ -40,9 +41,9 @@ def of_solution(
 
 
 def of_rotations(graph: FlowGraph, errors_px: np.ndarray) -> list[str]:
-    """Whether errors [E, P] that rotations leave grow with the distance of the frames, as those of a travelling camera.
+    """A warning if the residuals [E, P] of rotations grow with the frame distance, as those of a translating camera.
 
-    The noise of the flow hardly does (measured on turning cameras: from 0.04 px between neighbours to 0.08 px).
+    The noise of the flow hardly grows (measured on turning cameras: from 0.04 px between neighbours to 0.08 px).
     """
     distance, step = np.abs(graph.target - graph.source), longest_step(graph)
     confident = graph.weights > MIN_WEIGHT
@@ -50,12 +51,13 @@ def of_rotations(graph: FlowGraph, errors_px: np.ndarray) -> list[str]:
     if far <= RESIDUAL_RATIO * max(near, FLOOR_PX):
         return []
     return [
-        f"rotations leave {near:.2f} px between neighbours and {far:.2f} px over {step} frames: the camera may travel"
+        f"residual of rotations {near:.2f} px between neighbours, {far:.2f} px over {step} frames: "
+        "the camera may translate"
     ]
 
 
 def of_focal(camera: str, focal: Mapping[str, Any]) -> list[str]:
-    """What to say of the decision about the focal length, as the artifact has it, of a camera of this class."""
+    """A warning about the focal length decision, as stored in the artifact, for a camera of this class."""
     if focal["decision"] == "weakly observed":
         return [f"focal length weakly observed: predicted error {100 * focal['relative_sigma']:.0f} %"]
     if focal["decision"] == "held at prior" and camera == "moving":
@@ -64,7 +66,7 @@ def of_focal(camera: str, focal: Mapping[str, Any]) -> list[str]:
 
 
 def of_rounds(now: Mapping[str, Any], before: Mapping[str, Any]) -> list[str]:
-    """Whether an estimated focal length says that rounds have not converged; both as the artifact has them."""
+    """A warning if the focal length changed between rounds; both decisions as stored in the artifact."""
     if now["decision"] not in ("estimated", "weakly observed"):
         return []
     moved = np.log(now["focal_px"] / before["focal_px"])
@@ -76,7 +78,7 @@ def of_rounds(now: Mapping[str, Any], before: Mapping[str, Any]) -> list[str]:
 
 
 def of_masks(static: np.ndarray, ignored: np.ndarray, share_before: float | None) -> list[str]:
-    """What speaks against the masks that leave `static` [T, h, w], of which those of some frames [T] were ignored.
+    """Warnings about masks that leave the static area `static` [T, h, w] and were ignored in some frames [T].
 
     Args:
         share_before: static share of the image in the round before, if there was one.
@@ -86,7 +88,7 @@ def of_masks(static: np.ndarray, ignored: np.ndarray, share_before: float | None
         found.append(f"masks of {ignored.sum()} of {len(ignored)} frames ignored: they leave too little static area")
     if share_before and static.mean() < SHRINKING * share_before:
         shares = f"from {share_before:.2f} to {static.mean():.2f}"
-        readings = "movers found that the round before missed, or masks that run away: compare those of both rounds"
+        readings = "either new movers were found or the masks grow without bound: compare the masks of both rounds"
         found.append(f"static area shrank {shares} since the round before: {readings}")
     return found
 
@@ -94,7 +96,7 @@ def of_masks(static: np.ndarray, ignored: np.ndarray, share_before: float | None
 def path_difference(cam_from_world: np.ndarray, other: np.ndarray) -> tuple[float, float]:
     """RMS distance of the camera centres after similarity alignment, and the length of the first path.
 
-    Unlike `stages.shared.alignment.umeyama` it takes straight paths: the turn about the line changes no distance.
+    Unlike `stages.shared.alignment.umeyama` it accepts straight paths: the rotation about the line changes no distance.
     """
     a, b = (lie.inverse(poses)[:, :3, 3] for poses in (cam_from_world, other))
     a, b = a - a.mean(axis=0), b - b.mean(axis=0)

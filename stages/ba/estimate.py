@@ -1,4 +1,4 @@
-"""From observations to a solution: choose the camera model, start, adjust, decide about the focal length, doubt."""
+"""Bundle adjustment from observations: camera model, initialisation, refinement, focal length, diagnostics."""
 
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
@@ -15,30 +15,30 @@ from stages.ba.start import Observed, PoseGuess, Start, find_start
 from stages.ba.uncertainty import focal_sigma, median_residual, solution_covariance
 
 PRIOR_FOCAL = 1.1
-"""Centre of the prior of the focal length, in image widths (a horizontal view of 49 degrees)."""
+"""Centre of the focal length prior, in image widths (a horizontal field of view of 49 degrees)."""
 UNUSUAL_FOCAL = 1.5
-"""Factor on the prior's centre beyond which a focal length needs masks that were made with cameras."""
+"""A focal length further than this factor from the prior's centre needs masks that were made with cameras."""
 WEAK_FOCAL, BLIND_FOCAL = 0.05, 0.15
-"""Predicted relative error of the focal length above which it is called weak, and not estimated at all."""
+"""Predicted relative error above which the focal length is called weakly observed, and is not estimated at all."""
 CONSISTENT_SHARE = 0.85
-"""Share of confident matches within 1 px of the static model from which on a scene needs no masks to free the focal."""
+"""If this share of the confident matches fits a static scene to 1 px, the focal length is free without masks."""
 FINE_PX = (1.0, 0.5)
-"""Robust scales of the refinement before the last one."""
+"""Robust scales of the refinement in px, before the last one."""
 SHARP, SHARP_PX = 2.0, (0.05, 0.5)
-"""The last robust scale in median residuals, and its limits in px."""
+"""The last robust scale in units of the median residual, and its limits in px."""
 
 
 @dataclass(frozen=True)
 class Problem:
-    """What is to be solved: masked observations and what is known beforehand.
+    """Input of the estimation: masked observations and prior knowledge.
 
     Attributes:
-        graph: observations, masked.
-        masked: whether masks took part, or earlier poses that masks were made from.
+        graph: masked observations.
+        masked: whether masks were used, or poses of an earlier round that was solved with masks.
         known_focal_px: the true focal length on the flow grid, if it is to be used.
-        previous: the solution of the round before.
-        unmasked: the same observations without masks, to fall back on.
-        iterations: of the refinement at each robust scale, at most.
+        previous: the solution of the previous round.
+        unmasked: the same observations without masks, as a fallback.
+        iterations: largest number of iterations of the refinement at each robust scale.
     """
 
     graph: FlowGraph
@@ -53,7 +53,7 @@ class Problem:
 class Focal:
     """The decision about the focal length: "estimated", "weakly observed", "held at prior" or "known".
 
-    `relative_sigma` is its predicted relative error, were it estimated; `reason` says why it was held.
+    `relative_sigma` is the predicted relative error of estimating it; `reason` says why it was held.
     """
 
     decision: str
@@ -63,15 +63,15 @@ class Focal:
 
 @dataclass(frozen=True)
 class Estimate:
-    """A solution with what is needed to judge it.
+    """A solution with its diagnostics.
 
     Attributes:
         camera: "moving", "near-still", "rotating" or "failed".
         covariance: [T, 6, 6] of the left twists, in the gauge of the state.
         residual_px: median reprojection error of the confident static matches.
         focal: the decision about the focal length and its numbers.
-        doubts: what its own statistics say against the solution, in words; flags: these and other warnings.
-        static: [T, height, width] 0..1, the static area used in place of the masks given; None: these were kept.
+        failed_checks: checks of the statistics that the solution failed, in words; flags: these and other warnings.
+        static: [T, height, width] 0..1, the static area used instead of the input masks; None: the masks were kept.
     """
 
     state: State
@@ -80,27 +80,28 @@ class Estimate:
     residual_px: float
     focal: dict[str, Any]
     statistics: dict[str, Any]
-    doubts: list[str] = field(default_factory=list)
+    failed_checks: list[str] = field(default_factory=list)
     flags: list[str] = field(default_factory=list)
     steps: list[Step] = field(default_factory=list)
     static: np.ndarray | None = None
 
 
 def estimate(problem: Problem, options: BAOptions) -> Estimate:
-    """Solve for poses, inverse depths and focal length; failure is a result too, its reason among `flags`.
+    """Solve for poses, inverse depths and focal length. A failure is also returned, with its reason in `flags`.
 
-    Masks that leave a doubtful solution are distrusted if the same frames without masks leave fewer doubts: wrong masks
-    do more harm than movers, which the robust kernel bears in part.
+    If the solution with masks fails checks and that without masks fails fewer, the masks are ignored: wrong masks do
+    more harm than movers, which the robust kernel downweights in part.
     """
     solution = _estimate(problem, options)
-    if not solution.doubts or problem.unmasked is None:
+    if not solution.failed_checks or problem.unmasked is None:
         return solution
     plain = _estimate(replace(problem, graph=problem.unmasked, masked=False), options)
-    if (plain.camera == "failed", len(plain.doubts)) >= (solution.camera == "failed", len(solution.doubts)):
+    failures, before = ((found.camera == "failed", len(found.failed_checks)) for found in (plain, solution))
+    if failures >= before:
         return solution
     size = problem.graph.T, problem.graph.height, problem.graph.width
     static = np.ones(size, np.float32) if plain.static is None else plain.static
-    flags = [f"masks distrusted; with them: {'; '.join(solution.doubts)}", *plain.flags]
+    flags = [f"masks ignored; with them: {'; '.join(solution.failed_checks)}", *plain.flags]
     return replace(plain, flags=flags, static=static)
 
 
@@ -113,7 +114,7 @@ def _estimate(problem: Problem, options: BAOptions) -> Estimate:
     statistics = classify.measure(graph, problem.known_focal_px, options.seed)
     if statistics.camera == "rotating":
         rotations = _estimate_rotations(problem, statistics, prior)
-        if rotations.doubts:
+        if rotations.failed_checks:
             focal_px = rotations.state.focal_px
             statistics = classify.measure(graph, focal_px, options.seed, classify.longest_step(graph))
         if statistics.camera == "rotating":
@@ -135,7 +136,7 @@ def _estimate(problem: Problem, options: BAOptions) -> Estimate:
 def _start(
     problem: Problem, statistics: Statistics, prior: FocalPrior, focals: list[float], options: BAOptions
 ) -> Start:
-    """The best guess at the camera's path; a camera that hardly moves shows no focal length to guess."""
+    """The best initialisation of the camera path; a camera that hardly moves does not determine a focal length."""
     previous = problem.previous
     if previous:
         previous = replace(previous, focal_px=problem.known_focal_px or previous.focal_px)
@@ -157,7 +158,7 @@ def _estimate_rotations(problem: Problem, statistics: Statistics, prior: FocalPr
 
 
 def _observed(graph: FlowGraph) -> bool:
-    """Whether most neighbouring frames share enough sure matches to be related at all."""
+    """Whether most pairs of neighbouring frames share at least MIN_MATCHES sure matches."""
     shared = shared_matches(graph.source, graph.target, graph.weights, graph.T)
     return bool(np.median(np.diagonal(shared, 1)) >= MIN_MATCHES)
 
@@ -171,7 +172,7 @@ def _failure(graph: FlowGraph, focal_px: float) -> Estimate:
 
 
 def _refine(problem: Problem, statistics: Statistics, start: Candidate, prior: FocalPrior) -> tuple[Candidate, Focal]:
-    """The start adjusted to the end, with the focal length free where masks or evidence allow it."""
+    """The refined start. The focal length is free where masks or a consistent static scene allow it."""
     graph = problem.graph
     reason = _reason_to_hold(problem, statistics, start.state)
     if not reason:
@@ -188,7 +189,7 @@ def _refine(problem: Problem, statistics: Statistics, start: Candidate, prior: F
 
 
 def _reason_to_hold(problem: Problem, statistics: Statistics, state: State) -> str:
-    """Why the focal length must not be free, in words; empty if it may be."""
+    """The reason to hold the focal length fixed, in words; empty if it may be free."""
     if problem.known_focal_px:
         return "it is known"
     if statistics.camera != "moving":
@@ -201,17 +202,17 @@ def _reason_to_hold(problem: Problem, statistics: Statistics, state: State) -> s
 
 
 def _reason_to_drop(problem: Problem, ratio: float, sigma: float) -> str:
-    """Why an estimated focal length, `ratio` times the prior's, must not be taken, in words; empty if it may be."""
+    """The reason to reject an estimated focal length, `ratio` times the prior's, in words; empty to accept it."""
     if sigma > BLIND_FOCAL:
         return f"its predicted error is {100 * sigma:.0f} %"
     if problem.masked and problem.previous is None and max(ratio, 1 / ratio) > UNUSUAL_FOCAL:
-        # What flow alone leaves of a large mover along the epipolar lines bends the focal length, at no cost.
+        # Masks from flow alone miss the motion of a large mover along epipolar lines, which biases the focal length.
         return f"it came out {ratio:.1f} times the usual one, with masks from flow alone"
     return ""
 
 
 def _adjust(problem: Problem, state: State, unknowns: Unknowns, prior: FocalPrior) -> Candidate:
-    """Adjusted, and freed from large movers that the masks miss in part."""
+    """The state refined, then trimmed of large movers that the masks miss in part."""
     adjusted = _adjust_twice(problem, state, unknowns, prior)
     unmasked = problem.unmasked or problem.graph
     masked_share = float(1 - problem.graph.weights.sum() / unmasked.weights.sum())
@@ -220,10 +221,11 @@ def _adjust(problem: Problem, state: State, unknowns: Unknowns, prior: FocalPrio
 
 
 def _adjust_twice(problem: Problem, state: State, unknowns: Unknowns, prior: FocalPrior) -> Candidate:
-    """Adjusted, then once more for the noise found, with the depths searched anew: some were caught at a wrong one.
+    """The state refined, then again at the scale of the noise with new depths: some were in wrong local minima.
 
-    A kernel as narrow as the noise cuts off the biased flow along edges and repeated texture. Distant frames count for
-    more: errors hardly grow with the distance, and what all edges have in common adds up along a chain of short ones.
+    A kernel as narrow as the noise rejects the biased flow along edges and repeated texture. Edges between distant
+    frames weigh more: flow errors hardly grow with the distance, and errors common to all edges add up along a chain
+    of short ones.
     """
     graph, fine = problem.graph, [Level(sigma_px, problem.iterations) for sigma_px in FINE_PX]
     first = initialise.adjust(graph, state, fine, unknowns, prior, "refinement")

@@ -16,7 +16,7 @@ from stages.shared.images import write_figure
 FRAMES = 4
 CELL_PX, PLOT_PX, TITLE_PX, MARGIN_PX = 300, 270, 34, 34
 SCALE = 2
-"""Everything is drawn so much larger and reduced, which smooths lines and letters."""
+"""Supersampling factor, which smooths lines and letters."""
 COLOURS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#d62728", "#9467bd", "#8c564b", "#e377c2", "#7f7f7f")
 CLIPPED_PX, BINS = 3.0, 60
 
@@ -62,7 +62,7 @@ def _draw_path(pen: ImageDraw.ImageDraw, column: int, points: np.ndarray, title:
 
 
 def _draw_convergence(pen: ImageDraw.ImageDraw, column: int, steps: Sequence[Step]) -> None:
-    """Cost against iteration, one line per phase: the guesses, then the refinement."""
+    """Cost against iteration, one line per phase: the initial guesses, then the refinement."""
     costs = np.log10(np.maximum([step.cost for step in steps], 1e-12)) if steps else np.zeros(1)
     low, high = float(costs.min()), float(costs.max())
     limits = np.array([0, low - 0.05]), np.array([max(len(costs), 2), max(high, low + 1e-3) + 0.05])

@@ -1,4 +1,4 @@
-"""True poses and true depth in place of estimated ones: what they would be worth to the stages after adjustment."""
+"""Ground-truth poses and depth in place of estimates, to measure what errors of bundle adjustment cost later stages."""
 
 import cv2
 import numpy as np
@@ -16,14 +16,14 @@ from stages.shared.sequences import Sequence
 
 SEARCH_PX = 1.0
 RELATIVE_STD = 1e-3
-"""Of true inverse depth: about what the resampling to the grid leaves."""
+"""Relative standard deviation of true inverse depth: about the error of resampling it to the grid."""
 MIN_INVERSE_DEPTH = 1e-3
-"""In units of the median inverse depth; the sky lies there."""
+"""Smallest inverse depth, in units of the median; the sky gets it."""
 ROUNDING = 1e-9
 
 
 def solve_depths(graph: FlowGraph, true_cam_from_world: np.ndarray, focal_px: float, seed: int) -> Estimate:
-    """The true poses [T, 4, 4] in the gauge of the solver, with the inverse depths that the flow has under them."""
+    """The true poses [T, 4, 4] in the gauge of the solver, with inverse depths estimated from the flow for them."""
     camera = "moving" if _path_length(true_cam_from_world) > 0 else "rotating"
     state = initialise.initial_state(graph, true_cam_from_world, focal_px, SEARCH_PX)
     focal = {"decision": "known", "relative_sigma": 0.0, "reason": "true cameras", "focal_px": focal_px}
@@ -37,7 +37,7 @@ def true_depth_maps(frames: Sequence, estimated: DepthMaps, stride_px: float, sc
 
     Args:
         stride_px: pixels of the full frame per pixel of the grid.
-        scale: length in the gauge of the poses over true length; None: the median ratio to the estimated maps is taken.
+        scale: length in the gauge of the poses over true length; None: the median ratio to the estimated maps is used.
     """
     shape = estimated.inverse_depth.shape[1:]
     inverse_depth = np.stack([_resample(1 / depth, shape, stride_px) for depth in true_depths(frames)])
@@ -55,7 +55,7 @@ def gauge_scale(state: State, true_cam_from_world: np.ndarray) -> float | None:
 
 
 def _path_length(cam_from_world: np.ndarray) -> float:
-    """Summed steps of the camera centre; 0 where they are rounding."""
+    """Length of the path of the camera centre; 0 if it is within rounding errors."""
     centres = lie.inverse(cam_from_world)[:, :3, 3]
     length = float(np.linalg.norm(np.diff(centres, axis=0), axis=1).sum())
     return length if length > ROUNDING * np.abs(centres).max() else 0.0
@@ -72,10 +72,10 @@ def true_poses(frames: Sequence) -> np.ndarray:
 
 
 def true_depths(frames: Sequence) -> list[np.ndarray]:
-    """The true z-depth of every frame [H, W], float64, positive; infinite where there is nothing.
+    """The true z-depth of every frame [H, W], float64, positive; infinite where there is no surface.
 
     Raises:
-        InputError: if a frame's is missing.
+        InputError: if the depth of a frame is missing.
     """
     _require(frames, "depth", "depth")
     depths = [sintel.read_dpt(path).astype(float) for path in frames.truth_files("depth")]
@@ -89,7 +89,7 @@ def _require(frames: Sequence, kind: str, option: str) -> None:
 
 
 def _resample(image: np.ndarray, shape: tuple[int, ...], stride_px: float) -> np.ndarray:
-    """The image [H, W] at the pixels of a grid [h, w], nearest: edges stay sharp."""
+    """The image [H, W] sampled at the pixels of a grid [h, w], nearest neighbour: edges stay sharp."""
     columns, rows = cv2.split(frame_from_grid(pixel_grid(*shape), stride_px).astype(np.float32))
     near = cv2.remap(image.astype(np.float32), columns, rows, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE)
     return near.astype(float)

@@ -11,13 +11,13 @@ from stages.shared.images import reduce
 from stages.shared.warp import bilinear
 
 MIN_STATIC_SHARE = 0.15
-"""A frame with less static area than this cannot be trusted to be masked."""
+"""Masks that leave a smaller static share of a frame than this are ignored."""
 
 MIN_WEIGHT = 0.3
 SURE_WEIGHT = 0.5
-"""Weight above which a match is seen and not guessed: that of flow without texture stays below one half."""
+"""Weight above which a match is sure: the weight of flow without texture stays below one half."""
 MIN_MATCHES = 50
-"""Fewer confident matches than this do not relate two frames."""
+"""Smallest number of confident matches that link two frames."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class FlowGraph:
         weights: [E, P] float32 in 0..1.
         centre: principal point [2].
         width, height: of the flow grid.
-        texture: [T, P] in 0..1, see `stages.ba.texture`; None: of every pixel alike.
+        texture: [T, P] in 0..1, see `stages.ba.texture`; None: equal weights.
     """
 
     source: np.ndarray
@@ -73,7 +73,7 @@ class FlowGraph:
         return np.asarray(shared.sum(axis=1) >= MIN_MATCHES)
 
     def resample(self, maps: np.ndarray, stride: int) -> np.ndarray:
-        """Maps [T, h, w] with a value per cell of `stride` px of the flow grid, at the pixels of this graph, [T, P].
+        """Maps [T, h, w] with one value per cell of `stride` px of the flow grid, sampled at the pixels, [T, P].
 
         Linear between the centres of the cells, constant beyond the outermost ones.
         """
@@ -81,7 +81,7 @@ class FlowGraph:
         return np.stack([bilinear(frame, cells) for frame in maps]).astype(float)
 
     def spread(self, values: np.ndarray) -> np.ndarray:
-        """Values [T, rows, columns] of the cells on the flow grid, [T, height, width]; its rest takes the nearest."""
+        """Values [T, rows, columns] of cells on the flow grid [T, height, width]; its border repeats the last cell."""
         v = np.minimum(np.arange(self.height) // self.stride, self.rows - 1)
         u = np.minimum(np.arange(self.width) // self.stride, self.columns - 1)
         return np.asarray(values[:, v[:, None], u])
@@ -105,8 +105,8 @@ def build_graph(
 ) -> FlowGraph:
     """Sample flow [E, h, w, 2] px and confidence [E, h, w] at the centres of cells of `stride` px.
 
-    The centre of an even cell lies between four pixels: their mean is taken. The principal point [2] is the centre of
-    the image unless given.
+    The centre of an even cell lies between four pixels: their mean is taken. Without a principal point [2] the centre
+    of the image is used.
     """
     source, target = np.ascontiguousarray(source), np.ascontiguousarray(target)
     h, w = flow.shape[1:3]
@@ -127,7 +127,7 @@ def thin_graph(graph: FlowGraph, factor: int) -> FlowGraph:
     index = np.arange(graph.rows * graph.columns).reshape(graph.rows, graph.columns)
     first = factor // 2
     chosen = index[first::factor, first::factor][:rows, :columns].ravel()
-    # Unlike an index, `take` keeps the order in memory: kernels are compiled once, and read what lies side by side.
+    # Unlike an index, `take` returns contiguous arrays: kernels compile for one memory layout and read it in order.
     pixels, matches, weights = graph.pixels[chosen], graph.matches.take(chosen, 1), graph.weights.take(chosen, 1)
     texture = None if graph.texture is None else graph.texture.take(chosen, 1)
     stride = graph.stride * factor
@@ -140,7 +140,7 @@ def with_texture(graph: FlowGraph, texture: np.ndarray) -> FlowGraph:
 
 
 def favour_distance(graph: FlowGraph) -> FlowGraph:
-    """Weights in proportion to the distance of the frames, the same on average over the edges, and to texture."""
+    """The graph with weights multiplied by the frame distance, relative to its mean over the edges, and by texture."""
     distance = np.abs(graph.target - graph.source).astype(np.float32)
     weights = graph.weights * (distance / distance.mean())[:, None]
     return replace(graph, weights=weights if graph.texture is None else weights * graph.texture[graph.source])
@@ -164,7 +164,7 @@ def static_areas(masks: np.ndarray, width: int, height: int, margin_px: int = 2)
 
 
 def trusted_static_areas(static: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Static areas with the masks of almost wholly dynamic frames dropped, and which frames [T] lost theirs."""
+    """Static areas without the masks of almost wholly dynamic frames, and which frames [T] have their mask ignored."""
     dropped = static.mean(axis=(1, 2)) < MIN_STATIC_SHARE
     return np.where(dropped[:, None, None], 1.0, static), dropped
 

@@ -1,4 +1,4 @@
-"""Poses from scratch: chains of two-view motions, depths for given poses, and how adjusted starts are compared."""
+"""Initialisation of poses by chains of two-view motions and of depths for fixed poses; comparison of candidates."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,16 +11,16 @@ from stages.ba.graph import MIN_MATCHES, FlowGraph
 from stages.shared import lie
 
 SWEEP = np.geomspace(0.02, 10.0, 8)
-"""Inverse depths, relative to the median, that the search for a pixel's depth starts from."""
+"""Inverse depths, relative to the median, from which the search for a pixel's depth starts."""
 COST_MARGIN = 0.15
-"""Among solutions whose robust cost is this near to the lowest, cost does not tell the right one; smoothness does."""
+"""Among solutions whose cost exceeds the lowest by at most this share, the smoothest is chosen, not the cheapest."""
 
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """A chain start: focal length in px, two-view threshold in px, frames per pair.
+    """Parameters of a chain: focal length in px, two-view threshold in px, frame distance of a pair.
 
-    Neighbours match best, but where parallax is small distant frames alone tell the camera's motion from a mover's.
+    Neighbours match best. Where parallax is small, only distant frames separate camera motion from object motion.
     """
 
     focal_px: float
@@ -42,9 +42,9 @@ class Candidate:
 def chain(graph: FlowGraph, hypothesis: Hypothesis, seed: int) -> np.ndarray:
     """Camera poses [T, 4, 4] chained from pairs `step` frames apart.
 
-    The scale of each pair follows from the shared frame: the inverse depths seen forwards and backwards agree up to
-    it (weighted median of their log ratio). The frames between are passed at constant velocity, and a pair without a
-    model goes on at the velocity before it.
+    The scale of each pair follows from the frame shared with the pair before: its inverse depths in both pairs differ
+    by that scale (weighted median of their log ratio). Frames between are interpolated at constant velocity. A pair
+    without a model repeats the velocity of the pair before.
     """
     cam_from_world = np.tile(np.eye(4), (graph.T, 1, 1))
     velocity, scale = np.zeros(6), 1.0
@@ -64,7 +64,7 @@ def chain(graph: FlowGraph, hypothesis: Hypothesis, seed: int) -> np.ndarray:
 
 
 def pair_chain(graph: FlowGraph, step: int) -> list[tuple[int, int]]:
-    """Pairs that lead from the first frame to the last, each by the longest edge of at most `step` frames."""
+    """Pairs from the first frame to the last, each of the longest edge length of at most `step` frames."""
     lengths = np.unique(np.abs(graph.target - graph.source))
     pairs, i = [], 0
     while i < graph.T - 1:
@@ -75,13 +75,13 @@ def pair_chain(graph: FlowGraph, step: int) -> list[tuple[int, int]]:
 
 
 def initial_state(graph: FlowGraph, cam_from_world: np.ndarray, focal_px: float, sigma_px: float = 1.0) -> State:
-    """State in the gauge from poses alone: the inverse depth of every pixel is searched with the poses fixed."""
+    """State in the gauge from poses alone: inverse depths are searched with the poses fixed."""
     centres = lie.inverse(cam_from_world)[:, :3, 3]
     reach = float(np.median(np.linalg.norm(np.diff(centres, axis=0), axis=1)))
     flow_px = np.linalg.norm(graph.matches - graph.pixels, axis=2)
     steps = np.abs(graph.target - graph.source)
     usual_px = float(np.median(flow_px[steps == 1])) if (steps == 1).any() else 1.0
-    # An inverse depth of usual_px / (focal x step) moves a pixel as far as the flow does: the middle of the search.
+    # An inverse depth of usual_px / (focal x step) moves a pixel as far as the flow does: the search is centred there.
     middle = max(usual_px, 0.1) / (focal_px * max(reach, 1e-12))
     state = State(cam_from_world, np.full((graph.T, len(graph.pixels)), middle), focal_px)
     return dba.normalise(search_depth(graph, dba.normalise(state), sigma_px))
@@ -100,7 +100,7 @@ def search_depth(graph: FlowGraph, state: State, sigma_px: float) -> State:
 def adjust(
     graph: FlowGraph, state: State, schedule: Sequence[Level], unknowns: Unknowns, prior: FocalPrior, name: str
 ) -> Candidate:
-    """Adjust a start and measure what hypotheses are compared by."""
+    """Adjust an initial state and measure its cost and roughness."""
     state, steps = dba.solve(graph, state, schedule, unknowns, prior, name)
     cost = dba.robust_cost(graph, dba.errors_px(graph, state), schedule[-1].sigma_px)
     return Candidate(name, state, cost, roughness(state.cam_from_world), steps)
@@ -123,7 +123,7 @@ def roughness(cam_from_world: np.ndarray) -> float:
 def _relative_scale(
     graph: FlowGraph, frames: tuple[int, int, int], motions: tuple[twoview.TwoView, twoview.TwoView], focal_px: float
 ) -> float:
-    """Length of the second motion over that of the first, from the inverse depths that the middle frame has in both."""
+    """Length of the second motion over that of the first, from the inverse depths of the middle frame in both."""
     (start, middle, end), (before, after) = frames, motions
     forward, backward = graph.edge(middle, end), graph.edge(middle, start)
     if forward is None or backward is None:

@@ -21,7 +21,7 @@ FAST = {"cache": True, "nogil": True, "fastmath": True, "error_model": "numpy"}
 
 
 class EdgeMatches(NamedTuple):
-    """What is fixed: edges pointer[i]..pointer[i + 1] leave frame i; see `stages.ba.graph.FlowGraph`."""
+    """The observations: edges pointer[i]..pointer[i + 1] leave frame i; see `stages.ba.graph.FlowGraph`."""
 
     pointer: np.ndarray
     source: np.ndarray
@@ -31,7 +31,7 @@ class EdgeMatches(NamedTuple):
 
 
 class Geometry(NamedTuple):
-    """Where to linearise: target_from_source R [E, 3, 3], t [E, 3]; inverse depth [T, P]; lens (focal, cx, cy) px."""
+    """Linearisation point: target_from_source R [E, 3, 3], t [E, 3]; inverse depth [T, P]; lens (focal, cx, cy) px."""
 
     R: np.ndarray
     t: np.ndarray
@@ -84,7 +84,7 @@ def _add_gram(J: np.ndarray, H: np.ndarray) -> None:
 
 @njit(**FAST)
 def _add_coupling(J: np.ndarray, D: np.ndarray, edge: int, coupling: np.ndarray, curvature: np.ndarray) -> None:
-    """Rows of pose (6 per edge), log focal and gradient against the inverse depths, and their curvature."""
+    """Fill the coupling of pose (6 rows per edge), log focal and gradient with the inverse depths; add curvature."""
     last = coupling.shape[0] - 2
     for q in range(BLOCK):
         q2 = BLOCK + q
@@ -120,7 +120,7 @@ def _add_frames(
     curvatures: np.ndarray,
     gradients: np.ndarray,
 ) -> None:
-    """The part of `normal_equations` of source frames begin..end; scales are (sigma, damping, depth prior)."""
+    """`normal_equations` of the source frames begin..end; scales are (sigma, damping, depth prior)."""
     sigma, damping, depth_prior = scales[0], scales[1], scales[2]
     P, J, D, curvature = len(data.pixels), np.zeros((8, 2 * BLOCK)), np.zeros(2 * BLOCK), np.zeros(BLOCK)
     for i in range(begin, end):
@@ -148,11 +148,11 @@ def _add_frames(
 def normal_equations(
     data: EdgeMatches, at: Geometry, sigma: float, damping: float, depth_prior: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Local normal equations of every edge, and what eliminating the inverse depths subtracts from them.
+    """Local normal equations of every edge, and the Schur complement term of eliminating the inverse depths.
 
     Args:
         sigma: scale of the robust kernel, px; damping: relative, of Levenberg-Marquardt.
-        depth_prior: weight, px^2, that draws every inverse depth to 1.
+        depth_prior: weight, px^2, of the prior that every inverse depth is 1.
 
     Returns:
         hessians [E, 8, 8] over (twist 6, log focal, residual), symmetric; schur [T, n, n] with n = 6 k + 2 rows
@@ -172,7 +172,7 @@ def normal_equations(
 def _explain(
     begin: int, end: int, data: EdgeMatches, at: Geometry, sigma: float, step: np.ndarray, out: np.ndarray
 ) -> None:
-    """Add to `out` [T, P] what the local steps [E, 7] explain of the depth gradients of frames begin..end."""
+    """Add to `out` [T, P] the part of the depth gradients of frames begin..end due to the local steps [E, 7]."""
     P = len(data.pixels)
     J, D = np.zeros((8, 2 * BLOCK)), np.zeros(2 * BLOCK)
     for i in range(begin, end):

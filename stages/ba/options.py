@@ -11,16 +11,16 @@ class BAOptions(Options):
     """Initial poses and focal length, then masked dense bundle adjustment."""
 
     intrinsics: Literal["estimate", "truth"] = Field(
-        "estimate", description="estimate one shared focal length, or take the cameras' true K"
+        "estimate", description="estimate one shared focal length, or take the true K"
     )
     poses_from: Literal["estimate", "truth"] = Field(
-        "estimate", description="estimate cameras, or take the true poses and K and search the depth alone"
+        "estimate", description="estimate cameras, or take the true poses and K and estimate the depth alone"
     )
     depth_from: Literal["estimate", "truth"] = Field("estimate", description="write estimated or true depth")
     start_focals: tuple[Annotated[float, Field(ge=0.3, le=5)], ...] = Field(
         (0.8, 1.05, 1.4),
         min_length=1,
-        description="focal lengths that the first round's guesses start from, in image widths",
+        description="initial focal lengths of the first round, in image widths",
     )
     stride_px: int = Field(
         8, ge=2, le=32, description="one inverse depth per this many pixels of the flow, each way, while solving poses"
@@ -32,6 +32,6 @@ class BAOptions(Options):
         15,
         ge=1,
         le=200,
-        description="steps of the final adjustment at each of its robust scales, at most: it ends where it converges",
+        description="largest number of iterations of the final adjustment at each robust scale; it ends at convergence",
     )
     seed: int = Field(0, ge=0, description="seed of the robust two-view fits")

@@ -1,4 +1,4 @@
-"""Camera paths from the homographies of one dominant plane, which two-view motion by epipolar geometry leaves open."""
+"""Camera paths from the homographies of one dominant plane, where epipolar geometry is degenerate."""
 
 import cv2
 import numpy as np
@@ -8,11 +8,11 @@ from stages.ba.graph import MIN_MATCHES, FlowGraph
 from stages.shared import lie
 
 THRESHOLD_PX = 0.5
-"""Distance up to which a match belongs to the plane."""
+"""Inlier threshold of a match on the plane."""
 
 
 def homography(graph: FlowGraph, i: int, j: int) -> np.ndarray | None:
-    """Homography [3, 3] from frame i to j of most matches, in px from the principal point; None without enough."""
+    """RANSAC homography [3, 3] from frame i to j, in px from the principal point; None with too few matches."""
     x, y, _ = twoview.pair_rays(graph, i, j, 1.0)
     if len(x) < MIN_MATCHES:
         return None
@@ -26,11 +26,11 @@ def homographies(graph: FlowGraph) -> list[np.ndarray | None]:
 
 
 def chain_planes(steps: list[np.ndarray | None], focal_px: float) -> np.ndarray:
-    """Camera poses [T, 4, 4] that see one plane through these homographies, its first distance 1.
+    """Camera poses [T, 4, 4] from the homographies of one plane, whose distance to the first camera is 1.
 
-    A homography leaves two motions and two normals (Faugeras and Lustman, 1988). The plane stays where it is in the
-    world, so the normal that one pair leaves predicts that of the next: of the two possible first normals the one
-    whose predictions are met best is kept. A pair without homography repeats the motion before it.
+    A homography has two solutions for motion and normal (Faugeras and Lustman, 1988). The plane is fixed in the world,
+    so the normal of one pair predicts that of the next: of the two possible first normals, the one with the smallest
+    prediction error is kept. A pair without homography repeats the motion of the pair before.
     """
     motions = [_motions(H, focal_px) if H is not None else [] for H in steps]
     first = next((options for options in motions if options), [])
@@ -43,7 +43,7 @@ def chain_planes(steps: list[np.ndarray | None], focal_px: float) -> np.ndarray:
 def _follow(
     motions: list[list[tuple[np.ndarray, np.ndarray, np.ndarray]]], normal: np.ndarray
 ) -> tuple[np.ndarray, float]:
-    """Poses [T, 4, 4] from the motions whose normals are nearest to the predicted ones; sum of squared misses."""
+    """Poses [T, 4, 4] from the motions with normals nearest to the predicted ones; sum of squared prediction errors."""
     cam_from_world = np.tile(np.eye(4), (len(motions) + 1, 1, 1))
     motion, distance, missed = np.eye(4), 1.0, 0.0
     for k, options in enumerate(motions):
@@ -57,7 +57,7 @@ def _follow(
 
 
 def _motions(H: np.ndarray, focal_px: float) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Rotation, translation over distance, and normal (both into the scene) of the motions that H stands for."""
+    """Rotation, translation over distance, and normal (into the scene) of each decomposition of H."""
     K = np.diag([focal_px, focal_px, 1.0])
     _, rotations, translations, normals = cv2.decomposeHomographyMat(H, K)
     found = zip(rotations, translations, normals, strict=True)

@@ -1,4 +1,4 @@
-"""The reduced pose system: what is left of bundle adjustment after the inverse depths are eliminated."""
+"""The reduced system of bundle adjustment: poses and focal length, after elimination of the inverse depths."""
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -71,23 +71,23 @@ def edge_steps(graph: FlowGraph, relative: np.ndarray, step: np.ndarray) -> np.n
 
 
 def scale_gauge(S: np.ndarray, cam_from_world: np.ndarray) -> np.ndarray:
-    """A stiff term [6T + 1, 6T + 1] that keeps the size of the trajectory.
+    """A stiff term [6T + 1, 6T + 1] that fixes the scale of the trajectory.
 
     Scaling the world moves the unknowns along s = (translation, 0) per pose and changes no residual; the row
     s^T x = 0 removes that direction without touching the others.
     """
     s = np.zeros(len(S))
     s[:-1].reshape(-1, 6)[:, :3] = cam_from_world[:, :3, 3]
-    s[np.diagonal(S) == 0] = 0  # frames without matches, which would take up the size of all others at no cost
+    s[np.diagonal(S) == 0] = 0  # frames without matches: their scale could offset that of all others at no cost
     squared = s @ s
     return np.trace(S) / len(S) * np.outer(s, s) / squared if squared > 0 else np.zeros_like(S)
 
 
 def covariance(S: np.ndarray, cam_from_world: np.ndarray, free: np.ndarray) -> np.ndarray:
-    """Covariance [6T + 1, 6T + 1] for unit flow variance, in the gauge: first pose and size of the trajectory fixed.
+    """Covariance [6T + 1, 6T + 1] for unit flow variance, in the gauge: first pose and trajectory scale fixed.
 
-    Unknowns that are not free have none. Directions that the data do not see get the variance of a stated floor,
-    1e-12 of the mean curvature, instead of infinity.
+    Unknowns that are not free have covariance 0. Curvature has a floor of 1e-12 of its mean, so that unobserved
+    directions get a large variance instead of infinity.
     """
     values, vectors = np.linalg.eigh((S + scale_gauge(S, cam_from_world))[np.ix_(free, free)])
     floor = 1e-12 * max(float(values.mean()), 1e-300)

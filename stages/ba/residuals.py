@@ -26,7 +26,7 @@ def _errors_px(begin: int, end: int, data: EdgeMatches, at: Geometry, errors: np
         R, t, i = at.R[e], at.t[e], data.source[e]
         r00, r01, r02, r10, r11, r12 = R[0, 0], R[0, 1], R[0, 2], R[1, 0], R[1, 1], R[1, 2]
         r20, r21, r22, t0, t1, t2 = R[2, 0], R[2, 1], R[2, 2], t[0], t[1], t[2]
-        for p in range(n):  # sorted by component, so that the loop below becomes vector instructions
+        for p in range(n):  # one array per component, so that the loop below becomes vector instructions
             x[p], y[p] = (data.pixels[p, 0] - cx) / focal, (data.pixels[p, 1] - cy) / focal
             match_u[p], match_v[p] = data.matches[e, p, 0] - cx, data.matches[e, p, 1] - cy
         for p in range(n):
@@ -47,7 +47,7 @@ def sweep_depth(
     lowest: float,
     highest: float,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Best inverse depth per pixel with the poses fixed: candidates, each refined by Gauss-Newton steps.
+    """Best inverse depth per pixel with the poses fixed, among candidates that are each refined by Gauss-Newton steps.
 
     Args:
         candidates: [K, T, P] inverse depths to start from; lowest, highest: limits of the inverse depth.
@@ -74,7 +74,7 @@ def _sweep_depth(
     best_depth: np.ndarray,
     best_curvature: np.ndarray,
 ) -> None:
-    """`sweep_depth` of frames begin..end; matches are sorted by component, so that loops over pixels vectorise."""
+    """`sweep_depth` of frames begin..end; one array per component of the matches, so that pixel loops vectorise."""
     P, focal, cx, cy = candidates.shape[2], at.lens[0], at.lens[1], at.lens[2]
     x, y, d, best = np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK)
     cost, curvature, gradient = np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK)
@@ -121,7 +121,7 @@ def _add_probe(
     curvature: np.ndarray,
     gradient: np.ndarray,
 ) -> None:
-    """Add an edge's robust cost of rays x, y [n] at inverse depths d [n], and its Gauss-Newton terms for the next d."""
+    """Add an edge's robust cost of rays x, y [n] at inverse depths d [n], and the Gauss-Newton terms in d."""
     match_u, match_v, weights = seen
     r00, r01, r02, r10, r11, r12 = R[0, 0], R[0, 1], R[0, 2], R[1, 0], R[1, 1], R[1, 2]
     r20, r21, r22, t0, t1, t2 = R[2, 0], R[2, 1], R[2, 2], t[0], t[1], t[2]

@@ -1,4 +1,4 @@
-"""The rotation-only camera: no translation, hence no depth; rotations and focal length from all edges together."""
+"""The rotation-only camera: rotations and focal length from all edges together; no translation, hence no depth."""
 
 import numpy as np
 
@@ -15,7 +15,7 @@ SCHEDULE = (Level(2.0, 10), Level(0.5, 20))
 def solve_rotations(graph: FlowGraph, prior: FocalPrior, known_focal_px: float | None) -> tuple[State, list[Step]]:
     """Poses without translation and all inverse depths zero; the focal length is free unless it is known.
 
-    Starts from chained rotations at each focal length of a list and adjusts the cheapest over all edges.
+    Rotations are chained at each focal length of a list; the chain of lowest cost is adjusted over all edges.
     """
     focals = [known_focal_px] if known_focal_px else (FOCALS * graph.width).tolist()
     starts = [chain_rotations(graph, focal_px) for focal_px in focals]
@@ -25,7 +25,7 @@ def solve_rotations(graph: FlowGraph, prior: FocalPrior, known_focal_px: float |
 
 
 def chain_rotations(graph: FlowGraph, focal_px: float) -> State:
-    """Rotations of consecutive pairs, chained; a pair without matches repeats the rotation before it."""
+    """Rotations of consecutive pairs, chained; a pair without matches repeats the rotation of the pair before."""
     cam_from_world = np.tile(np.eye(4), (graph.T, 1, 1))
     R = np.eye(3)
     for i in range(graph.T - 1):

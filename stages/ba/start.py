@@ -1,6 +1,6 @@
-"""Where adjustment starts: camera paths guessed from the matches alone, and which of the motions seen is the camera's.
+"""Initialisation: camera paths from the matches alone, and the choice between camera motion and object motion.
 
-Guesses are adjusted and compared on a coarse grid of pixels; the winner is refined on the full one.
+Initial guesses are adjusted and compared on a coarse grid of pixels; the best one is refined on the full grid.
 """
 
 from collections.abc import Mapping, Sequence
@@ -19,24 +19,24 @@ from stages.ba.initialise import Candidate, Hypothesis
 COARSE_PIXELS = 400
 """Guesses are compared on a grid of about this many pixels per frame."""
 MAX_PAIR_PX = 0.3
-"""Movers win two-view fits with wide thresholds: tighter ones than the adjustment needs."""
+"""Largest threshold of two-view fits: with a wider one, movers count as inliers."""
 SMOOTHER = 0.5
-"""Masks that leave a rough path are wrong if a path this much smoother explains the matches as well without them."""
+"""Masks are wrong if, without them, a path of less than this share of the roughness fits the matches as well."""
 FITTING_PX = (0.3, 1.0)
-"""Limits of the scale up to which a match fits."""
+"""Limits of the scale, in px, up to which a match fits."""
 ENOUGH = 1e-3
-"""Guesses are told apart by costs that differ by much more: smaller gains are left to the refinement."""
+"""Relative gain below which a guess is adjusted no further: costs of guesses differ by much more."""
 FAR_BEHIND = 2.0
-"""A guess that costs this many times the lowest at the wide scale is no rival at the narrow one."""
+"""A guess with this many times the lowest cost at the wide scale is not tried at the narrow one."""
 EXPLAINED = 0.85
-"""If less than this share of the pixels fits the motion found, what is left may be the background."""
+"""If less than this share of the pixels fits the motion found, the others may be the background."""
 SAME_PIXELS = 0.5
-"""A motion that also fits this share of the pixels of another is no second one."""
+"""A motion that also fits this share of the pixels of the first one is the same motion."""
 
 
 @dataclass(frozen=True)
 class PoseGuess:
-    """Where another guess may start: poses [T, 4, 4] of any scale, and the focal length in px of the flow grid."""
+    """An initial guess: poses [T, 4, 4] of any scale, and the focal length in px of the flow grid."""
 
     cam_from_world: np.ndarray
     focal_px: float
@@ -44,11 +44,11 @@ class PoseGuess:
 
 @dataclass(frozen=True)
 class Observed:
-    """What the guesses are made from.
+    """Input of the initialisation.
 
     Attributes:
-        graph: observations, masked; unmasked: the same without masks (the same object if there are none).
-        previous: the solution of the round before.
+        graph: masked observations; unmasked: the same without masks (the same object if there are none).
+        previous: the solution of the previous round.
         focals_px: focal lengths to try.
     """
 
@@ -68,13 +68,13 @@ class Observed:
 
 @dataclass(frozen=True)
 class Start:
-    """The winner.
+    """The chosen initialisation.
 
     Attributes:
-        candidate: adjusted on the coarse grid; others: those that it was compared with.
+        candidate: adjusted on the coarse grid; others: the candidates it was compared with.
         graph: observations to refine it on.
-        static: [T, height, width] 0..1, the static area that stands in for the masks given; None: these were kept.
-        flags: why it is not beyond doubt.
+        static: [T, height, width] 0..1, the static area used instead of the input masks; None: the masks were kept.
+        flags: warnings about the choice.
     """
 
     candidate: Candidate
@@ -85,7 +85,7 @@ class Start:
 
 
 def find_start(observed: Observed) -> Start:
-    """Adjust guesses, without masks too where these leave a rough path, and look for a second motion in the rest."""
+    """Adjust guesses, also without masks if the path is rough, and look for a second motion in unexplained pixels."""
     factor = max(1, int(np.sqrt(len(observed.graph.pixels) / COARSE_PIXELS)))
     plain = thin_graph(observed.unmasked, factor)
     candidates = guess(observed, thin_graph(observed.graph, factor))
@@ -108,7 +108,7 @@ def find_start(observed: Observed) -> Start:
 
 
 def guess(observed: Observed, graph: FlowGraph) -> list[Candidate]:
-    """Adjusted guesses on one graph: chains over focal lengths and steps, planes, and the solution before."""
+    """Adjusted guesses on one graph: chains over focal lengths and steps, planes, and the previous solution."""
     threshold_px = observed.threshold_px
     states = {}
     if observed.previous:
@@ -131,7 +131,7 @@ def guess(observed: Observed, graph: FlowGraph) -> list[Candidate]:
 def adjust_guesses(
     graph: FlowGraph, states: Mapping[str, State], sigma_px: float, prior: FocalPrior
 ) -> list[Candidate]:
-    """Guesses adjusted in two levels, down to a scale of `sigma_px`; those far behind after the first are dropped."""
+    """Guesses adjusted in two levels, down to a scale of `sigma_px`; expensive ones are dropped after the first."""
 
     def adjust(state: State, level: Level, name: str) -> Candidate:
         return initialise.adjust(graph, state, (level,), Unknowns(), prior, name)
@@ -147,7 +147,7 @@ def adjust_guesses(
 
 
 def explained(graph: FlowGraph, state: State) -> np.ndarray:
-    """Which pixels [T, P] fit the poses of `state` at some depth: half of their matches, at three median errors."""
+    """Which pixels [T, P] fit the poses of `state` at some depth: half of their matches, within 3 median errors."""
     state = initialise.initial_state(graph, state.cam_from_world, state.focal_px, FITTING_PX[1])
     errors = dba.errors_px(graph, state)
     sigma_px = np.clip(3 * np.median(errors[graph.weights > MIN_WEIGHT]), *FITTING_PX)
@@ -162,7 +162,7 @@ def border_share(graph: FlowGraph, chosen: np.ndarray) -> float:
 
 
 def _costs_no_more(plain: FlowGraph, rival: Candidate, best: Candidate, sigma_px: float) -> bool:
-    """Whether the rival explains all matches as well as the best, within the margin in which cost tells nothing."""
+    """Whether the rival costs no more than the best over all matches, up to COST_MARGIN."""
 
     def cost(state: State) -> float:
         searched = initialise.initial_state(plain, state.cam_from_world, state.focal_px, sigma_px)
@@ -172,10 +172,10 @@ def _costs_no_more(plain: FlowGraph, rival: Candidate, best: Candidate, sigma_px
 
 
 def _second_motion(observed: Observed, plain: FlowGraph, fits: np.ndarray) -> Start | None:
-    """The motion of what the first does not explain, if it is the background's.
+    """The motion of the pixels that the first motion does not explain, if it is the background's.
 
-    Two rigid motions explain their own pixels equally well; the background is the one that more of the image border
-    follows, since objects stand before it.
+    Two rigid motions explain their own pixels equally well. The background is the motion that covers more of the image
+    border, since objects stand in front of it.
     """
     unexplained = mask_graph(plain, _areas(plain, ~fits))
     candidates = guess(observed, unexplained)
@@ -191,11 +191,11 @@ def _second_motion(observed: Observed, plain: FlowGraph, fits: np.ndarray) -> St
 
 
 def _start_on(observed: Observed, best: Candidate, others: list[Candidate], static: np.ndarray, reason: str) -> Start:
-    """A start whose refinement sees the static area found instead of the masks given."""
+    """A start whose refinement uses the static area found here instead of the input masks."""
     return Start(best, others, mask_graph(observed.unmasked, static), static, [reason])
 
 
 def _areas(graph: FlowGraph, chosen: np.ndarray) -> np.ndarray:
-    """The pixels `chosen` [T, P] as areas [T, height, width] of the flow grid, without single ones."""
+    """The pixels `chosen` [T, P] as areas [T, height, width] of the flow grid, isolated pixels removed."""
     maps = chosen.reshape(graph.T, graph.rows, graph.columns).astype(np.uint8)
     return graph.spread(np.stack([cv2.medianBlur(frame, 3) for frame in maps])).astype(np.float32)

@@ -1,23 +1,23 @@
-"""Where the pictures, rather than the smoothness of the flow, say how a pixel moves."""
+"""Texture weights: the share of the image, against that of the smoothness term, in the flow of a pixel."""
 
 import cv2
 import numpy as np
 
 BLUR_PX, WINDOW_PX = 1.0, 9
 SMOOTHED = 1.0
-"""Squared gradient, (grey levels / px)^2, that counts as much as the smoothness that dense flow assumes.
+"""Squared gradient, (grey levels / px)^2, at which image and smoothness term weigh the same.
 
-Smoothness draws flow of little texture towards a constant: it looks less expanded, and the focal length comes out
-short. The error is the same in all edges, so that their number does not average it away.
+Smoothness pulls flow of little texture towards a constant: the flow expands less, and the estimated focal length is
+too short. The error is the same in all edges, so averaging over them does not reduce it.
 """
 FLOOR = 0.05
-"""Without texture anywhere the adjustment still goes by what the flow says."""
+"""Smallest weight: without texture anywhere, the adjustment still uses the flow."""
 
 
 def texture_weights(grey: np.ndarray) -> np.ndarray:
-    """Share [h, w] float32, FLOOR..1, that a grey frame [h, w] uint8 itself has in the flow at each pixel.
+    """Texture weight [h, w] float32, FLOOR..1, of each pixel of a grey frame [h, w] uint8.
 
-    From the smaller eigenvalue of the structure tensor: along an edge the picture tells no more than on a flat wall.
+    From the smaller eigenvalue of the structure tensor: motion along an edge is as undetermined as on a flat wall.
     """
     smooth = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), BLUR_PX)
     gx, gy = (cv2.Sobel(smooth, -1, *order, ksize=3, scale=1 / 8) for order in ((1, 0), (0, 1)))

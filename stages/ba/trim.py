@@ -1,9 +1,10 @@
-"""Adjustment to the pixels that fit at the noise, where large movers are only partly masked.
+"""Trimmed adjustment to inliers at the scale of the noise, where large movers are only partly masked.
 
-A rigid mover that fills much of the frame bends cameras and focal length until it fits roughly, and the static world
-fits roughly too, at a lower cost than the truth at any scale wider than the noise. At the scale of the noise the truth
-costs less, but no adjustment gets there from the bent solution: its kernel sees both. Leaving out all that does not fit
-at the noise breaks the balance (least trimmed squares: Rousseeuw and Van Driessen, 2006, "concentration steps").
+A rigid mover that fills much of the frame biases cameras and focal length until mover and static world both fit
+roughly, at a lower cost than the true solution at any robust scale wider than the noise. At the scale of the noise the
+true solution costs less, but no adjustment reaches it from the biased one, whose kernel covers both motions. Leaving
+out the outliers at that scale resolves this (least trimmed squares: Rousseeuw and Van Driessen, 2006, "concentration
+steps").
 """
 
 from dataclasses import replace
@@ -16,25 +17,25 @@ from stages.ba.graph import FlowGraph, favour_distance
 from stages.ba.initialise import Candidate
 
 LARGE = 0.2
-"""Share of the matches, by weight, that masks must take before movers are large enough to bend the cameras."""
+"""Share of the matches, by weight, that masks must remove before movers are large enough to bias the cameras."""
 STEPS = 6
 SETTLED = 1e-3
-"""Relative change of the cost from which on a step changes nothing."""
+"""Relative change of the cost below which the steps have converged."""
 SCALES, ITERATIONS = (4.0, 1.5), 10
 """Robust scales of a step, in units of the noise, and the iterations at each."""
 AGREEING = 0.6
-"""Share of its matches, by weight, that must fit for a pixel to stay."""
+"""Share of its matches, by weight, that must be inliers for a pixel to be kept."""
 GAIN = 0.02
-"""Relative fall of the cost of all pixels from which on a trimmed solution is better: less is chance."""
+"""Relative decrease of the cost of all pixels that a trimmed solution needs to be accepted: less may be chance."""
 
 
 def concentrate(
     graph: FlowGraph, masked_share: float, start: Candidate, sigma_px: float, unknowns: Unknowns, prior: FocalPrior
 ) -> Candidate:
-    """The start, or the best of a few steps that leave out what does not fit at `sigma_px`, the scale of the noise.
+    """The start, or the best of a few steps that leave out the outliers at `sigma_px`, the scale of the noise.
 
-    The best is that of least robust cost over all observations of `graph`: trimming cannot win by what it leaves out.
-    Where masks take little there is nothing to gain, and the start is returned as it is.
+    The best has the lowest robust cost over all observations of `graph`, so leaving out outliers does not lower it by
+    itself. Where masks remove little, the start is returned unchanged.
     """
     if masked_share < LARGE:
         return start
@@ -53,7 +54,7 @@ def concentrate(
 
 
 def _step(graph: FlowGraph, state: State, sigma_px: float, unknowns: Unknowns, prior: FocalPrior) -> Candidate:
-    """Adjusted to the observations of the pixels that fit."""
+    """The state adjusted to the observations of the pixels that fit."""
     kept = _fitting(graph, state, sigma_px)
     part = replace(graph, weights=graph.weights * kept[graph.source])
     steps: list[Step] = []

@@ -14,7 +14,7 @@ from stages.ba.graph import MIN_MATCHES, MIN_WEIGHT, FlowGraph
 from stages.shared import lie
 
 RANSAC_MATCHES = 1500
-"""RANSAC gains nothing from more; all matches take part in the refinement."""
+"""Number of matches for RANSAC, which gains nothing from more; the refinement uses all matches."""
 REFINEMENTS = 12
 """Gauss-Newton steps of a two-view motion."""
 ROTATION_SIGMA_PX = 0.5
@@ -50,8 +50,8 @@ def estimate_motion(
 ) -> TwoView | None:
     """Robust relative motion: RANSAC on a subset, then Geman-McClure refinement of the Sampson error on all matches.
 
-    Models are scored by MSAC: MAGSAC++ marginalises over thresholds far above the one given, and a fifth of moving
-    pixels is then enough to win (tests/test_ba_start.py has the case).
+    Models are scored by MSAC: MAGSAC++ marginalises over thresholds far above `threshold_px`, and then the motion of a
+    fifth of the pixels can win (tests/test_ba_start.py has the case).
 
     Returns:
         None when there are too few matches or no model.
@@ -73,7 +73,7 @@ def estimate_motion(
 
 
 def _refine_motion(R: np.ndarray, t: np.ndarray, x: np.ndarray, y: np.ndarray, w: np.ndarray, sigma: float) -> TwoView:
-    """Minimise the weighted Sampson error over (R, direction of t), the robust scale falling from 3 sigma to it."""
+    """Minimise the weighted Sampson error over (R, direction of t); the robust scale falls from 3 sigma to sigma."""
     for scale in np.geomspace(3 * sigma, sigma, REFINEMENTS):
         across = _tangent_basis(t)
         normal, gradient = _sampson_system(R, t, across, x, y, w, scale)
@@ -107,7 +107,7 @@ def triangulate(R: np.ndarray, t: np.ndarray, x: np.ndarray, y: np.ndarray) -> t
 def fit_rotation(x: np.ndarray, y: np.ndarray, w: np.ndarray, focal_px: float) -> tuple[np.ndarray, np.ndarray]:
     """Robust rotation R [3, 3] with y ~ R x, and the residuals [n] in px.
 
-    It starts from the median flow: from rest, a fast pan loses to a mover that it follows.
+    It starts from the median flow: from zero rotation, a fast pan that follows a mover would converge to the mover.
     """
     R = np.eye(3)
     if len(x):
@@ -132,7 +132,7 @@ def _rotation_residual(R: np.ndarray, x: np.ndarray, y: np.ndarray, focal_px: fl
 
 
 def _decompose(E: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The (R, t) of E that puts most points before BOTH cameras (one camera alone admits the twisted pair)."""
+    """The (R, t) of E that puts most points in front of BOTH cameras (one alone admits the twisted pair)."""
     R_1, R_2, t = cv2.decomposeEssentialMat(E)
     t = t.ravel()
     candidates = [(R, sign * t) for R in (R_1, R_2) for sign in (1, -1)]
@@ -188,7 +188,7 @@ def _sum_normal(
 
 
 def _tangent_basis(t: np.ndarray) -> np.ndarray:
-    """Two unit vectors [2, 3] across the unit vector t, from the axis furthest from it."""
+    """Two orthogonal unit vectors [2, 3] across the unit vector t, built from the axis furthest from it."""
     first = GENERATORS[np.argmin(np.abs(t))] @ t
     first = first / np.linalg.norm(first)
     return np.stack([first, lie.skew(t) @ first])

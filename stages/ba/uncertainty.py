@@ -1,4 +1,4 @@
-"""How sure a solution is: its residuals, and the covariance that they and the curvature of the cost predict."""
+"""Uncertainty of a solution: its residuals, and the covariance predicted from them and the curvature of the cost."""
 
 import numpy as np
 
@@ -7,10 +7,10 @@ from stages.ba.dba import State, Unknowns
 from stages.ba.graph import MIN_WEIGHT, FlowGraph
 
 CORRELATION = 20.0
-"""Measured error over that predicted from independent residuals: flow errors are alike over many pixels and edges."""
+"""Measured error over that predicted from independent residuals: flow errors are correlated over pixels and edges."""
 MIN_NOISE_PX = 0.01
 SIGMA_PX = 0.5
-"""Robust scale at which the curvature is taken."""
+"""Robust scale, px, at which the curvature is computed."""
 
 
 def median_residual(graph: FlowGraph, state: State) -> float:
@@ -25,7 +25,7 @@ def focal_sigma(graph: FlowGraph, state: State, translation: bool = True) -> flo
 
 
 def solution_covariance(graph: FlowGraph, state: State, unknowns: Unknowns) -> np.ndarray:
-    """Covariance [6T + 1, 6T + 1] of a solution for the noise of its residuals, made honest by `CORRELATION`."""
+    """Covariance [6T + 1, 6T + 1] of a solution from the size of its residuals, scaled by `CORRELATION` squared."""
     S, _ = dba.linear_system(graph, state, SIGMA_PX, eliminate=unknowns.translation)
     full = reduced.covariance(S, state.cam_from_world, unknowns.indices(graph.T))
     return full * (CORRELATION * max(median_residual(graph, state), MIN_NOISE_PX)) ** 2

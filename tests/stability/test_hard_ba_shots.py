@@ -136,9 +136,9 @@ def test_the_script_names_frames_without_a_pose(tmp_path: Path, case: str, statu
 
 def test_numbers_of_frames_left_out_are_named_in_runs() -> None:
     kept = np.array([False, True, False, False, True, False])
-    [flag] = cuts.doubts(kept, [3, 4, 5, 6, 7, 20])
+    [flag] = cuts.warnings(kept, [3, 4, 5, 6, 7, 20])
     assert "frames 3, 5-6, 20 " in flag
-    assert cuts.doubts(np.ones(6, bool), [3, 4, 5, 6, 7, 20]) == []
+    assert cuts.warnings(np.ones(6, bool), [3, 4, 5, 6, 7, 20]) == []
 
 
 def test_texture_and_earlier_poses_are_cut_out_with_their_frames() -> None:

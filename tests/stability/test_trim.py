@@ -29,7 +29,7 @@ def half_masked() -> tuple[Scene, FlowGraph]:
     return scene, replace(graph, matches=matches, weights=graph.weights * ~(moving & (v < 0.5)))
 
 
-def bent(scene: Scene, graph: FlowGraph) -> Candidate:
+def biased(scene: Scene, graph: FlowGraph) -> Candidate:
     """What adjustment makes of it, down to the scale of the noise."""
     state = initialise.initial_state(graph, scene.cam_from_world, 1.25 * scene.focal_px)
     for levels in ((Level(1.0, 12), Level(0.5, 15)), (Level(SIGMA_PX, 15),)):
@@ -41,7 +41,7 @@ def bent(scene: Scene, graph: FlowGraph) -> Candidate:
 
 def test_trimming_frees_the_cameras_from_a_mover_that_is_partly_masked() -> None:
     scene, graph = half_masked()
-    start = bent(scene, graph)
+    start = biased(scene, graph)
     found = trim.concentrate(graph, 0.25, start, SIGMA_PX, FREE, FocalPrior(scene.focal_px))
     before, after = (trajectory_error(c.state.cam_from_world, scene.cam_from_world) for c in (start, found))
     assert before > 0.005
