@@ -31,10 +31,10 @@ def main(
 ) -> str:
     """Fit dynamic control points to tracks of dynamic pixels (stage 1).
 
-    Dynamic pixels are followed by flow through the training frames only and lifted by depth. The canonical frame is
-    the one that sees the tracks best; control points are spread over it and their motion is fitted in the image plane.
-    Where nothing moves, nothing can be tracked or the poses failed, no control point is written, and metadata and log
-    say so.
+    Dynamic pixels are tracked by flow through the training frames only and lifted by depth. The canonical frame is the
+    one whose tracks are observed most; control points are spread over it and their motion is fitted in the image
+    plane. If nothing moves, nothing can be tracked or the poses failed, no control point is written; metadata and log
+    give the reason.
     """
     from stages.control import stage1
     from stages.control.figure import trajectories
@@ -63,7 +63,7 @@ def main(
 def _sightings(
     sequence: Sequence, flow: Path, masks: Path, cameras: Cameras, depth: Path, options: ControlOptions
 ) -> sightings.Sightings:
-    """Follow dynamic pixels through the training frames and lift them."""
+    """Track dynamic pixels through the training frames and lift them to 3D."""
     T = len(sequence.frames)
     is_training = ~held_out(T, options)
     pairs, scale = read_dense(flow), float(read_metadata(flow)["scale"])

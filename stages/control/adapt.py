@@ -1,4 +1,4 @@
-"""Adaptive control points: more where the loss pulls in vain, none that nothing follows (paper, Eq. 13)."""
+"""Adaptive control points: added where gradients are large, removed where no track uses them (paper, Eq. 13)."""
 
 import numpy as np
 import torch
@@ -10,19 +10,19 @@ from stages.deformation.model import TableDeformation
 
 
 def weighted_gradient(weights: Tensor, index: Tensor, gradients: Tensor, P: int) -> Tensor:
-    """How hard the loss pulls at what each control point carries, [P]: g_k = sum_j w_jk |dL/dmu_j|^2 (paper, Eq. 13).
+    """Weighted squared gradient of each control point, [P]: g_k = sum_j w_jk |dL/dmu_j|^2 (paper, Eq. 13).
 
     Args:
-        weights: [N, K] skinning weights. index: [N, K] control points. gradients: [N, 3] of the positions carried.
+        weights: [N, K] skinning weights. index: [N, K] control points. gradients: [N, 3] of the skinned positions.
     """
     pull = weights * gradients.square().sum(-1, keepdim=True)
     return torch.zeros(P, dtype=pull.dtype).index_add(0, index.flatten(), pull.flatten())
 
 
 def new_places(carried: Tensor, weights: Tensor, index: Tensor, gradients: Tensor, P: int, count: int) -> Tensor:
-    """Where to add at most `count` control points: [m, 3], one for each of the points pulled at hardest.
+    """Positions [m, 3] of at most `count` new control points, one for each existing point of largest gradient.
 
-    A new point lies at the centre of what its neighbour carries, weighted by the pull.
+    A new point is the mean of the positions that follow the existing point, weighted by their squared gradients.
 
     Args:
         carried: [N, 3] canonical positions; the rest as in `weighted_gradient`.
@@ -36,7 +36,7 @@ def new_places(carried: Tensor, weights: Tensor, index: Tensor, gradients: Tenso
 
 
 def used(index: Tensor, P: int) -> Tensor:
-    """Which of P control points [P] are among the K nearest, `index` [N, K], of anything."""
+    """Which of P control points [P] are among the K nearest, `index` [N, K], of any position."""
     mask = torch.zeros(P, dtype=torch.bool, device=index.device)
     mask[index.flatten()] = True
     return mask
@@ -46,8 +46,8 @@ def used(index: Tensor, P: int) -> Tensor:
 def regrow(table: TableDeformation, kept: Tensor, places: Tensor, K: int) -> TableDeformation:
     """A table with the points `kept` [P] bool and new ones at `places` [m, 3].
 
-    The new points start with the blended motion of the K nearest kept ones, so they change little at first. The new
-    radii shrink to the closer spacing, those of kept points stay.
+    The new points start with the motion blended from the K nearest old ones, so the deformation changes little. Their
+    radii follow the closer spacing; kept points keep their radii.
     """
     times = table.knots.to(torch.float32)
     quats, translations = table(times)

@@ -1,4 +1,4 @@
-"""The rest configuration: which frame it is, where its control points lie and how far they reach."""
+"""The canonical configuration: choice of the frame, positions of the control points and their kernel radii."""
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -7,10 +7,13 @@ MIN_RADIUS_SHARE = 0.1
 
 
 def choose_frames(visible: np.ndarray) -> tuple[int, int]:
-    """The training frame [0, F) whose tracks, of [n, F], add up to the most observations, and the next best.
+    """The training frame in [0, F) whose visible tracks have the most observations in total, and the next best.
 
-    A frame at the end of the clip loses those that leave before it: -4.3 dB on a turning mover. The next best lies at
-    least a quarter of the clip away: a neighbour would see the same tracks.
+    A frame at the end of the clip misses the tracks that end before it: -4.3 dB on a turning mover. The next best is
+    at least a quarter of the clip away, since a neighbour would see the same tracks.
+
+    Args:
+        visible: [n, F] bool.
     """
     F = visible.shape[1]
     worth = (visible * visible.sum(axis=1, keepdims=True)).sum(axis=0)
@@ -50,7 +53,7 @@ def kernel_radii(points: np.ndarray) -> np.ndarray:
 
 
 def motion_importance(uv: np.ndarray, visible: np.ndarray) -> np.ndarray:
-    """Importance [n] in 1..2 of tracks uv [n, F, 2] for the spread of control points: by how fast they move, in px."""
+    """Importance [n] in 1..2 of tracks uv [n, F, 2] px for placing control points: it grows with their speed."""
     both = visible[:, 1:] & visible[:, :-1]
     steps = np.where(both, np.linalg.norm(np.diff(uv, axis=1), axis=-1), 0.0)
     speed = steps.sum(axis=1) / np.maximum(both.sum(axis=1), 1)

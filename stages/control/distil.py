@@ -1,4 +1,4 @@
-"""The network from the table: from the tracks alone it learns too slowly, so it starts from what the table knows."""
+"""Distillation of the table into the network, which learns too slowly from the tracks alone."""
 
 import torch
 from torch.nn.functional import mse_loss
@@ -12,9 +12,10 @@ TIMES_PER_STEP = 4
 
 
 def distil(table: TableDeformation, network: MLPDeformation, seed: int) -> None:
-    """Teach `network`, in place, the motion of `table` at random moments, between the training frames too.
+    """Fit `network`, in place, to the motion of `table` at random times, also between the training frames.
 
-    Both have the same control points. The loss weighs rotations and translations alike, the latter in extents.
+    Both have the same control points. Rotations and translations weigh the same in the loss; translations are in units
+    of the extent.
     """
     generator = torch.Generator().manual_seed(seed)
     optimiser = torch.optim.Adam([*network.hidden.parameters(), *network.head.parameters()], RATE, fused=True)

@@ -13,14 +13,14 @@ SHOWN_POINTS = 120
 TRAIL_FRAMES = 4
 PANEL_PX = 600
 GREY_LEVELS = 12
-"""Few levels of grey keep the file small and the colours in front legible."""
+"""Few grey levels keep the file small and the coloured trails legible."""
 
 
 def trajectories(sequence: Sequence, cameras: Cameras, deformation: Deformation | None) -> np.ndarray:
-    """First, middle and last frame with the control points, coloured by their canonical place, and their trails.
+    """First, middle and last frame with the control points, coloured by canonical position, and their trails.
 
-    A trail covers the frames around, drawn through the world as the shown frame's camera sees it: it is the motion of
-    the point alone. Without motion the frames are shown alone.
+    A trail covers the neighbouring frames and is projected by the camera of the shown frame, so it shows the motion of
+    the point without that of the camera. Without a deformation only the frames are shown.
     """
     panels = []
     for frame in drawing.spread(len(sequence.frames), 3):

@@ -17,7 +17,7 @@ class ControlOptions(SplitOptions):
         0, ge=0, le=0.9, description="share of the control points that is added halfway, where the gradient is high"
     )
     region: Literal["dynamic", "whole"] = Field(
-        "dynamic", description="what carries control points: the masked parts, or every pixel"
+        "dynamic", description="pixels that control points cover: the masked ones, or all"
     )
     model: Literal["table", "mlp"] = Field(
         "table",

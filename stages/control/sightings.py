@@ -11,9 +11,9 @@ from stages.shared.warp import bilinear
 
 MIN_DEPTH_STD = 0.01
 DEPTH_ACCELERATION = 0.02
-"""Expected second difference of log depth per frame^2 along a track: how fast true depth may bend."""
+"""Expected second difference of log depth per frame^2 along a track."""
 DEPTH_SPEED = 1.0
-"""Expected first difference of log depth per frame: so weak that it only decides tracks seen once or twice."""
+"""Expected first difference of log depth per frame; it is weak and only matters for tracks seen once or twice."""
 
 
 @dataclass(frozen=True)
@@ -36,11 +36,11 @@ class Sightings:
 
 
 def smooth_log_depth(log_depth: np.ndarray, std: np.ndarray, visible: np.ndarray) -> np.ndarray:
-    """Log depth [n, F] along each track with the least bending that the measurements allow, defined in every frame.
+    """Log depth [n, F] along each track, smoothed over time and defined in every frame.
 
     Minimises sum_f visible ((z_f - y_f) / std_f)^2 + sum_f (second difference / DEPTH_ACCELERATION)^2 (Whittaker) and
     (first difference / DEPTH_SPEED)^2. For fewer than 3 frames it is the weighted mean.
-    Depth of dynamic pixels is a guess from the border of the mask, with a large std: it is averaged over time here.
+    The depth of dynamic pixels is estimated from the border of the mask, with a large std; smoothing averages it.
 
     Args:
         log_depth: [n, F] measurements. std: [n, F] > 0, of log depth. visible: [n, F], each row at least once true.
@@ -89,7 +89,7 @@ def lift(
     stride_px: float,
     cameras: Cameras,
 ) -> Sightings:
-    """Put tracks into the world with depth smoothed along each of them.
+    """Lift tracks to world positions with depth smoothed along each track.
 
     Args:
         frames: [F] training frames of T. scale: flow grid width / frame width.

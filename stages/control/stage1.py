@@ -1,4 +1,4 @@
-"""Stage 1 from tracks to a fitted motion model: canonical frame, control points, first motion, fit, residual."""
+"""Stage 1, from tracks to a fitted motion model: canonical frame, control points, initialisation, fit, residual."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -21,13 +21,13 @@ TRACKS_PER_POINT = 8
 MAX_POINTS = 1000
 MIN_ARAP, ARAP_PER_PX = 0.05, 0.5
 MAX_EXTENT = 2.0
-"""Of the control points, in median depths of the tracks. A mover reaches about half its depth, a whole scene with sky a
-thousand of them, and so long would be the steps: a thousand pixels."""
+"""Largest extent of the control points, in median depths of the tracks. A mover extends over about half its depth, a
+whole scene with sky over a thousand median depths; steps in units of that extent would be a thousand pixels long."""
 
 
 @dataclass(frozen=True)
 class _Attempt:
-    """One way to fit: from which training frame as the canonical one, with how many points and steps."""
+    """Parameters of one fit: the canonical training frame, and the numbers of points and steps."""
 
     frame: int
     count: int
@@ -37,17 +37,15 @@ class _Attempt:
 def fit_sightings(
     sightings: Sightings, cameras: Cameras, non_rigid: dict[str, Any], options: ControlOptions
 ) -> tuple[Deformation | None, dict[str, Any]]:
-    """The fitted motion and what to say about it; None where there is no track to fit.
+    """The fitted motion and its metadata; None if there is no track to fit.
 
-    A fit that is stuck is tried again with more points or steps, then from another canonical frame; the best one of
-    them stays.
+    A fit that is stuck is repeated with more points or steps, then from another canonical frame; the best one is kept.
 
     Args:
-        non_rigid: the decision of scene.json: `points` and `arap_weight`, the most that the tracks' noise may call for.
+        non_rigid: the decision of scene.json: `points`, and `arap_weight`, the largest rigidity for noisy tracks.
 
     Returns:
-        the model, and metadata with `status`: "fitted", "stuck" (it leaves too much of the motion unexplained) or why
-        there is none.
+        the model, and metadata with `status`: "fitted", "stuck" (the residual is too large) or the reason for no model.
     """
     if len(sightings.uv) == 0:
         return None, {"status": "no dynamic pixel could be tracked", "arap_weight": 0.0, "region": options.region}
@@ -72,7 +70,7 @@ def fit_sightings(
 
 
 def _attempts(visible: np.ndarray, count: int, options: ControlOptions) -> list[_Attempt]:
-    """The usual fit, and what to try if it is stuck: more points, or more steps where the user set their number."""
+    """The default fit, then retries if it is stuck: more points, or more steps if the user set the number of points."""
     first, second = canonical.choose_frames(visible)
     more = max(count, min(4 * count, MAX_POINTS)) if options.control_points == "auto" else count
     steps = options.steps if more > count else 2 * options.steps
@@ -119,10 +117,11 @@ def _fit_table(
     max_arap: float,
     options: ControlOptions,
 ) -> tuple[TableDeformation, float]:
-    """Control points over the tracks, fitted, the last of them added where the first half pulls in vain; the rigidity.
+    """The fitted table of control points, and the ARAP weight of the second half of the steps.
 
-    Rigidity only costs on clean tracks (8 % of the held-out residual at 0.5) and helps a little on noisy ones (3 % at
-    1 px of noise): the weight of the second half follows the residual of the first.
+    `added_share` of the points are added after the first half, where the gradient is high. Rigidity raises the
+    held-out residual on clean tracks (8 % at weight 0.5) and lowers it on noisy ones (3 % at 1 px of noise), so the
+    weight of the second half follows the residual of the first.
     """
     added = int(options.added_share * attempt.count) if attempt.steps > 0 else 0
     table = _new_table(rest, sightings, attempt.count - added)
@@ -138,7 +137,7 @@ def _fit_table(
 
 
 def _with_more_points(table: TableDeformation, seen: TrackPositions, count: int) -> TableDeformation:
-    """The table with `count` points: added where the gradient is high, less those among nobody's nearest."""
+    """The table with points added up to `count` where the gradient is high; points that no track uses are removed."""
     P = len(table.points)
     index, sq_dist = lbs.neighbours(table.points, seen.canonical, NEIGHBOURS)
     with torch.no_grad():
@@ -149,7 +148,7 @@ def _with_more_points(table: TableDeformation, seen: TrackPositions, count: int)
 
 
 def _new_table(rest: np.ndarray, sightings: Sightings, count: int) -> TableDeformation:
-    """Control points spread over the tracked points, densest where they move most, with their first motion."""
+    """Control points spread over the tracked points, denser where these move fast, with initial motion."""
     importance = canonical.motion_importance(sightings.uv, sightings.visible)
     points = rest[canonical.farthest_points(rest, importance, count)]
     log_radii = torch.from_numpy(np.log(canonical.kernel_radii(points))).float()
@@ -179,18 +178,17 @@ def _observations(rest: np.ndarray, sightings: Sightings, cameras: Cameras) -> T
 
 
 def rest_positions(moved: np.ndarray, visible: np.ndarray, frame: int, times: np.ndarray) -> tuple[np.ndarray, int]:
-    """Where every track lies in the canonical frame.
+    """Position of every track in the canonical frame.
 
-    A track seen in `frame` lies where it is seen. Any other is carried there from the sighting nearest in time by the
-    motion of the tracks around it; one that enters late or leaves early, far from all others, rests at that sighting:
-    its own reference moment.
+    A track visible in `frame` has its position there. Any other is moved from its observation nearest in time by the
+    inverse motion of the tracks around it. A track far from all others keeps the position of that observation.
 
     Args:
         moved: [n, F, 3] positions in the world. visible: [n, F]. frame: in [0, F), seen by at least one track.
         times: [F] ascending, in 0..1.
 
     Returns:
-        positions float32 [n, 3], and how many tracks rest at a moment of their own.
+        positions float32 [n, 3], and the number of tracks that keep the position of another frame.
     """
     anchored = visible[:, frame]
     rest = moved[:, frame].astype(np.float32)
@@ -222,10 +220,10 @@ def rest_positions(moved: np.ndarray, visible: np.ndarray, frame: int, times: np
 def seed_from_tracks(
     deformation: TableDeformation, canonical: np.ndarray, moved: np.ndarray, visible: np.ndarray
 ) -> None:
-    """Start the table with the median shift of the tracks nearest to each control point, in place.
+    """Initialise the table, in place, with the median shift of the tracks nearest to each control point.
 
-    From rest the photometric gradient never finds the motion, and the fit to tracks takes far longer. Rotations start
-    at none: those of the Procrustes problem amplify errors of depth, and seed worse than none.
+    Without it the photometric gradient never finds the motion, and the fit to tracks takes far longer. Rotations start
+    at the identity: those of the Procrustes problem amplify errors of depth and are a worse initialisation.
 
     Args:
         canonical: [n, 3] tracked points. moved: [n, F, 3] where they are in each training frame. visible: [n, F].
@@ -236,7 +234,7 @@ def seed_from_tracks(
     known = seen.any(axis=1)
     times = deformation.knots.numpy()
     motion = np.empty((len(times), len(known), 3))
-    for p, frames in enumerate(known):  # frames without a sighting lie between those with one
+    for p, frames in enumerate(known):  # frames without an observation are interpolated
         medians = np.stack([np.median(shifts[p, seen[p, :, f], f], axis=0) for f in np.flatnonzero(frames)])
         motion[:, p] = np.stack([np.interp(times, times[frames], medians[:, axis]) for axis in range(3)], axis=-1)
     with torch.no_grad():

@@ -1,6 +1,6 @@
 """Tracks of dynamic pixels through the training frames, from flow.
 
-Held-out frames never enter: a chain steps over them with the longer flow edge between the training frames beside them.
+Held-out frames are not used: a track crosses them with the longer flow edge between the neighbouring training frames.
 """
 
 from dataclasses import dataclass
@@ -11,10 +11,10 @@ import numpy as np
 from stages.shared.warp import bilinear
 
 DISAGREEMENT_PX, DISAGREEMENT_PER_PX = 1.0, 0.05
-"""A track ends where flow and the flow back disagree by more than this: a floor and a share of the motion. Confidence
-is too strict here: it picks the few pixels that poses need, and half to a sixth of a mover's."""
+"""A track ends where forward and backward flow differ by more than this: a floor plus a share of the motion. Flow
+confidence is too strict here: it keeps the few pixels that poses need, and only half to a sixth of a mover's."""
 MIN_FRAMES = 3
-"""A track seen in fewer training frames hardly tells motion from noise: used where there is no other."""
+"""A track seen in fewer training frames hardly separates motion from noise; it is used only where no other passes."""
 
 
 @dataclass(frozen=True)
@@ -24,8 +24,8 @@ class Links:
     Attributes:
         frames: [F] 0-based indices of the training frames.
         flow: [2, F - 1, h, w, 2] float32 in grid pixels: [0, k] from frame k to k + 1, [1, k] back from k + 1 to k.
-        known: [F - 1] whether the edge list has both edges of the step; else its flow is zero.
-        missing: edges that it lacks, as (source, target) frame indices.
+        known: [F - 1] whether the edge list has both edges of the step; if not, its flow is zero.
+        missing: missing edges, as (source, target) frame indices.
     """
 
     frames: np.ndarray
@@ -71,10 +71,10 @@ def training_links(source: np.ndarray, target: np.ndarray, flow: np.ndarray, is_
 
 
 def track_dynamic_pixels(links: Links, masks: np.ndarray, stride_px: int) -> Tracks:
-    """Follow dynamic pixels both ways through time until they leave the mask or the image or the flow back disagrees.
+    """Track dynamic pixels forward and backward in time until they leave mask or image, or fail the backward check.
 
-    Seeds lie on a grid in every training frame, from the middle outwards, where no earlier track passes: parts that
-    show up late get tracks as well.
+    Seeds lie on a grid in every training frame, from the middle frame outwards, where no earlier track passes, so that
+    parts that appear late get tracks as well.
 
     Args:
         masks: [F, h, w] dynamic masks of the training frames on the flow grid.
@@ -99,7 +99,7 @@ def track_dynamic_pixels(links: Links, masks: np.ndarray, stride_px: int) -> Tra
 
 
 def _worth_keeping(tracks: Tracks, shape: tuple[int, ...], stride_px: int) -> np.ndarray:
-    """Which tracks [n] to fit: the long ones, and those of two frames that pass where no long one does."""
+    """Which tracks [n] to fit: the long ones, and tracks of two frames where no long one passes."""
     sightings = tracks.visible.sum(axis=1)
     kept = np.asarray(sightings >= min(MIN_FRAMES, tracks.visible.shape[1]))
     long_uv, long_visible = tracks.uv[kept], tracks.visible[kept]
@@ -143,6 +143,6 @@ def _follow(links: Links, inner: np.ndarray, seeds: np.ndarray, start: int) -> t
 
 
 def _agree(motion: np.ndarray, back: np.ndarray) -> np.ndarray:
-    """Whether flow [n, 2] px and the flow back from where it leads [n, 2] nearly cancel, [n] bool."""
+    """Whether forward flow [n, 2] px and the backward flow at its target [n, 2] nearly cancel, [n] bool."""
     disagreement = np.linalg.norm(motion + back, axis=1)
     return np.asarray(disagreement < DISAGREEMENT_PX + DISAGREEMENT_PER_PX * np.linalg.norm(motion, axis=1))
