@@ -99,7 +99,7 @@ def write_results(folder: Path) -> None:
         for number, mask in zip(numbers, masks, strict=True):
             write_image(folder / part / f"masks/frame_{number:04d}.png", mask)
         write_json(folder / part / "masks/masks.json", {"options": {"source": "refined"}})
-        about = {**DECIDED, "flags": ["an early doubt"] if part else ["a doubt", "one more"]}
+        about = {**DECIDED, "flags": ["an early warning"] if part else ["a warning", "one more"]}
         write_cameras(folder / part / "ba/poses.parquet", make_cameras(estimated, K, numbers), about)
     _write_depth(folder / "ba/depth.arrow", masks)
     _write_convergence(folder)
@@ -213,7 +213,7 @@ def _write_baseline(path: Path, cam_from_world: np.ndarray) -> None:
     columns |= {name: [quats[k, i] for k in rows] for i, name in enumerate(("qw", "qx", "qy", "qz"))}
     columns |= {name: [cam_from_world[k, i, 3] for k in rows] for i, name in enumerate(("tx", "ty", "tz"))}
     columns |= {name: [value] * 4 for name, value in (("fx", 99.0), ("fy", 99.0), ("cx", K[0, 2]), ("cy", K[1, 2]))}
-    about = {"protocol": "as is", "total": T, "wall_s": 1.5, "cpu_s": 1.5, "threads": 1, "given": None}
+    about = {"protocol": "as is", "total": T, "wall_s": 1.5, "cpu_s": 1.5, "threads": 1, "from_truth": None}
     partial = {"method": "COLMAP global", "registered": 4, "failure": None}
     failed = {"method": "COLMAP incremental", "registered": 0, "failure": "reconstruct: no model"}
     write_table(path, columns, {"variants": [partial | about, failed | about]})

@@ -29,7 +29,7 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
 
 def test_cameras_keep_their_floors(demo: dict[str, Any]) -> None:
     """Measured: ATE 0.030 to 0.034 % of the path, focal error 0.15 %."""
-    assert (demo["status"], demo["doubts"], demo["camera"]) == ("ok", 0, "moving")
+    assert (demo["status"], demo["warnings"], demo["camera"]) == ("ok", 0, "moving")
     assert demo["ate_percent"] < 0.1
     assert abs(demo["focal_error_percent"]) < 1
 

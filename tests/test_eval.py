@@ -15,7 +15,7 @@ from stages.shared.cameras import Cameras, make_cameras, read_cameras, write_cam
 from stages.shared.masks import read_masks
 from stages.shared.sequences import read_sequence
 from stages.shared.tables import read_rows
-from stages.shared.truth_used import Given, read_given
+from stages.shared.truth_used import RunInputs, read_run_inputs
 
 
 def _candidate(cameras: Cameras | None, failure: str | None = None) -> score_poses.Candidate:
@@ -113,7 +113,7 @@ def test_a_frame_without_matches_has_a_pose_in_no_table(scored: Path, tmp_path: 
     status[2] = "unobserved"
     cameras = replace(read_cameras(scored / "ba/poses.parquet"), status=status)
     write_cameras(tmp_path / "poses.parquet", cameras)
-    (candidate,) = score_poses.own_candidates([tmp_path / "poses.parquet"], [(1.0, 1.0, 1)], Given("refined masks"))
+    (candidate,) = score_poses.own_candidates([tmp_path / "poses.parquet"], [(1.0, 1.0, 1)], RunInputs("refined masks"))
     sequence, flow = read_sequence(scored / "sequence.json"), read_dense(scored / "flow/pairs.arrow")
     depth, masks = read_dense(scored / "ba/depth.arrow"), read_masks(scored / "masks", sequence)
     checks = score_geometry.score_geometry(sequence, flow, cameras, depth, run.STRIDE, masks)
@@ -123,10 +123,10 @@ def test_a_frame_without_matches_has_a_pose_in_no_table(scored: Path, tmp_path: 
 
 def test_a_round_without_masks_says_so(scored: Path) -> None:
     tables = [scored / "round1/ba/poses.parquet", scored / "ba/poses.parquet"]
-    given = read_given(scored / "flow/pairs.arrow", [scored / "masks"], tables)
-    first, last = score_poses.own_candidates(tables, [(1.0, 1.0, 1)] * 2, given)
-    assert first.protocol == "given: the frames alone; no masks; after round 1 of 2"
-    assert last.protocol == "given: the frames alone; refined masks; after round 2 of 2"
+    inputs = read_run_inputs(scored / "flow/pairs.arrow", [scored / "masks"], tables)
+    first, last = score_poses.own_candidates(tables, [(1.0, 1.0, 1)] * 2, inputs)
+    assert first.protocol == "from ground truth: nothing; no masks; after round 1 of 2"
+    assert last.protocol == "from ground truth: nothing; refined masks; after round 2 of 2"
 
 
 def test_a_stuck_fit_is_a_problem_and_a_still_scene_has_none(scored: Path, tmp_path: Path) -> None:

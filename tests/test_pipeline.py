@@ -83,7 +83,7 @@ def test_both_scenes_keep_their_floors(finished: Path) -> None:
     """
     moving, still = score_rows(finished / "results/simulated")
     assert (moving["sequence"], still["sequence"]) == ("moving", "still")
-    assert (moving["status"], moving["doubts"], still["status"], still["doubts"]) == ("ok", 0, "ok", 0)
+    assert (moving["status"], moving["warnings"], still["status"], still["warnings"]) == ("ok", 0, "ok", 0)
     assert max(moving["ate_percent"], still["ate_percent"]) < 0.1
     assert max(abs(row["focal_error_percent"]) for row in (moving, still)) < 1.5
     assert min(moving["iou"], moving["precision"]) > 0.75

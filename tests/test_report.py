@@ -118,15 +118,15 @@ def test_failures_and_missing_parts_are_told(page: str) -> None:
     assert "unfinished: not evaluated; it counts as failed" in text
     assert "No camera truth, hence no ATE or RPE: blind_wall" in text
     assert "no camera truth: no ATE, RPE or focal error" in text
-    doubts = "Round 1: an early doubt. Last round: a doubt; one more."
-    assert f"wall: the adjustment doubts its poses. {doubts}" in text
-    assert f"Doubts about the poses. {doubts}" in text
-    assert "Doubts about the poses. a doubt; one more" in text  # of the sequence that was never evaluated
+    warned = "Round 1: an early warning. Last round: a warning; one more."
+    assert f"wall: warnings of the bundle adjustment. {warned}" in text
+    assert f"Warnings of the bundle adjustment. {warned}" in text
+    assert "Warnings of the bundle adjustment. a warning; one more" in text  # of the sequence that was never evaluated
     assert "trajectories: no eval/trajectory.parquet; masks: no masks" in text
     assert "renders: no renders/test" in text
 
 
-def test_given_poses_and_no_training_leave_no_curve(results: Path, tmp_path: Path) -> None:
+def test_true_poses_and_no_training_leave_no_curve(results: Path, tmp_path: Path) -> None:
     """`ba: {poses_from: truth}` adjusts nothing and `gaussians: {steps: 0}` trains nothing: their tables are empty."""
     folder = tmp_path / "wall"
     shutil.copytree(results / "results" / "wall", folder)
@@ -176,7 +176,7 @@ def test_a_comparison_made_under_other_options_is_labelled_and_joins_no_table(
     assert not any(method.startswith("ours, fast") for method in methods)
 
 
-def test_truth_that_the_run_was_given_stands_on_the_first_screen_and_on_every_table(tmp_path: Path) -> None:
+def test_inputs_from_ground_truth_stand_on_the_first_screen_and_on_every_table(tmp_path: Path) -> None:
     folder = run.finish(tmp_path)
     metadata = read_metadata(folder / "ba/poses.parquet")
     about = metadata | {"options": metadata["options"] | {"intrinsics": "truth"}}
@@ -185,14 +185,14 @@ def test_truth_that_the_run_was_given_stands_on_the_first_screen_and_on_every_ta
     run.score(folder)
     report_stage.main([folder], PUBLISHED, tmp_path / "index.html", tmp_path / "tables", ReportOptions())
     page = (tmp_path / "index.html").read_text()
-    given = "true masks, true intrinsics"
-    assert f"Taken from the truth, not estimated: {given}." in page.partition("</header>")[0]
+    from_truth = "true masks, true intrinsics"
+    assert f"Taken from ground truth, not estimated: {from_truth}." in page.partition("</header>")[0]
     titles = re.findall(r'<h3 id="(\w+)">([^<]*)', page)
-    ours = {name for name, title in titles if f"(given: {given})" in title}
+    ours = {name for name, title in titles if f"(from ground truth: {from_truth})" in title}
     assert {"poses", "images", "masks", "checks", "adjustment", "decisions"} <= ours
     poses = pq.read_table(tmp_path / "tables/poses.parquet").to_pylist()
-    assert {row["method"]: row["given"] for row in poses}["ours"] == given
-    assert {row["method"]: row["given"] for row in poses}["COLMAP global"] is None
+    assert {row["method"]: row["from_truth"] for row in poses}["ours"] == from_truth
+    assert {row["method"]: row["from_truth"] for row in poses}["COLMAP global"] is None
     masks = pq.read_table(tmp_path / "tables/masks.parquet").to_pylist()
     assert {row["method"] for row in masks} == {"motion prior", "true motion masks"}
 

@@ -21,7 +21,7 @@ OPTIONS = ResultsOptions(command="make results PRESET=fast")
 
 
 def _scene(name: str, status: str = "ok", **figures: Any) -> dict[str, Any]:
-    return {"sequence": name, "split": "test", "status": status, "doubts": 0, **figures}
+    return {"sequence": name, "split": "test", "status": status, "warnings": 0, **figures}
 
 
 @pytest.fixture(scope="module")
@@ -71,7 +71,7 @@ def test_a_row_holds_what_the_tables_say(finished: Path) -> None:
     assert (row["psnr_whole"], row["warp_whole"]) == (pytest.approx(28, abs=8), None)  # no edge over the frame between
     assert row["wall_s"] == 2.0 * 12
     assert (row["threads"], row["colmap_threads"]) == (2, 1)
-    assert row["flags"] == "a doubt; one more"
+    assert row["flags"] == "a warning; one more"
     assert "ba" in row["old"]  # its time file was written by other code than this checkout's
 
 
@@ -81,7 +81,7 @@ def test_medians_and_means_count_what_they_leave_out() -> None:
         _scene("b", ate_percent=2.0, focal_error_percent=2.0, colmap_error="failed"),
         _scene("c", "partial", ate_percent=100.0, colmap_error="partial"),
         _scene("d", "failed", failure="no model"),
-        _scene("e", ate_percent=6.0, colmap_percent=3.0, colmap_error="3.000 %", doubts=2),
+        _scene("e", ate_percent=6.0, colmap_percent=3.0, colmap_error="3.000 %", warnings=2),
         _scene("f", "degenerate truth: straight camera", rotation_deg=0.5, colmap_error="0.2 deg"),
     ]
     table = scene_tables.figure_table({"test": rows})

@@ -189,8 +189,8 @@ def test_planar_residual_is_zero_for_a_rigid_plane_only() -> None:
     outliers = plane.copy()
     outliers[:60] += 8.0
     assert np.median(geometry.planar_residual(uv, outliers)) < 0.02  # least squares leaves 1.4
-    bent = plane + np.stack([np.zeros(len(uv)), np.sin(9 * x)], axis=-1)
-    assert np.median(geometry.planar_residual(uv, bent)) > 0.3
+    curved = plane + np.stack([np.zeros(len(uv)), np.sin(9 * x)], axis=-1)
+    assert np.median(geometry.planar_residual(uv, curved)) > 0.3
 
 
 def test_a_sliding_square_is_rigid() -> None:

@@ -26,7 +26,7 @@ def write_scores(folder: Path, ate: float | None, psnr: dict[str, float]) -> Non
         write_rows(folder / f"{name}.parquet", rows, list(rows[0]), {})
 
     errors = {"rpe_rot_deg": 0.1, "focal_error_percent": -2.0, "status": "failed" if ate is None else "ok"}
-    errors |= {"camera": "moving", "focal": "estimated", "focal_sigma_percent": 1.0, "doubts": 0}
+    errors |= {"camera": "moving", "focal": "estimated", "focal_sigma_percent": 1.0, "warnings": 0}
     errors |= {
         "ate": 0.05,
         "rpe_trans": 0.01,
@@ -35,7 +35,7 @@ def write_scores(folder: Path, ate: float | None, psnr: dict[str, float]) -> Non
         "total": 8,
         "note": "",
         "threads": 2,
-        "given": None,
+        "from_truth": None,
     }
     write("poses", [{"method": m, "ate_percent": a} | errors for m, a in (("ours, round 1", 9.0), ("ours", ate))])
     write("masks", [{"method": "refined masks", "round": r, "iou": r / 10, "boundary_f": r / 20} for r in (2, 1)])
@@ -89,7 +89,7 @@ def test_a_row_says_what_a_setting_reached_and_cost(tmp_path: Path) -> None:
     assert json.loads(two["overrides"]) == {"flow.offsets": [1, 2]}
     assert (one["ate_percent"], one["status"], one["iou"], one["boundary_f"]) == (0.5, "ok", 0.2, 0.1)
     assert (two["ate_percent"], two["status"]) == (None, "failed")
-    decided = ("camera", "focal", "focal_sigma_percent", "doubts")
+    decided = ("camera", "focal", "focal_sigma_percent", "warnings")
     assert [one[name] for name in decided] == ["moving", "estimated", 1.0, 0]
     assert (one["registered"], one["total"], one["ate"], one["rpe_trans"]) == (7, 8, 0.05, 0.01)
     assert (one["psnr_db"], one["psnr_static_db"], one["psnr_dynamic_db"], one["ssim"]) == (25.0, 26.0, 20.0, 0.5)

@@ -51,18 +51,18 @@ def main(
 
 @dataclass(frozen=True)
 class Variant:
-    """What one way of running COLMAP gave: a row (see COLUMNS) per registered frame, or why there is none."""
+    """The result of one variant of COLMAP: a row (see COLUMNS) per registered frame, or the reason for none."""
 
     method: str
     protocol: str
-    given: str | None
+    from_truth: str | None
     rows: list[tuple[Any, ...]]
     failure: str | None
     cpu_s: float
 
     def outcome(self, total: int) -> dict[str, Any]:
         """Everything but the rows, for the metadata of the table."""
-        about = {name: getattr(self, name) for name in ("method", "protocol", "given", "failure", "cpu_s")}
+        about = {name: getattr(self, name) for name in ("method", "protocol", "from_truth", "failure", "cpu_s")}
         return about | {"threads": THREADS, "registered": len(self.rows), "total": total}
 
 
@@ -86,7 +86,7 @@ def run_variants(
             arguments = (images, database, mapper, options.seed)
             found, failure, seconds = _timed(reconstruct, arguments, options, shared_s)
             rows = _rows(_method(mapper, factor, masks), factor, *found) if found else []
-        names = _method(mapper, factor, masks), _protocol(factor, masks, options), _given(masks)
+        names = _method(mapper, factor, masks), _protocol(factor, masks, options), _from_truth(masks)
         variants.append(Variant(*names, rows, failure, shared_s + seconds))
     return variants
 
@@ -96,7 +96,8 @@ def _timed(
 ) -> tuple[Any, str | None, float]:
     """Value or reason of failure, and CPU seconds of a step in its own process.
 
-    On one thread they are what it takes on a quiet core; its wall time says nothing, for it gives way to our stages.
+    On one thread they equal the wall time on an idle core. The measured wall time is meaningless: COLMAP runs at the
+    lowest priority beside our stages.
     """
     before_s = _children_cpu_s()
     value, failure = None, None
@@ -124,7 +125,7 @@ def _owned(masks: Path) -> str:
     return MASKS[source] if source == TRUTH else f"our {MASKS[source]}"
 
 
-def _given(masks: Path | None) -> str | None:
+def _from_truth(masks: Path | None) -> str | None:
     return "true masks" if masks and mask_source(masks) == TRUTH else None
 
 

@@ -1,4 +1,4 @@
-"""Under which options, by which code and on which frames a run was made: whether an earlier comparison still holds."""
+"""Options, code and frames of a run, to check whether an earlier comparison is still valid."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -36,7 +36,7 @@ def of_runs(folder: Path, runs: Sequence[Row]) -> dict[str, Made]:
 
 
 def differences(table: Path, folder: Path) -> list[str]:
-    """In what the run that a comparison was made beside differs from the one that lies there now, in words.
+    """Differences, in words, between the run that a comparison was made with and the present results.
 
     Args:
         table: of the sweep or the scaling, with how its runs were made in its metadata.

@@ -1,4 +1,4 @@
-"""Collect what every setting of a sweep reached and cost into one table."""
+"""Collect the scores and costs of every setting of a sweep into one table."""
 
 import json
 from collections.abc import Iterable
@@ -17,8 +17,8 @@ from stages.shared.tables import Row, read_rows, write_rows
 
 POSE_SCORES = (
     *("ate", "ate_percent", "rpe_trans", "rpe_rot_deg", "focal_error_percent", "path"),
-    *("registered", "total", "status", "note", "camera", "focal", "focal_sigma_percent", "doubts"),
-    *("threads", "given"),
+    *("registered", "total", "status", "note", "camera", "focal", "focal_sigma_percent", "warnings"),
+    *("threads", "from_truth"),
 )
 COLUMNS = (
     *("sequence", "group", "setting", "knob", "value", "is_default", "overrides"),

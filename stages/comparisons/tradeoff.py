@@ -1,4 +1,4 @@
-"""What accuracy costs: means over the sweep's settings, the Pareto front, and the price of the next tenth."""
+"""Accuracy against cost: means over the sweep's settings, the Pareto front, and the cost of 10 % less error."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -78,10 +78,10 @@ def pareto_front(points: Sequence[Point]) -> list[Point]:
 
 
 def next_tenth(points: Sequence[Point], what: str) -> str:
-    """What a tenth less error costs from the configured run on, by measured settings alone.
+    """The cost of a tenth less error than the configured run has, from measured settings alone.
 
     Args:
-        points: of our own settings, the configured one among them. A step of several tenths is shared out among them.
+        points: our own settings, including the configured one. The cost of a step of several tenths is divided by them.
         what: name of the error, with its unit, as in "camera error (% of path)".
     """
     front = pareto_front(points)

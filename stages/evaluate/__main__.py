@@ -1,4 +1,4 @@
-"""Score one sequence: poses, images, masks, depth and flow against whatever truth there is, and what it cost."""
+"""Score one sequence: poses, images, masks, depth and flow against the available ground truth, and their cost."""
 
 from collections.abc import Mapping
 from collections.abc import Sequence as Rows
@@ -32,22 +32,22 @@ from stages.shared.log import logger
 from stages.shared.masks import read_masks
 from stages.shared.sequences import Sequence, read_sequence
 from stages.shared.tables import Row, read_rows, write_rows
-from stages.shared.truth_used import Given, read_given
+from stages.shared.truth_used import RunInputs, read_run_inputs
 
 POSES = (
     *("sequence", "method", "registered", "total", "ate", "ate_percent", "rpe_trans", "rpe_rot_deg"),
-    *("focal_error_percent", "path", "wall_s", "cpu_s", "threads", "status", "note", "protocol", "given"),
+    *("focal_error_percent", "path", "wall_s", "cpu_s", "threads", "status", "note", "protocol", "from_truth"),
     *pose_diagnostics.DECISIONS,
 )
 IMAGES = (
     *("sequence", "method", "split", "region", "psnr_db", "ssim", "lpips", "frames", "width", "height"),
-    *("mask_source", "protocol", "given"),
+    *("mask_source", "protocol", "from_truth"),
 )
 MASKS = (
     *("sequence", "method", "round", "iou", "boundary_f", "precision", "recall", "dynamic_percent", "true_percent"),
-    *("frames", "protocol", "given"),
+    *("frames", "protocol", "from_truth"),
 )
-CHECKS = ("sequence", "quantity", "value", "unit", "n", "protocol", "given")
+CHECKS = ("sequence", "quantity", "value", "unit", "n", "protocol", "from_truth")
 TIME = ("sequence", "stage", "round", "threads", "wall_s", "cpu_s", "peak_mb", "gpu_peak_mb", "output_mb")
 TRAJECTORY = ("method", "frame", "x", "y", "z", "error")
 FRAMES = ("kind", "method", "split", "frame", "metric", "value")
@@ -76,32 +76,32 @@ def main(
     figure: Annotated[Path, Out("picture of the trajectories")],
     options: EvaluateOptions,
 ) -> str:
-    """Write one row per method and protocol; what cannot be scored is a row that says why."""
+    """Write one row per method and protocol; a row that cannot be scored gives the reason."""
     frames = read_sequence(sequence)
     times = costs.time_rows(frames.name, stage_stats)
     write_rows(time_table, times, TIME, {"unit": "seconds and MB"})
-    given = read_given(flow, masks, poses)
-    own = score_poses.own_candidates(poses, costs.spent_to_poses(times, len(poses)), given)
+    inputs = read_run_inputs(flow, masks, poses)
+    own = score_poses.own_candidates(poses, costs.spent_to_poses(times, len(poses)), inputs)
     candidates = [*own, *score_poses.colmap_candidates(*colmap)]
     paths = _write_poses(frames, candidates, poses_table, trajectory_table)
     with atomic(figure) as partial:
         partial.write_bytes(draw_trajectories(paths, "png"))
     own_masks = [read_masks(folder, frames) for folder in masks]
     pairs = read_dense(flow)
-    by_round = dict(enumerate(zip(priors, own_masks, strict=True), given.masked_from))
-    mask_frames = _write_masks(frames, by_round, given, masks_table)
-    image_frames = _write_images(frames, renders, pairs, (own_masks[-1], given), images_table, options)
+    by_round = dict(enumerate(zip(priors, own_masks, strict=True), inputs.masked_from))
+    mask_frames = _write_masks(frames, by_round, inputs, masks_table)
+    image_frames = _write_images(frames, renders, pairs, (own_masks[-1], inputs), images_table, options)
     write_rows(frames_table, [*image_frames, *mask_frames], FRAMES, {})
     grid = read_dense(depth), read_metadata(depth)["stride_px"]
     checks = score_geometry.score_geometry(frames, pairs, read_cameras(poses[-1]), *grid, own_masks[-1])
     checks += score_models.model_rows(frames.name, len(frames.frames), motion, model, half)
     _log_rows("checks", checks)
-    write_rows(checks_table, _with(given.truth, checks), CHECKS, {})
+    write_rows(checks_table, _with(inputs.truth, checks), CHECKS, {})
     return _result(poses_table, masks_table, images_table)
 
 
 def _result(poses_table: Path, masks_table: Path, images_table: Path) -> str:
-    """The scores of the sequence in a few words; what has no truth is left out."""
+    """The scores of the sequence in a few words; those without ground truth are left out."""
     poses = {row["method"]: row for row in read_rows(poses_table)}
     masks = [row for row in read_rows(masks_table) if row["method"] != score_masks.PRIOR]
     images = [row for row in read_rows(images_table) if (row["split"], row["region"]) == ("test", "whole")]
@@ -116,7 +116,7 @@ def _result(poses_table: Path, masks_table: Path, images_table: Path) -> str:
 def _write_poses(
     frames: Sequence, candidates: Rows[score_poses.Candidate], poses_table: Path, trajectory_table: Path
 ) -> list[Row]:
-    """Errors of every method, and their paths, which are returned."""
+    """Write the errors and paths of every method; returns the paths."""
     truth = true_cameras(frames)
     rows = [score_poses.score(frames.name, candidate, truth) for candidate in candidates]
     _log_rows("poses", rows)
@@ -127,16 +127,16 @@ def _write_poses(
 
 
 def _write_masks(
-    frames: Sequence, by_round: Mapping[int, tuple[Path, dict[int, np.ndarray]]], given: Given, table: Path
+    frames: Sequence, by_round: Mapping[int, tuple[Path, dict[int, np.ndarray]]], inputs: RunInputs, table: Path
 ) -> list[Row]:
-    """Scores of the prior and the masks of every round that has any; those of single frames are returned."""
+    """Write scores of the prior and the masks of every round that has any; returns those of single frames."""
     size = frames.width, frames.height
     masks = {
-        k: {score_masks.PRIOR: score_masks.read_prior_masks(prior, *size), given.masks: own}
+        k: {score_masks.PRIOR: score_masks.read_prior_masks(prior, *size), inputs.masks: own}
         for k, (prior, own) in by_round.items()
     }
     rows, of_frames = score_masks.score_masks(frames.name, masks, *true_masks(frames))
-    write_rows(table, _with(given.truth, rows), MASKS, {"protocol": mask_metrics.PROTOCOL})
+    write_rows(table, _with(inputs.truth, rows), MASKS, {"protocol": mask_metrics.PROTOCOL})
     return _long(of_frames, "masks", ("iou", "boundary_f"))
 
 
@@ -144,24 +144,24 @@ def _write_images(
     frames: Sequence,
     renders: Path,
     flow: Mapping[str, np.ndarray],
-    masks: tuple[dict[int, np.ndarray], Given],
+    masks: tuple[dict[int, np.ndarray], RunInputs],
     table: Path,
     options: EvaluateOptions,
 ) -> list[Row]:
-    """Scores of the renders and of the image baselines; those of single frames are returned."""
+    """Write scores of the renders and of the image baselines; returns those of single frames."""
     moving, source = true_masks(frames)
-    own_masks, given = masks
-    regions = (moving, source) if moving else (own_masks, f"our own masks ({given.masks})")
+    own_masks, inputs = masks
+    regions = (moving, source) if moving else (own_masks, f"our own masks ({inputs.masks})")
     rows, of_frames = score_images.score_images(frames, renders, flow, regions, options)
     write_rows(
-        table, _with(given.truth, rows), IMAGES, {"protocol": f"{image_metrics.PROTOCOL}. {_lpips_protocol(options)}"}
+        table, _with(inputs.truth, rows), IMAGES, {"protocol": f"{image_metrics.PROTOCOL}. {_lpips_protocol(options)}"}
     )
     return _long(of_frames, "images", ("psnr_db", "ssim"))
 
 
-def _with(given: str | None, rows: Rows[Row]) -> list[Row]:
-    """Rows that say what the run took from the truth."""
-    return [row | {"given": given} for row in rows]
+def _with(from_truth: str | None, rows: Rows[Row]) -> list[Row]:
+    """The rows with the column of inputs taken from ground truth."""
+    return [row | {"from_truth": from_truth} for row in rows]
 
 
 def _lpips_protocol(options: EvaluateOptions) -> str:

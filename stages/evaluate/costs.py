@@ -1,4 +1,4 @@
-"""What every stage cost, from the time files that the stages write."""
+"""Time and memory of every stage, from the time files that the stages write."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -9,20 +9,20 @@ from stages.shared.chain import AFTER, BEFORE, REPEATED
 from stages.shared.tables import Row
 
 LAST = (*AFTER[:-1], "colmap", "colmap_masked")
-"""What follows the rounds, as tables list it."""
+"""The stages after the rounds, in the order of the tables."""
 
 
 def time_rows(name: str, files: Sequence[Path]) -> list[Row]:
     """A row per file `.../stats/<stage>.json`, in the order in which the stages run.
 
     Args:
-        files: those of a repeated stage in the order of the rounds; their folders say nothing, for runs share them.
+        files: those of a repeated stage in the order of the rounds (not told by their folders, which runs share).
     """
     of_stage = Counter(path.stem for path in files)
     rounds, seen, rows = max(of_stage.values()), Counter[str](), []
     for path in files:
         seen[path.stem] += 1
-        # Masks may be left out of the first round, never of the last.
+        # The first round may have no masks, the last one always has.
         rows.append(_time_row(name, path, rounds - of_stage[path.stem] + seen[path.stem]))
     return sorted(rows, key=_stage_order)
 

@@ -1,4 +1,4 @@
-"""Errors of optical flow against true flow: by how far things move, and whether the confidence keeps its promise."""
+"""Errors of optical flow against true flow: by length of the motion, and how often confident flow is correct."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ class FlowErrors:
     Attributes:
         error_px: [n] end-point error; motion_px: [n] length of the true flow; both in full-size pixels.
         confidence: [n] 0..1.
-        visible: [n] bool, the pixel is seen in the next frame, as far as the truth tells.
+        visible: [n] bool, the pixel is visible in the next frame according to the ground truth.
         scale: width of the flow grid over that of the frame.
     """
 
@@ -35,7 +35,7 @@ class FlowErrors:
     scale: float
 
     def right(self) -> np.ndarray:
-        """Of the confident pixels, which err by less than RIGHT_PX of the flow grid, [m] bool."""
+        """Which of the m confident pixels have an error below RIGHT_PX of the flow grid, [m] bool."""
         return np.asarray(self.error_px[self.confidence > MIN_CONFIDENCE] * self.scale < RIGHT_PX)
 
 

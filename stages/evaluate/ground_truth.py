@@ -1,4 +1,4 @@
-"""The truth of a sequence as arrays; what is not there is None."""
+"""The ground truth of a sequence as arrays; None where a file is missing."""
 
 import numpy as np
 
@@ -46,7 +46,7 @@ def moving_pixels(
     source: tuple[np.ndarray, np.ndarray],
     target: tuple[np.ndarray, np.ndarray],
 ) -> np.ndarray:
-    """Pixels [H, W] bool whose flow [H, W, 2] differs from what z-depth [H, W] and the cameras alone cause.
+    """Pixels [H, W] bool whose flow [H, W, 2] differs from the rigid flow of z-depth [H, W] and cameras.
 
     Args:
         source, target: cam_from_world [4, 4] and K [3, 3] of the two frames.

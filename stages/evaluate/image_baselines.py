@@ -1,4 +1,4 @@
-"""Held-out frames made from their neighbours without any scene: the least that a reconstruction must beat."""
+"""Held-out frames interpolated from their neighbours without a scene model: baselines of the reconstruction."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ PROTOCOLS = {
 
 @dataclass(frozen=True)
 class Made:
-    """A held-out frame's number and what every baseline makes of it, [H, W, 3] uint8 by name."""
+    """A held-out frame and the prediction of every baseline, [H, W, 3] uint8 by name."""
 
     number: int
     truth: np.ndarray
@@ -29,7 +29,7 @@ class Made:
 
 
 def made_frames(sequence: Sequence, flow: Mapping[str, np.ndarray], options: SplitOptions) -> Iterator[Made]:
-    """Every held-out frame, as each baseline makes it.
+    """Every held-out frame with the predictions of the baselines.
 
     Args:
         flow: columns of flow/pairs.arrow (source, target, flow).

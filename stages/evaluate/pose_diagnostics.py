@@ -1,4 +1,4 @@
-"""What the adjustment decided about camera and focal length, on which numbers, and what speaks against its poses."""
+"""Decisions of the bundle adjustment about camera and focal length, the statistics behind them, and its warnings."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -7,95 +7,98 @@ from typing import Any
 from stages.shared.artifacts import read_metadata
 from stages.shared.tables import Column, Row, Table, read_rows
 
-DECISIONS = ("camera", "focal", "focal_reason", "focal_sigma_percent", "doubts", "flags")
+DECISIONS = ("camera", "focal", "focal_reason", "focal_sigma_percent", "warnings", "flags")
 CAMERA_NAMES = {"rotating": "rotation-only"}
 COLUMNS = (
     Column("camera", "camera"),
     Column("focal", "focal length"),
     Column("focal_sigma_percent", "predicted focal error", "%, one sigma", 1),
     Column("focal_reason", "why it was held", long=True),
-    Column("doubts", "doubts"),
-    Column("flags", "in words", long=True),
+    Column("warnings", "warnings"),
+    Column("flags", "warnings in words", long=True),
 )
 STATISTICS: Mapping[str, tuple[str, str, str]] = {
     "flow_px": (
         "flow between neighbouring frames",
         "px",
-        "Where a rotation explains the flow, a camera with little of it is near-still, with more of it rotation-only.",
+        "If a rotation explains the flow: with little flow the camera is near-still, with more it is rotation-only.",
     ),
     "offset": (
         "long baseline",
         "frames",
-        "Over so many frames the residuals below are taken: the longer, the more a moving camera shows.",
+        "Frame distance of the residuals below: the longer, the more parallax a moving camera shows.",
     ),
     "rotation_1_px": (
-        "left by a rotation, neighbouring frames",
+        "residual of a rotation, neighbouring frames",
         "px",
-        "At the focal length that suits a rotation best. Up to seven times what the epipolar geometry leaves of the "
-        "same frames can be noise: more, here or on the next line, and the camera is moving.",
+        "At the focal length that fits a rotation best. Up to seven times the epipolar residual of the same frames can "
+        "be noise. If it is more, here or on the next line, the camera is moving.",
     ),
     "rotation_px": (
-        "left by a rotation, long baseline",
+        "residual of a rotation, long baseline",
         "px",
-        "The same over more frames, where slow travel adds up.",
+        "The same over more frames, where slow translation adds up.",
     ),
     "sampson_1_px": (
-        "left by the epipolar geometry (Sampson), neighbouring frames",
+        "epipolar residual (Sampson), neighbouring frames",
         "px",
         "The noise of the flow between neighbours.",
     ),
     "sampson_px": (
-        "left by the epipolar geometry (Sampson), median",
+        "epipolar residual (Sampson), long baseline, median",
         "px",
-        "The noise of the flow: what the other residuals are held against.",
+        "The noise of the flow: the other residuals are compared with it.",
     ),
     "homography_px": (
-        "left by a homography, median",
+        "residual of a homography, long baseline, median",
         "px",
-        "Hardly more than the epipolar residual: one plane fills half of the view, and starts from a plane compete.",
+        "If it is hardly more than the epipolar residual, one plane fills half of the view, and initialisations from a "
+        "plane are tried too.",
     ),
     "most_sampson_px": (
-        "left by the epipolar geometry, of four matches in five",
+        "epipolar residual, 80th percentile",
         "px",
-        "What the next line is held against.",
+        "The next line is compared with it.",
     ),
     "most_homography_px": (
-        "left by a homography, of four matches in five",
+        "residual of a homography, 80th percentile",
         "px",
-        "Hardly more than the line before: the scene is planar, which is a doubt.",
+        "If it is hardly more than the line before, the scene is planar, which is a warning.",
     ),
     "roughness": (
         "roughness of the camera path",
         "mean |a| / mean |v|",
-        "Starts that fit equally well: the smoothest is taken. A rough path of a moving camera is a doubt.",
+        "Among initialisations that fit equally well the smoothest is taken. A rough path of a moving camera is a "
+        "warning.",
     ),
     "residual_px": (
-        "left by the solution, median",
+        "residual of the solution, median",
         "px",
-        "Several times the epipolar residual is a doubt.",
+        "Several times the epipolar residual is a warning.",
     ),
     "focal_sigma_percent": (
         "predicted focal error",
         "%",
-        "If the camera moves: small, the focal length is estimated; larger, weakly observed; beyond that, held.",
+        "If the camera moves: with a small error the focal length is estimated, with a larger one it is weakly "
+        "observed, with a still larger one it is held at the prior.",
     ),
     "covariance_std_factor": (
         "factor in the predicted standard deviations",
         "",
-        "Poses and focal length: so many times what independent residuals would predict; flow errors are alike over "
-        "many pixels. Their covariance holds its square.",
+        "Standard deviations of poses and focal length are this many times those of independent residuals, since flow "
+        "errors are correlated over many pixels. The covariance holds its square.",
     ),
     "static_percent": (
         "static area",
         "% of pixels",
-        "Much less than in the round before is a doubt: masks may run away.",
+        "Much less than in the previous round is a warning: masks may grow without bound.",
     ),
 }
-"""By name in the metadata of poses.parquet: words, unit, and what it decides."""
+"""By name in the metadata of poses.parquet: label, unit, and what it decides."""
 
 
 def decisions(metadata: Mapping[str, Any]) -> Row:
-    """The columns DECISIONS from the metadata of a poses.parquet; None for what it does not say."""
+    """The columns DECISIONS from the metadata of a poses.parquet; None for missing values."""
     focal, flags = metadata.get("focal", {}), metadata.get("flags", [])
     sigma = focal.get("relative_sigma") if focal.get("decision") != "known" else None
     return {
@@ -103,7 +106,7 @@ def decisions(metadata: Mapping[str, Any]) -> Row:
         "focal": focal.get("decision"),
         "focal_reason": focal.get("reason") or None,
         "focal_sigma_percent": None if sigma is None else 100 * sigma,
-        "doubts": len(flags),
+        "warnings": len(flags),
         "flags": "; ".join(flags) or None,
     }
 
@@ -113,15 +116,15 @@ def decision_table(poses: Sequence[Row]) -> Table:
     ours = (row for row in poses if row["method"] == "ours" and row.get("camera"))
     rows = [{key: row[key] for key in ("sequence", *DECISIONS)} for row in ours]
     note = (
-        "By the numbers of the adjustment alone, after the last round. Of a focal length that was held, the predicted "
-        "error is that of estimating it."
+        "From the statistics of the bundle adjustment alone, after the last round. If a focal length was held, the "
+        "predicted error is that of estimating it."
     )
-    title = "What the adjustment took the camera for"
+    title = "Camera model chosen by the bundle adjustment"
     return Table("adjustment", title, note, (Column("sequence", "sequence"), *COLUMNS), rows)
 
 
 def statistic_rows(folder: Path) -> list[Row]:
-    """A row per number on which the adjustment of the last round decided, for the results of a sequence."""
+    """A row per statistic behind the decisions of the last round, from the results folder of a sequence."""
     if not (folder / "ba/poses.parquet").exists():
         return []
     about = read_metadata(folder / "ba/poses.parquet")
@@ -139,30 +142,30 @@ def statistic_rows(folder: Path) -> list[Row]:
 
 
 def statistics_table(rows: list[Row]) -> Table:
-    """The numbers of every sequence, each with what it decides."""
+    """The statistics of every sequence, each with the decision that depends on it."""
     value = Column("statistic", "statistic"), Column("value", "value"), Column("unit", "unit")
     columns = (Column("sequence", "sequence"), *value, Column("decides", "what it decides", long=True))
     note = (
-        "Measured without truth, in the last round: medians over pairs of frames, of confident static matches; pixels "
-        "are those of the flow grid."
+        "Measured without ground truth, in the last round: medians over pairs of frames, of confident static matches; "
+        "pixels are those of the flow grid."
     )
-    return Table("statistics", "On which numbers the adjustment decided", note, columns, rows)
+    return Table("statistics", "Statistics behind the decisions of the bundle adjustment", note, columns, rows)
 
 
-def doubts_by_round(rows: Sequence[Row]) -> str:
-    """The doubts about our poses in words, each after its round; empty if there are none.
+def warnings_by_round(rows: Sequence[Row]) -> str:
+    """The warnings about our poses in words, each after its round; empty if there are none.
 
     Args:
-        rows: of the pose table, of one sequence.
+        rows: rows of the pose table of one sequence.
     """
     told = [row for row in rows if row.get("flags")]
     rounds = ["last round" if row["method"] == "ours" else row["method"].removeprefix("ours, ") for row in told]
     return " ".join(f"{name.capitalize()}: {row['flags']}." for name, row in zip(rounds, told, strict=True))
 
 
-def doubts_of(folder: Path) -> str:
-    """The doubts of every evaluated round of a sequence; without an evaluation, those of the last round."""
+def warnings_of(folder: Path) -> str:
+    """The warnings of every evaluated round of a sequence; without an evaluation, those of the last round."""
     scores, poses = folder / "eval/poses.parquet", folder / "ba/poses.parquet"
     if scores.exists():
-        return doubts_by_round(read_rows(scores))
+        return warnings_by_round(read_rows(scores))
     return "; ".join(read_metadata(poses).get("flags", [])) if poses.exists() else ""

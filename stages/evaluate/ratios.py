@@ -1,4 +1,4 @@
-"""Our camera error over that of COLMAP and over that of the same pipeline with true masks, sequence by sequence."""
+"""Ratio of our camera error to that of COLMAP and to that of the same pipeline with true masks, per sequence."""
 
 import json
 from collections.abc import Sequence
@@ -9,7 +9,7 @@ from stages.shared.truth_used import WITH_MASKS
 TRUE_MASKS = {"segment.source": "truth"}
 """The only option in which the run with true masks differs from the configured one."""
 MAX_RATIO = 1.5
-"""Masks that are good enough leave at most this many times the error that true ones leave."""
+"""With good masks, the error is at most this many times the error with true masks."""
 COLUMNS = (
     Column("sequence", "sequence"),
     Column("ate_percent", "ours", "ATE, % of path", 3),
@@ -36,9 +36,9 @@ def ratio_table(poses: Sequence[Row], settings: Sequence[Row]) -> Table:
 
 
 def counts(rows: Sequence[Row]) -> str:
-    """On how many sequences ours is lower than COLMAP's best, and near enough to true masks.
+    """On how many sequences our error is below COLMAP's best, and at most MAX_RATIO times that with true masks.
 
-    Whoever has no complete path is beaten on that sequence by the other.
+    A method without a complete path loses on that sequence.
     """
     found = []
     rivals = [row for row in rows if row["colmap"]]

@@ -1,4 +1,4 @@
-"""Rows of the check table: what can be said without truth, and how good flow and depth are where there is truth."""
+"""Rows of the check table: checks without ground truth, and errors of flow and depth where ground truth exists."""
 
 from collections.abc import Mapping
 from typing import Any

@@ -15,10 +15,10 @@ from stages.shared.sequences import Sequence
 
 REGIONS = ("whole", "static", "dynamic")
 SPLITS = {
-    "train": "frames that are not held out; trained on, but for those without matches of their own",
-    "test": "held-out frames: their pictures enter neither the training nor the choice of effects and control points; "
-    "flow, masks, depth and poses were estimated from all frames, these among them, and each is rendered from its "
-    "own estimated pose",
+    "train": "frames that are not held out; used for training, except those without matches",
+    "test": "held-out frames: their images are used neither for training nor for the choice of effects and control "
+    "points; flow, masks, depth and poses were estimated from all frames, including these, and each is rendered from "
+    "its own estimated pose",
     "right": "right-eye views against the clean pass, the only one with right-eye truth",
 }
 
@@ -35,7 +35,7 @@ def score_images(
     Args:
         renders: folder with train/, test/, right/ (each may be missing), files frame_%04d.png.
         flow: columns of flow/pairs.arrow, for the baselines of held-out frames.
-        regions: dynamic pixels [H, W] by frame number, and whose they are.
+        regions: dynamic pixels [H, W] by frame number, and their source.
     """
     distance = load_lpips(options.lpips_weights) if options.lpips_weights else None
     table: list[dict[str, Any]] = []
@@ -124,7 +124,7 @@ def reduced(truth: np.ndarray, image: np.ndarray) -> np.ndarray:
 
 
 def true_images(sequence: Sequence, split: str) -> dict[int, Path]:
-    """The files that renders of a split are held against, by frame number."""
+    """The files that renders of a split are compared with, by frame number."""
     if split == "right":
         return sequence.truth.get("clean_right", {})
     return dict(zip(sequence.numbers, sequence.frames, strict=True))

@@ -12,7 +12,7 @@ from stages.shared.images import enlarge
 
 PRIOR_THRESHOLD = 0.5
 PRIOR = "motion prior"
-"""What the prior above one half is called; any other method of the table is the masks that the run used."""
+"""Name of the prior above one half; any other method of the table is the masks that the run used."""
 
 
 def read_prior_masks(path: Path, width: int, height: int) -> dict[int, np.ndarray]:
@@ -32,9 +32,9 @@ def score_masks(
     """Rows per round and method, and rows per frame of the last round.
 
     Args:
-        rounds: by round, masks by method (`PRIOR`, and what the masks used are called) and frame number.
-        truth: true masks by frame number; without any, only the share of dynamic pixels is given.
-        source: where the truth comes from.
+        rounds: by round, masks by method (`PRIOR`, and the name of the masks used) and frame number.
+        truth: true masks by frame number; without any, only the share of dynamic pixels is computed.
+        source: source of the true masks.
     """
     table, frames, last = [], [], max(rounds)
     for k, methods in rounds.items():

@@ -1,4 +1,4 @@
-"""Rows of the check table on the model: how well the control points explain the tracks, and what the files take."""
+"""Rows of the check table on the model: residual of the tracks under the control points, and file sizes."""
 
 from pathlib import Path
 from typing import Any
@@ -9,8 +9,8 @@ from stages.shared.artifacts import read_metadata, read_model
 STUCK = "motion fit stuck"
 MEDIAN, P90 = "motion fit residual, median", "motion fit residual, 90th percentile"
 FIT_PROTOCOL = "reprojection error of the tracks of dynamic pixels, moved by the control points; n: tracks"
-STUCK_PROTOCOL = "100: the control points leave too much of the tracks' motion unexplained; n: attempts"
-COUNT_PROTOCOL = "control points that carry the motion; n: attempts at the fit, another one follows where it is stuck"
+STUCK_PROTOCOL = "100: the residual of the control points on the tracks is too large; n: attempts"
+COUNT_PROTOCOL = "control points of the motion; n: attempts at the fit, repeated where it is stuck"
 FILE_PROTOCOL = "size of the file; n: Gaussians"
 HALF_PROTOCOL = "mean over a few training frames rendered from the file in half precision; n: Gaussians"
 COMPUTED_PROTOCOL = (

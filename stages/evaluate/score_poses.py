@@ -12,7 +12,7 @@ from stages.shared import lie
 from stages.shared.alignment import DegenerateError, extent
 from stages.shared.artifacts import read_metadata, read_table
 from stages.shared.cameras import Cameras, has_pose, intrinsics, make_cameras, read_cameras
-from stages.shared.truth_used import Given
+from stages.shared.truth_used import RunInputs
 
 CAMERA_NAMES = {"point": "static", "line": "straight"}
 
@@ -25,9 +25,10 @@ class Candidate:
         cameras: the k <= total registered frames, ascending; None if there is none.
         failure: why there is none.
         wall_s, cpu_s, threads: seconds of the whole method, and how many threads it had at most. COLMAP gives way to
-            our stages: its wall seconds say nothing and are None; its one thread takes its CPU seconds on a quiet core.
-        given: what it took from the truth, in words.
-        decided: what our adjustment decided, the columns pose_diagnostics.DECISIONS; a baseline says nothing of it.
+            our stages, so its wall seconds are meaningless and None; on an idle core its one thread would take its CPU
+            seconds.
+        from_truth: what it took from ground truth, in words.
+        decided: decisions of our adjustment, the columns pose_diagnostics.DECISIONS; all None for a baseline.
     """
 
     method: str
@@ -38,11 +39,13 @@ class Candidate:
     wall_s: float | None
     cpu_s: float
     threads: int
-    given: str | None = None
+    from_truth: str | None = None
     decided: Mapping[str, Any] = field(default_factory=lambda: dict.fromkeys(pose_diagnostics.DECISIONS))
 
 
-def own_candidates(tables: Sequence[Path], costs: Sequence[tuple[float, float, int]], given: Given) -> list[Candidate]:
+def own_candidates(
+    tables: Sequence[Path], costs: Sequence[tuple[float, float, int]], inputs: RunInputs
+) -> list[Candidate]:
     """Our poses after each round; the last round is called "ours".
 
     Args:
@@ -53,7 +56,8 @@ def own_candidates(tables: Sequence[Path], costs: Sequence[tuple[float, float, i
         cameras, metadata = read_cameras(path), read_metadata(path)
         good = has_pose(cameras)
         method = "ours" if k == len(tables) else f"ours, round {k}"
-        protocol = f"given: {given.truth or 'the frames alone'}; {given.masks_in(k)}; after round {k} of {len(tables)}"
+        source = f"from ground truth: {inputs.truth or 'nothing'}"
+        protocol = f"{source}; {inputs.masks_in(k)}; after round {k} of {len(tables)}"
         registered = select(cameras, good) if good.any() else None
         failure = (
             None
@@ -61,7 +65,7 @@ def own_candidates(tables: Sequence[Path], costs: Sequence[tuple[float, float, i
             else "; ".join(metadata.get("flags", [])).removeprefix("failed: ") or str(cameras.status[0])
         )
         decided = pose_diagnostics.decisions(metadata)
-        candidates.append(Candidate(method, protocol, len(good), registered, failure, *spent, given.truth, decided))
+        candidates.append(Candidate(method, protocol, len(good), registered, failure, *spent, inputs.truth, decided))
     return candidates
 
 
@@ -82,13 +86,13 @@ def _variants(table: Path) -> Iterator[Candidate]:
             cameras = make_cameras(lie.from_parts(R, t), Ks, chosen["frame"])
         names = variant["method"], variant["protocol"], variant["total"]
         costs = None, variant["cpu_s"], variant["threads"]
-        yield Candidate(*names, cameras, variant["failure"], *costs, variant["given"])
+        yield Candidate(*names, cameras, variant["failure"], *costs, variant["from_truth"])
 
 
 def score(name: str, candidate: Candidate, truth: Cameras | None) -> dict[str, Any]:
     """A row of the pose table.
 
-    Without truth, or with truth that fixes no alignment, the errors that it cannot give are None and `status` says so.
+    Without ground truth, or with one that determines no alignment, undefined errors are None and `status` says so.
     """
     row = _empty_row(name, candidate)
     cameras = candidate.cameras
@@ -122,13 +126,13 @@ def _empty_row(name: str, candidate: Candidate) -> dict[str, Any]:
         "wall_s": candidate.wall_s,
         "cpu_s": candidate.cpu_s,
         "threads": candidate.threads,
-        "given": candidate.given,
+        "from_truth": candidate.from_truth,
         **candidate.decided,
     }
 
 
 def _degenerate(error: DegenerateError, cameras: Cameras, true: Cameras) -> dict[str, Any]:
-    """Rotation errors need no alignment; the rest stays empty, with the reason."""
+    """The rotation error, which needs no alignment; the other errors stay None, with the reason in the note."""
     shape = extent(true.centres)
     if shape == "volume":
         which = {"source": "the estimated centres lie", "both": "estimate and truth agree"}[error.which]

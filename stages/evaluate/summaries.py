@@ -12,8 +12,8 @@ def mean_rows(rows: Sequence[Row], keys: Sequence[str], metrics: Sequence[str]) 
     """One row per distinct `keys`: means of the `metrics` that are known, the most `threads`, and `n`,
     `sequences`, `partial`, `failed`.
 
-    Rows with a status other than "ok" (failed, partial, degenerate or missing truth) enter no mean of errors: they
-    are counted, never dropped.
+    Rows with a status other than "ok" (failed, partial, degenerate or missing truth) are counted but not part of the
+    mean errors.
     """
     groups: dict[tuple, list[Row]] = {}
     for row in rows:
@@ -31,11 +31,11 @@ def _mean(members: Sequence[Row], metrics: Sequence[str]) -> Row:
 
 
 def pose_means(rows: Sequence[Row]) -> list[Row]:
-    """Means per method and truth given; focal errors by their size (`focal_abs_percent`), since signs would cancel."""
+    """Means per method and inputs from ground truth; of focal errors the absolute ones: signs would cancel."""
     signed = "focal_error_percent"
     sized = [row | {"focal_abs_percent": None if row[signed] is None else abs(row[signed])} for row in rows]
     metrics = ("ate", "ate_percent", "rpe_trans", "rpe_rot_deg", "focal_abs_percent", "wall_s", "cpu_s")
-    return mean_rows(sized, ("method", "given"), metrics)
+    return mean_rows(sized, ("method", "from_truth"), metrics)
 
 
 def image_means(rows: Sequence[Row]) -> list[Row]:
@@ -52,7 +52,7 @@ def mask_means(rows: Sequence[Row]) -> list[Row]:
 
 
 def time_means(rows: Sequence[Row]) -> list[Row]:
-    """Mean cost of every stage and, last, of all of ours together: sums, but the greatest of the peaks."""
+    """Mean cost of every stage and, last, the total of our stages: sums of seconds, the largest peak of memory."""
     keys = ("wall_s", "cpu_s", "peak_mb", "gpu_peak_mb", "output_mb")
     means = mean_rows(rows, ("stage", "round"), keys)
     ours = [row for row in means if is_ours(row)]

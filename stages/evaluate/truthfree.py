@@ -1,4 +1,4 @@
-"""What can be checked without truth: do poses and depth explain the optical flow on static pixels?"""
+"""Checks without ground truth: residual of the optical flow on static pixels under poses and depth."""
 
 import numpy as np
 
@@ -35,7 +35,7 @@ def flow_residuals(
         source, target: cam_from_world [4, 4] and K [3, 3] of the two frames.
 
     Returns:
-        [k] lengths, k <= n: points that come to lie behind the target camera are left out.
+        [k] lengths, k <= n: points behind the target camera are left out.
     """
     points = unproject(uv, 1 / inverse_depth, *source)
     predicted, depth = project(points, *target)

@@ -41,8 +41,8 @@ def main(
     rows, protocols = gather(sequences, manifests)
     names = [folder.name for folder in sequences]
     swept = [row for row in read_rows(sweep) if row["sequence"] in names] if sweep else []
-    given = {"tradeoff": sweep, "growth": growth}
-    changes = {name: made_under.differences(table, sequences[0].parent) for name, table in given.items() if table}
+    earlier = {"tradeoff": sweep, "growth": growth}
+    changes = {name: made_under.differences(table, sequences[0].parent) for name, table in earlier.items() if table}
     rows["settings"] = [] if changes.get("tradeoff") else swept  # beside the run above stands only what belongs to it
     rows["poses"] = with_settings(rows["poses"], rows["settings"], names)
     compared = [overview.outdated(g, changes[g.name]) for g in comparison_groups(swept, growth, rows["poses"])]

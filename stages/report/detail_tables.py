@@ -15,7 +15,7 @@ ERRORS = (
     Column("rpe_rot_deg", "RPE", "degrees", 3),
 )
 SECONDS = Column("wall_s", "wall", "s", 1), Column("cpu_s", "CPU", "s", 1), Column("threads", "threads", "at most")
-GIVEN = Column("given", "given as truth")
+FROM_TRUTH = Column("from_truth", "from ground truth")
 IMAGE_SCORES = (
     Column("psnr_db", "PSNR", "dB", 2),
     Column("ssim", "SSIM", "0..1", 3),
@@ -56,7 +56,7 @@ def pose_tables(rows: list[Row], protocol: str) -> tuple[Table, Table]:
         "poses_mean",
         "Poses, mean over sequences",
         f"{note} Unweighted mean over the scored sequences; partial: some frames without a pose, not in the mean.",
-        (METHOD, *ERRORS, focal, *SECONDS, *counts, GIVEN),
+        (METHOD, *ERRORS, focal, *SECONDS, *counts, FROM_TRUTH),
         summaries.pose_means(rows),
     )
     signed = Column("focal_error_percent", "focal error", "%", 1)
@@ -64,7 +64,7 @@ def pose_tables(rows: list[Row], protocol: str) -> tuple[Table, Table]:
     path = Column("path", "true path", "scene units", 2, file_only=True)
     about = Column("status", "status"), Column("note", "note", long=True), path
     decided = (replace(column, file_only=True) for column in pose_diagnostics.COLUMNS)  # a table of its own shows them
-    columns = (SEQUENCE, METHOD, *ERRORS, signed, *SECONDS, *frames, GIVEN, *about, HOW, *decided)
+    columns = (SEQUENCE, METHOD, *ERRORS, signed, *SECONDS, *frames, FROM_TRUTH, *about, HOW, *decided)
     return mean, Table("poses", "Poses of every sequence", f"{note} {statements(rows, 'method')}", columns, rows)
 
 
@@ -117,9 +117,7 @@ def decision_table(rows: list[Row]) -> Table:
     """Which effects the reconstruction models, and on what evidence."""
     what = Column("effect", "effect"), Column("modelled", "modelled"), Column("why", "why", long=True)
     how = Column("source", "decided by"), Column("settings", "settings", long=True)
-    note = (
-        "An effect that the evidence does not call for is not modelled; 'user' marks a decision overruled by an option."
-    )
+    note = "An effect without evidence in the scene is not modelled; 'user' marks a decision overruled by an option."
     columns = (SEQUENCE, *what, *how, Column("evidence", "evidence", long=True))
     return Table("decisions", "Effects the reconstruction models", note, columns, rows)
 

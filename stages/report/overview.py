@@ -12,7 +12,7 @@ from stages.evaluate.score_masks import PRIOR
 from stages.report import detail_tables, published
 from stages.report.sections import Figure
 from stages.shared.tables import Row, Table, decimal
-from stages.shared.truth_used import given_truth
+from stages.shared.truth_used import truth_used_by
 
 Rows = Mapping[str, list[Row]]
 
@@ -29,7 +29,7 @@ class Tile:
 
 @dataclass(frozen=True)
 class Group:
-    """Tables and charts on one subject: `tables` in view, `more` folded away; `sentence` says what they show."""
+    """Tables and charts on one subject: `tables` shown, `more` collapsed; `sentence` summarises them."""
 
     name: str
     title: str
@@ -46,21 +46,21 @@ class Group:
 
 TEXTS = {
     "poses": "How far the estimated cameras are from the true ones. COLMAP ran on the same frames on the same machine.",
-    "images": "How well renders match frames. Pictures of held-out frames never enter the training, nor the choice of "
-    "effects and control points; their poses, flow and masks do take part: these were estimated from all frames. What "
-    "the neighbours of a held-out frame alone give, without any scene, is the least that a method must beat.",
-    "masks": "How well the pixels called dynamic match those that truly move. Masks are named by their source.",
+    "images": "How well renders match frames. Images of held-out frames are used neither for training nor for the "
+    "choice of effects and control points; their poses, flow and masks are: these were estimated from all frames. "
+    "Interpolation between the neighbours of a held-out frame, without a scene model, is the baseline.",
+    "masks": "How well the pixels labelled dynamic match those that truly move. Masks are named by their source.",
     "checks": "How well poses and depth explain the optical flow (needs no truth), flow and depth against truth, "
     "how well control points explain the tracks of moving pixels, and what the model takes on disk.",
-    "time": "What every stage cost, from the start of its process to the end.",
-    "tradeoff": "The same sequences run again under other settings. One point per setting: how accurate, in how long.",
+    "time": "Time and memory of every stage, from the start of its process to the end.",
+    "tradeoff": "The same sequences under other settings. One point per setting: error against time.",
     "growth": "Time and memory of every stage while one size grows.",
-    "effects": "Only what a scene calls for is modelled; what is left out costs nothing.",
+    "effects": "Only effects for which a scene gives evidence are modelled; the others cost nothing.",
 }
 
 
 def build_groups(rows: Rows, protocols: Mapping[str, str], numbers: Mapping[str, Any]) -> list[Group]:
-    """The groups of tables; with several sequences their mean is in view and the single ones are folded away."""
+    """The groups of tables; with several sequences their mean is shown and the single ones are collapsed."""
     poses_mean, poses = detail_tables.pose_tables(rows["poses"], protocols["poses"])
     images_mean, images = detail_tables.image_tables(rows["images"], protocols["images"])
     masks_mean, masks = detail_tables.mask_tables(rows["masks"], protocols["masks"])
@@ -81,8 +81,8 @@ def build_groups(rows: Rows, protocols: Mapping[str, str], numbers: Mapping[str,
         Group("time", "Time and memory", [time_mean], [time] if many else []),
         Group("effects", "Effects", [] if many else effects, effects if many else []),
     ]
-    given = given_truth(row for row in rows["poses"] if row["method"] == "ours")
-    return [_labelled(_without_empty(group), given) for group in groups]
+    from_truth = truth_used_by(row for row in rows["poses"] if row["method"] == "ours")
+    return [_labelled(_without_empty(group), from_truth) for group in groups]
 
 
 def _without_empty(group: Group) -> Group:
@@ -90,20 +90,20 @@ def _without_empty(group: Group) -> Group:
     return replace(group, tables=tables, more=more)
 
 
-def _labelled(group: Group, given: str) -> Group:
-    """The group with the truth that the run was given in the title of each of its tables; others' numbers aside."""
-    if not given:
+def _labelled(group: Group, from_truth: str) -> Group:
+    """The group with the inputs from ground truth in the title of each table that holds our numbers."""
+    if not from_truth:
         return group
 
     def titled(table: Table) -> Table:
         ours = not table.name.startswith(("published", "simulation"))
-        return replace(table, title=f"{table.title} (given: {given})") if ours else table
+        return replace(table, title=f"{table.title} (from ground truth: {from_truth})") if ours else table
 
     return replace(group, tables=[titled(table) for table in group.tables], more=[titled(t) for t in group.more])
 
 
 def outdated(group: Group, changes: Sequence[str]) -> Group:
-    """The group of an earlier comparison with a label on everything it shows; as it is if nothing has changed."""
+    """The group of an earlier comparison, labelled as outdated if anything has changed since; else unchanged."""
     if not changes:
         return group
     sentence = f"Made under other options or code than the results above: {'; '.join(changes)}. {group.sentence}"
@@ -153,8 +153,8 @@ def summary(rows: Rows) -> str:
     """The report in one sentence."""
     values = {tile.label: f"{tile.value} {tile.unit}".strip() for tile in tiles(rows)}
     names = {row["sequence"] for row in rows["time"]}
-    given = given_truth(row for row in rows["poses"] if row["method"] == "ours")
-    counted = f"{len(names)} sequence{'s' if len(names) != 1 else ''}" + (f", given {given}" if given else "")
+    from_truth = truth_used_by(row for row in rows["poses"] if row["method"] == "ours")
+    counted = f"{len(names)} sequence{'s' if len(names) != 1 else ''}" + (f", with {from_truth}" if from_truth else "")
     return (
         f"{counted}: cameras off by {values['Camera error (ATE)']}, "
         f"held-out views at {values['Held-out PSNR']}, masks at IoU {values['Mask IoU']}, "
@@ -165,8 +165,9 @@ def summary(rows: Rows) -> str:
 def problems(rows: Rows, names: Sequence[str]) -> list[str]:
     """Failures and missing results, one sentence each."""
     scored = {row["sequence"] for row in rows["poses"]}
-    given = given_truth(row for row in rows["poses"] if row["method"] == "ours")
-    found = [f"Taken from the truth, not estimated: {given}. It bears on every figure of ours."] if given else []
+    from_truth = truth_used_by(row for row in rows["poses"] if row["method"] == "ours")
+    told = f"Taken from ground truth, not estimated: {from_truth}. This affects every result of ours."
+    found = [told] if from_truth else []
     found += [f"{name}: not evaluated; it counts as failed." for name in names if name not in scored]
     for row in rows["poses"]:
         if row["status"] in ("partial", "failed"):
@@ -176,8 +177,8 @@ def problems(rows: Rows, names: Sequence[str]) -> list[str]:
     for name in names:
         # A round without any pose says why in its row.
         own = [row for row in rows["poses"] if row["sequence"] == name and row["registered"]]
-        if doubts := pose_diagnostics.doubts_by_round(own):
-            found.append(f"{name}: the adjustment doubts its poses. {doubts}")
+        if warned := pose_diagnostics.warnings_by_round(own):
+            found.append(f"{name}: warnings of the bundle adjustment. {warned}")
     found += score_models.stuck_fits(rows["checks"])
     blind = sorted({row["sequence"] for row in rows["poses"] if row["status"] == "no truth"})
     if blind:

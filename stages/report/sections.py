@@ -51,7 +51,7 @@ class Section:
     tables: list[Table] = field(default_factory=list)
     more: list[Table] = field(default_factory=list)
     missing: list[str] = field(default_factory=list)
-    doubts: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
 
 
 def build_section(folder: Path) -> Section:
@@ -61,7 +61,7 @@ def build_section(folder: Path) -> Section:
     truth = ", ".join(sorted(sequence.truth)) or "none"
     about = f"{len(sequence.frames)} frames, {sequence.width} x {sequence.height} px; truth to score against: {truth}"
     section = Section(sequence.name, about, missing=list(content.get("missing_truth", [])))
-    section.doubts = [*sequence.warnings, *_doubts(folder)]
+    section.warnings = [*sequence.warnings, *_warnings(folder)]
     parts: dict[str, Callable[[], list[Figure]]] = {
         "trajectories": partial(_trajectory_figures, folder),
         "masks": partial(_mask_figures, folder, sequence),
@@ -81,9 +81,9 @@ def build_section(folder: Path) -> Section:
     return section
 
 
-def _doubts(folder: Path) -> list[str]:
-    model, doubts = folder / "gaussians" / "model.safetensors", pose_diagnostics.doubts_of(folder)
-    found = [f"Doubts about the poses. {doubts}"] if doubts else []
+def _warnings(folder: Path) -> list[str]:
+    model, warned = folder / "gaussians" / "model.safetensors", pose_diagnostics.warnings_of(folder)
+    found = [f"Warnings of the bundle adjustment. {warned}"] if warned else []
     if model.exists() and read_metadata(model).get("status") == "poses failed":
         found.append("Gaussians: the poses failed: a static scene was trained before a camera at rest")
     return found
@@ -200,7 +200,7 @@ def _render_figures(folder: Path, sequence: sequences.Sequence) -> list[Figure]:
 
 
 def _rows_of(folder: Path, name: str) -> dict[str, np.ndarray]:
-    """A table of the results that has rows: given poses take no adjustment, and 0 steps no training."""
+    """A table of the results that has rows: it is empty with true poses (no adjustment) or 0 training steps."""
     table = read_table(_existing(folder, name))
     if not len(next(iter(table.values()))):
         raise MissingPart(f"rows in {name}")

@@ -113,24 +113,24 @@ def figure_table(parts: dict[str, list[Row]], keys: Sequence[str] = ()) -> Table
 
 
 def counts(rows: Sequence[Row]) -> str:
-    """How many scenes ended how, by name where not well, and on how many of them COLMAP is beaten."""
+    """Number of scenes by outcome, with the names of those not ok, and on how many our error is below COLMAP's."""
     failed = _named(rows, lambda row: row["status"] in ("failed", "partial") and not row.get("missing"))
     missing = _named(rows, lambda row: bool(row.get("missing")))
-    flagged = _named(rows, lambda row: bool(row.get("doubts")) and row["status"] not in ("failed", "partial"))
+    flagged = _named(rows, lambda row: bool(row.get("warnings")) and row["status"] not in ("failed", "partial"))
     silent = _named(rows, is_wrong_unflagged)
     told = (
         f"{len(rows)} scene{'s' * (len(rows) != 1)}: failed or partial {failed}, flagged by the adjustment {flagged}, "
         f"wrong and not flagged {silent}, without results of every stage {missing}."
     )
-    given = sorted({str(row["given"]) for row in rows if row.get("given")})
-    told += f" Given as truth: {', '.join(given)}." if given else ""
+    from_truth = sorted({str(row["from_truth"]) for row in rows if row.get("from_truth")})
+    told += f" Taken from ground truth: {', '.join(from_truth)}." if from_truth else ""
     rivals = [_pair(row) for row in rows if row.get("colmap_error") and _has_path(row)]
     return f"{told} {ratios.counts(rivals)}".strip()
 
 
 def is_wrong_unflagged(row: Row) -> bool:
-    """Whether the truth shows an error that no user would expect from an unflagged result."""
-    if row["status"] in ("failed", "partial") or row.get("doubts"):
+    """Whether a result without warnings has an error above the limits."""
+    if row["status"] in ("failed", "partial") or row.get("warnings"):
         return False
     limits = {"ate_percent": WRONG_ATE_PERCENT, "rotation_deg": WRONG_ROTATION_DEG}
     limits["focal_error_percent"] = WRONG_FOCAL_PERCENT
@@ -151,9 +151,9 @@ def result_of(row: Row) -> str:
         return f"no results of {row['missing']}"
     if row["status"] in ("failed", "partial"):
         return f"{row['status']}: {row['failure']}" if row.get("failure") else str(row["status"])
-    words = ["flagged" if row.get("doubts") else "wrong, not flagged" if is_wrong_unflagged(row) else "ok"]
+    words = ["flagged" if row.get("warnings") else "wrong, not flagged" if is_wrong_unflagged(row) else "ok"]
     words += [str(row["status"]).removeprefix("degenerate truth: ")] if row["status"] != "ok" else []
-    words += [f"given {row['given']}"] if row.get("given") else []
+    words += [f"with {row['from_truth']}"] if row.get("from_truth") else []
     words += ["older code"] if row.get("old") else []
     return ", ".join(words)
 

@@ -1,4 +1,4 @@
-"""One row per scene with everything that a run reached on it; what failed is a row too."""
+"""One row per scene with all scores of a run, failed scenes included."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -45,7 +45,7 @@ def _split(name: str, promised: Mapping[str, Path], manifests: Path | None) -> s
 
 
 def score_row(folder: Path) -> Row:
-    """What a run reached on one sequence; where it has no end, `missing` is the first stage without results."""
+    """Scores of a run on one sequence; if it is unfinished, `missing` is the first stage without results."""
     ended = [stage for stage in STAGES if (folder / f"stats/{stage}.json").exists()]
     if len(ended) < len(STAGES):
         missing = next(stage for stage in STAGES if stage not in ended)
@@ -69,7 +69,8 @@ def _camera_scores(poses: Sequence[Row]) -> Row:
     ours = next(row for row in poses if row["method"] == "ours")
     rivals = ratios.plain_rivals(poses, ours["sequence"])
     rival = ratios.best_rival(rivals)
-    found = {key: ours[key] for key in ("status", "ate_percent", "focal_error_percent", "given", "camera", "doubts")}
+    names = ("status", "ate_percent", "focal_error_percent", "from_truth", "camera", "warnings")
+    found = {name: ours[name] for name in names}
     rotation = {"rotation_deg": ours["rpe_rot_deg"] if ours["ate_percent"] is None else None}
     return {
         **found,

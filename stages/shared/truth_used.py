@@ -1,4 +1,4 @@
-"""What a run took from the truth instead of estimating it, and whose masks it used, as its artifacts say."""
+"""Inputs that a run took from ground truth instead of estimating them, and its masks, read from its artifacts."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -13,20 +13,20 @@ MASKS = {
     "none": "no masks",
     "truth": "true motion masks",
 }
-"""What masks are called, by `segment.source`."""
+"""Names of masks, by `segment.source`."""
 TRUTH = "truth"
 WITH_MASKS = ", with "
-"""What stands between a variant of the baseline and the masks that it had."""
+"""Separates the name of a variant of the baseline from the name of its masks."""
 
 
 @dataclass(frozen=True)
-class Given:
-    """What one run was given.
+class RunInputs:
+    """Inputs of one run.
 
     Attributes:
-        masks: what its masks are called, one of `MASKS`.
-        truth: what it took from the truth, as in "true flow, true depth"; None if it had the frames alone.
-        masked_from: the first round whose poses had masks.
+        masks: name of its masks, one of the values of `MASKS`.
+        truth: inputs taken from ground truth, as in "true flow, true depth"; None if it used the frames alone.
+        masked_from: the first round whose poses were solved with masks.
     """
 
     masks: str
@@ -34,16 +34,16 @@ class Given:
     masked_from: int = 1
 
     def masks_in(self, number: int) -> str:
-        """What the masks of a round, 1, 2, ..., are called."""
+        """Name of the masks of a round, 1, 2, ..."""
         return self.masks if number >= self.masked_from else MASKS["none"]
 
 
-def read_given(flow: Path, masks: Sequence[Path], poses: Sequence[Path]) -> Given:
-    """What a run was given.
+def read_run_inputs(flow: Path, masks: Sequence[Path], poses: Sequence[Path]) -> RunInputs:
+    """The inputs of a run, from its artifacts.
 
     Args:
         flow: flow/pairs.arrow.
-        masks, poses: folders of masks and ba/poses.parquet of every round; the first may have gone without masks.
+        masks, poses: folders of masks and ba/poses.parquet of every round; the first round may have no masks.
     """
     source, adjusted = mask_source(masks[-1]), read_metadata(poses[-1])["options"]
     cameras = adjusted["poses_from"] == TRUTH
@@ -55,7 +55,7 @@ def read_given(flow: Path, masks: Sequence[Path], poses: Sequence[Path]) -> Give
         "true depth": adjusted["depth_from"] == TRUTH,
     }
     truth = ", ".join(name for name, was in taken.items() if was) or None
-    return Given(MASKS[source], truth, len(poses) - len(masks) + 1)
+    return RunInputs(MASKS[source], truth, len(poses) - len(masks) + 1)
 
 
 def mask_source(masks: Path) -> str:
@@ -63,6 +63,6 @@ def mask_source(masks: Path) -> str:
     return str(read_json(masks / "masks.json")["options"]["source"])
 
 
-def given_truth(rows: Iterable[Row]) -> str:
-    """All truth that rows of ours were given, in words; "" if they had the frames alone."""
-    return "; ".join(dict.fromkeys(row["given"] for row in rows if row.get("given")))
+def truth_used_by(rows: Iterable[Row]) -> str:
+    """All inputs that rows of ours took from ground truth, in words; "" if they used the frames alone."""
+    return "; ".join(dict.fromkeys(row["from_truth"] for row in rows if row.get("from_truth")))
