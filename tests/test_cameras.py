@@ -16,8 +16,10 @@ from stages.shared.cameras import (
     make_cameras,
     pixel_grid,
     project,
+    projection,
     read_cameras,
     scale_intrinsics,
+    static_flow,
     unproject,
     write_cameras,
     write_tum,
@@ -43,6 +45,23 @@ def test_projection_equals_opencv() -> None:
     points = unproject(pixel_grid(4, 4), np.full((4, 4), 3.0), pose, K).reshape(-1, 3)
     expected, _ = cv2.projectPoints(points, lie.log_so3(pose[:3, :3]), pose[:3, 3], K, None)
     assert_allclose(project(points, pose, K)[0], expected[:, 0], atol=1e-9)
+
+
+def test_static_flow_is_where_opencv_sees_the_same_points() -> None:
+    source, target = random_cameras(2)
+    K, other_K = intrinsics(80.0, 90.0, 31.0, 17.0), intrinsics(70.0, 71.0, 33.0, 20.0)
+    uv, depth = pixel_grid(36, 64), np.random.default_rng(1).uniform(0.5, 9, (36, 64))
+    points = unproject(uv, depth, source, K).reshape(-1, 3)
+    expected, _ = cv2.projectPoints(points, lie.log_so3(target[:3, :3]), target[:3, 3], other_K, None)
+    ahead = (points @ target[2, :3] + target[2, 3]).reshape(depth.shape)
+    assert (ahead > 0).any()
+    assert (ahead < 0).any()
+    A, b = projection((source, K), (target, other_K))
+    flow, ratio = static_flow(uv, 1 / depth, A, b)
+    assert_allclose(ratio, ahead / depth, atol=1e-12)
+    seen = ahead > 0.1
+    assert_allclose((uv + flow)[seen], expected.reshape(36, 64, 2)[seen], rtol=1e-9)
+    assert_allclose(static_flow(uv, 0 * depth, A, b)[0], static_flow(uv, 1 / depth, A, 0 * b)[0])  # far away, or turned
 
 
 @pytest.mark.parametrize("factor", [0.5, 0.25, 2.0])

@@ -13,7 +13,7 @@ from stages.motion import epipolar, pooling, resweep
 from stages.motion.epipolar import Evidence, PairMatches
 from stages.shared import lie
 from stages.shared.artifacts import read_dense, read_metadata, write_dense, write_json
-from stages.shared.cameras import make_cameras, pixel_grid, write_cameras
+from stages.shared.cameras import make_cameras, pixel_grid, projection, static_flow, write_cameras
 from stages.shared.errors import InputError
 from stages.shared.sequences import check_sequence, sequence_to_json
 
@@ -144,6 +144,17 @@ def brute_force(
     grid = np.concatenate([[0], np.geomspace(1e-3, resweep.D_MAX, 4000)])
     best = np.min([residual(np.full(scene.depth.shape, d)) for d in grid], axis=0)
     return best, residual(found.astype(float))
+
+
+def test_the_kernel_of_static_flow_equals_the_formula() -> None:
+    rng = np.random.default_rng(0)
+    K = np.array([[90.0, 0, 47.5], [0, 90, 31.5], [0, 0, 1]])
+    moved = lie.exp_se3(np.array([0.3, -0.1, 0.5, 0.05, -0.1, 0.02]))
+    A, b = projection((np.eye(4), K), (moved, K))
+    inverse_depth = rng.uniform(0, 0.8, (64, 96)).astype(np.float32)
+    expected, ratio = static_flow(pixel_grid(64, 96), inverse_depth, A, b)
+    assert ratio.min() > resweep.Z_MIN
+    np.testing.assert_allclose(resweep.dense_static_flow(A, b, inverse_depth), expected, atol=2e-4)
 
 
 def test_depth_is_resampled_where_its_cells_lie() -> None:

@@ -11,10 +11,10 @@ from synthetic import flow_arrays, make_scene
 
 from stages.scene import __main__ as scene_stage
 from stages.scene import exposure, geometry, photometry, rules
-from stages.scene.observed import Observed, depth_on_grid, rigid_flow
+from stages.scene.observed import Observed, depth_on_grid
 from stages.scene.options import SceneOptions
 from stages.shared.artifacts import read_dense, write_dense
-from stages.shared.cameras import make_cameras, pixel_grid, project, unproject, write_cameras
+from stages.shared.cameras import make_cameras, pixel_grid, unproject, write_cameras
 from stages.shared.cli import run
 from stages.shared.errors import InputError
 from stages.shared.images import write_image
@@ -53,13 +53,6 @@ def smooth_pictures(gain: np.ndarray, shine: float = 0.0) -> np.ndarray:
         direction = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
         images.append(gain[k] * (shade + shine * direction[..., 0]))
     return np.repeat(np.stack(images)[..., None], 3, axis=-1)
-
-
-def test_rigid_flow_is_what_projection_says() -> None:
-    points, depth = clip.wall(1)
-    relative = clip.CAM_FROM_WORLD[5] @ np.linalg.inv(clip.CAM_FROM_WORLD[1])
-    expected = project(points, clip.CAM_FROM_WORLD[5], clip.K)[0] - pixel_grid(clip.H, clip.W)
-    np.testing.assert_allclose(rigid_flow(depth, clip.K, clip.K, relative), expected, atol=1e-9)
 
 
 @pytest.mark.parametrize("scale", [0.5, 512 / 854])

@@ -3,7 +3,7 @@
 import numpy as np
 
 from stages.shared import sintel
-from stages.shared.cameras import Cameras, make_cameras, pixel_grid, project, unproject
+from stages.shared.cameras import Cameras, Posed, make_cameras, pixel_grid, projection, static_flow
 from stages.shared.images import read_mask
 from stages.shared.sequences import Sequence
 
@@ -40,17 +40,12 @@ def true_masks(sequence: Sequence) -> tuple[dict[int, np.ndarray], str]:
     return masks, f"true flow more than {MOVING_PX} px from the motion of true depth and cameras (no last frame)"
 
 
-def moving_pixels(
-    flow_px: np.ndarray,
-    depth: np.ndarray,
-    source: tuple[np.ndarray, np.ndarray],
-    target: tuple[np.ndarray, np.ndarray],
-) -> np.ndarray:
+def moving_pixels(flow_px: np.ndarray, depth: np.ndarray, source: Posed, target: Posed) -> np.ndarray:
     """Pixels [H, W] bool whose flow [H, W, 2] differs from the rigid flow of z-depth [H, W] and cameras.
 
     Args:
         source, target: cam_from_world [4, 4] and K [3, 3] of the two frames.
     """
-    uv = pixel_grid(*depth.shape)
-    predicted, _ = project(unproject(uv, depth.astype(float), *source), *target)
-    return np.asarray(np.linalg.norm(uv + flow_px - predicted, axis=-1) > MOVING_PX)
+    inverse_depth = 1 / np.where(depth > 0, depth.astype(float), np.inf)  # as for the solver, nothing is far away
+    predicted_px, _ = static_flow(pixel_grid(*depth.shape), inverse_depth, *projection(source, target))
+    return np.asarray(np.linalg.norm(flow_px - predicted_px, axis=-1) > MOVING_PX)

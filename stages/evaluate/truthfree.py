@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from stages.shared.cameras import grid_from_frame, project, unproject
+from stages.shared.cameras import Posed, grid_from_frame, projection, static_flow
 
 MIN_CONFIDENCE = 0.5
 PROTOCOL = (
@@ -23,8 +23,8 @@ def flow_residuals(
     uv: np.ndarray,
     inverse_depth: np.ndarray,
     flow_px: np.ndarray,
-    source: tuple[np.ndarray, np.ndarray],
-    target: tuple[np.ndarray, np.ndarray],
+    source: Posed,
+    target: Posed,
 ) -> np.ndarray:
     """Residuals of one edge in full-frame pixels.
 
@@ -37,7 +37,5 @@ def flow_residuals(
     Returns:
         [k] lengths, k <= n: points behind the target camera are left out.
     """
-    points = unproject(uv, 1 / inverse_depth, *source)
-    predicted, depth = project(points, *target)
-    in_front = depth > 0
-    return np.asarray(np.linalg.norm((uv + flow_px - predicted)[in_front], axis=-1))
+    predicted_px, ratio = static_flow(uv, inverse_depth, *projection(source, target))
+    return np.asarray(np.linalg.norm((flow_px - predicted_px)[ratio > 0], axis=-1))

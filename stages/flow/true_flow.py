@@ -8,7 +8,7 @@ import numpy as np
 
 from stages.flow.edges import Edge
 from stages.shared import sequences, sintel
-from stages.shared.cameras import pixel_grid, project, scale_intrinsics, unproject
+from stages.shared.cameras import pixel_grid, projection, scale_intrinsics, static_flow
 from stages.shared.errors import InputError
 from stages.shared.finite import is_finite
 from stages.shared.images import read_mask, reduce
@@ -122,16 +122,14 @@ def _followed(steps: Mapping[Edge, Step], i: int, j: int) -> Step:
 def _static_motion(truth: Truth, i: int, j: int) -> Step:
     """Flow of static pixels, and where they are seen again."""
     inverse_depth = truth.inverse_depth[i]
-    observed = inverse_depth > 0
-    pixels = pixel_grid(*inverse_depth.shape)
-    points = unproject(pixels, 1 / np.where(observed, inverse_depth, 1).astype(float), *_camera(truth, i))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        target, depth = project(points, *_camera(truth, j))
-        flow = np.where((observed & (depth > 0))[..., None], target - pixels, 0).astype(np.float32)
-        there = warp(truth.inverse_depth[j], flow) * depth
-    same = np.abs(there - 1) < DEPTH_AGREEMENT
+    pixels, cameras = pixel_grid(*inverse_depth.shape), projection(_camera(truth, i), _camera(truth, j))
+    static, ratio = static_flow(pixels, inverse_depth.astype(float), *cameras)
+    in_front = (inverse_depth > 0) & (ratio > 0)
+    flow = np.where(in_front[..., None], static, 0).astype(np.float32)
+    depth = ratio / np.where(in_front, inverse_depth, 1)
+    same = np.abs(warp(truth.inverse_depth[j], flow) * depth - 1) < DEPTH_AGREEMENT
     covered = warp(truth.moving[j].astype(np.float32), flow) > 0
-    return flow, observed & (depth > 0) & is_inside(flow) & same & ~covered & ~truth.moving[i]
+    return flow, in_front & is_inside(flow) & same & ~covered & ~truth.moving[i]
 
 
 def _camera(truth: Truth, k: int) -> tuple[np.ndarray, np.ndarray]:

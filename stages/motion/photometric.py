@@ -12,7 +12,7 @@ import numpy as np
 
 from stages.motion.epipolar import Evidence
 from stages.motion.pooling import PRIOR_WEIGHT
-from stages.motion.resweep import rigid_flow
+from stages.motion.resweep import dense_static_flow
 from stages.shared.threads import threaded
 from stages.shared.warp import is_inside, warp
 
@@ -100,7 +100,7 @@ def _contradicted(
     here = frames[i]
     total, seen = np.zeros((2, 2, 1 + len(depths), *here.shape[:2]), np.float32)
     for j, flow, A, b in zip(targets, flows, *projections, strict=True):
-        ways = [flow.astype(np.float32, copy=False), *(rigid_flow(A, b, depth) for depth in depths)]
+        ways = [flow.astype(np.float32, copy=False), *(dense_static_flow(A, b, depth) for depth in depths)]
         warped = [warp(frames[j], way) for way in ways]
         expected = _exposed(here, warped[0])
         for k, (way, found) in enumerate(zip(ways, warped, strict=True)):

@@ -11,8 +11,7 @@ import numba
 import numpy as np
 
 from stages.motion.epipolar import Evidence
-from stages.shared import lie
-from stages.shared.cameras import grid_from_frame, pixel_grid
+from stages.shared.cameras import grid_from_frame, pixel_grid, projection, static_flow
 from stages.shared.finite import require_finite
 from stages.shared.threads import spread
 from stages.shared.warp import bilinear
@@ -65,17 +64,20 @@ def projections(
 ) -> tuple[np.ndarray, np.ndarray]:
     """A [E, 3, 3] and b [E, 3] of every edge, as above."""
     i, j = pairs["source"], pairs["target"]
-    relative = cam_from_world[j] @ lie.inverse(cam_from_world[i])
-    return Ks[j] @ relative[:, :3, :3] @ np.linalg.inv(Ks[i]), (Ks[j] @ relative[:, :3, 3:])[..., 0]
+    return projection((cam_from_world[i], Ks[i]), (cam_from_world[j], Ks[j]))
 
 
-def rigid_flow(A: np.ndarray, b: np.ndarray, inverse_depth: np.ndarray) -> np.ndarray:
-    """Flow [h, w, 2] float32 px of a static world of inverse depth [h, w] along an edge with A [3, 3], b [3]."""
-    return np.asarray(_rigid_flow(A.astype(np.float32), b.astype(np.float32), inverse_depth.astype(np.float32)))
+def dense_static_flow(A: np.ndarray, b: np.ndarray, inverse_depth: np.ndarray) -> np.ndarray:
+    """`cameras.static_flow` of every pixel of an inverse depth [h, w], as a kernel in float32, [h, w, 2].
+
+    In a sixtieth of the time; a test compares both. What comes nearer to the target than Z_MIN times its depth is held
+    there.
+    """
+    return np.asarray(_dense_static_flow(A.astype(np.float32), b.astype(np.float32), inverse_depth.astype(np.float32)))
 
 
 @numba.njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
-def _rigid_flow(A, b, inverse_depth):  # type: ignore[no-untyped-def]
+def _dense_static_flow(A, b, inverse_depth):  # type: ignore[no-untyped-def]
     flow = np.empty((*inverse_depth.shape, 2), np.float32)
     for y in range(inverse_depth.shape[0]):
         for x in range(inverse_depth.shape[1]):
@@ -96,13 +98,11 @@ def _median_residual(A: np.ndarray, b: np.ndarray, pairs: Mapping[str, np.ndarra
     """Median residual in px of confident flow at the coarse inverse depths."""
     grid = slice((COARSE - 1) // 2, None, COARSE)
     pixels = pixel_grid(*pairs["weights"].shape[1:])[grid, grid]
-    homogeneous = np.concatenate([pixels, np.ones_like(pixels[..., :1])], axis=-1)
     residuals = []
     for e, i in enumerate(pairs["source"]):
-        there = homogeneous @ A[e].T + inverse_depth[i][..., None] * b[e]
-        confident = (pairs["weights"][e, grid, grid] > 0.5) & (there[..., 2] > Z_MIN)
-        offset = pixels + pairs["flow"][e, grid, grid] - there[..., :2] / there[..., 2:]
-        residuals.append(np.linalg.norm(offset[confident], axis=-1))
+        flow, ratio = static_flow(pixels, inverse_depth[i], A[e], b[e])
+        confident = (pairs["weights"][e, grid, grid] > 0.5) & (ratio > Z_MIN)
+        residuals.append(np.linalg.norm((pairs["flow"][e, grid, grid] - flow)[confident], axis=-1))
     pooled = np.concatenate(residuals)
     return float(np.median(pooled)) if pooled.size else 0.0
 

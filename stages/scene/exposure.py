@@ -12,8 +12,9 @@ import cv2
 import numpy as np
 
 from stages.scene.geometry import MIN_CONFIDENCE
-from stages.scene.observed import Observed, camera_points
+from stages.scene.observed import Observed
 from stages.shared import lie
+from stages.shared.cameras import pixel_grid, unproject
 from stages.shared.warp import is_inside, warp
 
 DARK, BRIGHT = 0.08, 0.92
@@ -143,9 +144,9 @@ def _step_changes(seen: Observed, grey: np.ndarray, k: int, row: int) -> tuple[n
     good &= (np.minimum(here, there) > DARK) & (np.maximum(here, there) < BRIGHT)
     good &= (v % STRIDE_PX == 0) & (u % STRIDE_PX == 0)
     here, there, depth = here[good], there[good], seen.depth[k][good]
-    motion = seen.cam_from_world[k + 1] @ lie.inverse(seen.cam_from_world[k])
-    xyz = camera_points(seen.depth[k], seen.Ks[k])[good]
-    farther = np.linalg.norm(xyz @ motion[:3, :3].T + motion[:3, 3], axis=1) - np.linalg.norm(xyz, axis=1)
+    points = unproject(pixel_grid(h, w)[good], depth, seen.cam_from_world[k], seen.Ks[k])
+    before, after = lie.inverse(seen.cam_from_world[k : k + 2])[:, :3, 3]
+    farther = np.linalg.norm(points - after, axis=1) - np.linalg.norm(points - before, axis=1)
     # Of both ends, so that the noise of one end does not make its ratio and its radiance vary together.
     radiance = np.sqrt(here * there) ** DISPLAY_GAMMA
     region = ((REGIONS * v // h) * REGIONS + REGIONS * u // w)[good]

@@ -3,8 +3,8 @@
 import cv2
 import numpy as np
 
-from stages.scene.observed import Observed, rigid_flow
-from stages.shared import lie
+from stages.scene.observed import Observed, static_motion
+from stages.shared.cameras import pixel_grid, projection, static_flow
 
 MIN_CONFIDENCE = 0.3
 SAMPLED_EDGES = 24
@@ -35,15 +35,14 @@ def dynamic_evidence(seen: Observed) -> dict[str, float]:
 
 def parallax_evidence(seen: Observed) -> dict[str, float]:
     """How far the camera's travel moves static pixels, beyond what its turning does, over the most distant frames."""
-    F, _, w = seen.depth.shape
+    F, h, w = seen.depth.shape
     parallax = []
     for source, target in {(0, F - 1), (0, F // 2), (F // 2, F - 1)}:
-        motion = seen.cam_from_world[target] @ lie.inverse(seen.cam_from_world[source])
-        turn = motion.copy()
-        turn[:3, 3] = 0
-        Ks = seen.Ks[source], seen.Ks[target]
-        turned = rigid_flow(seen.depth[source], *Ks, turn)
-        shift = np.linalg.norm(rigid_flow(seen.depth[source], *Ks, motion) - turned, axis=-1)
+        cameras = ((seen.cam_from_world[k], seen.Ks[k]) for k in (source, target))
+        A, b = projection(*cameras)
+        inverse_depth = 1 / seen.depth[source].astype(float)
+        moved, turned = (static_flow(pixel_grid(h, w), inverse_depth, A, way)[0] for way in (b, 0 * b))
+        shift = np.linalg.norm(moved - turned, axis=-1)
         parallax.append(float(np.median(shift[~seen.dynamic[source]])) if not seen.dynamic[source].all() else 0.0)
     return {"parallax_px": max(parallax), "parallax_share_of_width": max(parallax) / w}
 
@@ -92,10 +91,7 @@ def planar_residual(uv: np.ndarray, flow: np.ndarray) -> np.ndarray:
 
 def _static_residual(seen: Observed, edge: int) -> np.ndarray:
     """Distance [h, w] in px between the flow of an edge and that of a static scene."""
-    source, target = seen.edges[edge]
-    motion = seen.cam_from_world[target] @ lie.inverse(seen.cam_from_world[source])
-    predicted = rigid_flow(seen.depth[source], seen.Ks[source], seen.Ks[target], motion)
-    return np.asarray(np.linalg.norm(seen.flow[edge] - predicted, axis=-1))
+    return np.asarray(np.linalg.norm(seen.flow[edge] - static_motion(seen, *seen.edges[edge])[0], axis=-1))
 
 
 def _spread_edges(seen: Observed, offset: int) -> np.ndarray:

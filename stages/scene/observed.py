@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stages.shared.cameras import grid_from_frame, pixel_grid
+from stages.shared.cameras import grid_from_frame, pixel_grid, projection, static_flow
 from stages.shared.warp import bilinear
 
 
@@ -42,16 +42,8 @@ def depth_on_grid(inverse_depth: np.ndarray, stride_px: float, scale: float, hei
     return np.exp(-np.stack([bilinear(log, cells) for log in np.log(inverse_depth)]))
 
 
-def rigid_flow(
-    depth: np.ndarray, K_source: np.ndarray, K_target: np.ndarray, target_from_source: np.ndarray
-) -> np.ndarray:
-    """Flow [h, w, 2] that a static scene of this z-depth [h, w] shows under this camera motion [4, 4]."""
-    xyz = camera_points(depth, K_source) @ target_from_source[:3, :3].T + target_from_source[:3, 3]
-    uvw = xyz @ K_target.T
-    return np.asarray(uvw[..., :2] / uvw[..., 2:] - pixel_grid(*depth.shape))
-
-
-def camera_points(depth: np.ndarray, K: np.ndarray) -> np.ndarray:
-    """Points [h, w, 3] in the camera of the pixels of a z-depth image [h, w]."""
-    homogeneous = np.concatenate([pixel_grid(*depth.shape), np.ones((*depth.shape, 1))], axis=-1)
-    return np.asarray(depth[..., None] * (homogeneous @ np.linalg.inv(K).T))
+def static_motion(seen: Observed, source: int, target: int) -> tuple[np.ndarray, np.ndarray]:
+    """Flow [h, w, 2] from a frame to another if nothing moves, and the z-depth there over the one here [h, w]."""
+    depth = seen.depth[source].astype(float)
+    cameras = ((seen.cam_from_world[k], seen.Ks[k]) for k in (source, target))
+    return static_flow(pixel_grid(*depth.shape), 1 / depth, *projection(*cameras))

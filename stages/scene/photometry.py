@@ -4,8 +4,9 @@ import cv2
 import numpy as np
 
 from stages.scene.exposure import BRIGHT, DARK
-from stages.scene.observed import Observed, camera_points, rigid_flow
+from stages.scene.observed import Observed, static_motion
 from stages.shared import lie
+from stages.shared.cameras import pixel_grid, unproject
 from stages.shared.warp import is_inside, warp
 
 REFERENCES = 3
@@ -57,9 +58,9 @@ def _sightings(seen: Observed, gains: np.ndarray) -> tuple[np.ndarray, np.ndarra
         rows = _flat_static_pixels(smooth[reference], seen.dynamic[reference])
         looked_up = [_look_up(seen, smooth, reference, target, rows) for target in range(F)]
         colours, sighted = (np.stack(part, axis=1) for part in zip(*looked_up, strict=True))
-        points = camera_points(seen.depth[reference], seen.Ks[reference]).reshape(-1, 3)[rows]
-        world_from_cam = lie.inverse(seen.cam_from_world[reference])
-        rays = (points @ world_from_cam[:3, :3].T + world_from_cam[:3, 3])[:, None] - centres
+        depth = seen.depth[reference]
+        points = unproject(pixel_grid(*depth.shape), depth, seen.cam_from_world[reference], seen.Ks[reference])
+        rays = points.reshape(-1, 1, 3)[rows] - centres
         parts.append((colours, rays / np.linalg.norm(rays, axis=-1, keepdims=True), sighted))
     colours, directions, sighted = (np.concatenate(part) for part in zip(*parts, strict=True))
     return colours, directions, sighted
@@ -79,10 +80,8 @@ def _look_up(
     seen: Observed, images: np.ndarray, source: int, target: int, rows: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Colours [n, 3] of static pixels of `source` in `target`, and whether they are in view there [n]."""
-    motion = seen.cam_from_world[target] @ lie.inverse(seen.cam_from_world[source])
-    flow = rigid_flow(seen.depth[source], seen.Ks[source], seen.Ks[target], motion).astype(np.float32)
-    xyz = camera_points(seen.depth[source], seen.Ks[source])
-    expected = xyz @ motion[2, :3] + motion[2, 3]
+    motion, ratio = static_motion(seen, source, target)
+    flow, expected = motion.astype(np.float32), ratio * seen.depth[source]
     in_view = is_inside(flow) & (np.abs(warp(seen.depth[target], flow) / expected - 1) < DEPTH_TOLERANCE)
     in_view &= warp(seen.dynamic[target].astype(np.float32), flow) == 0
     return warp(images[target], flow).reshape(-1, 3)[rows], in_view.ravel()[rows]

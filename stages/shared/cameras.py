@@ -12,6 +12,8 @@ from stages.shared.errors import complete
 
 WITHOUT_POSE = ("failed", "unobserved")
 """Status of frames whose pose is no estimate."""
+Posed = tuple[np.ndarray, np.ndarray]
+"""One camera: cam_from_world [4, 4] and K [3, 3]."""
 
 
 @dataclass(frozen=True)
@@ -150,6 +152,32 @@ def unproject(uv: np.ndarray, depth: np.ndarray, cam_from_world: np.ndarray, K: 
     """World points [..., 3] of pixels [..., 2] at z-depths [...] in one camera ([4, 4], [3, 3])."""
     rays = np.stack([(uv[..., 0] - K[0, 2]) / K[0, 0], (uv[..., 1] - K[1, 2]) / K[1, 1], np.ones_like(depth)], axis=-1)
     return np.asarray((rays * depth[..., None] - cam_from_world[:3, 3]) @ cam_from_world[:3, :3])
+
+
+def projection(source: Posed, target: Posed) -> tuple[np.ndarray, np.ndarray]:
+    """A [..., 3, 3] and b [..., 3]: what pixel p of `source` shows at inverse depth d, `target` sees at A p + d b.
+
+    Homogeneous, with A = K_j R_ij K_i^-1 and b = K_j t_ij; without b the camera only turns. The cameras may be stacks
+    of them, cam_from_world [..., 4, 4] and K [..., 3, 3].
+    """
+    (cam_from_world, K), (other_from_world, other_K) = source, target
+    relative = other_from_world @ lie.inverse(cam_from_world)
+    return other_K @ relative[..., :3, :3] @ np.linalg.inv(K), (other_K @ relative[..., :3, 3:])[..., 0]
+
+
+def static_flow(
+    uv: np.ndarray, inverse_depth: np.ndarray, A: np.ndarray, b: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Flow [..., 2] px that a static world shows at pixels uv [..., 2], and z-depth there over z-depth here [...].
+
+    Where the second is not positive, the point is not in front of the target and the flow means nothing.
+
+    Args:
+        inverse_depth: [...] 1 / z-depth of the pixels, zero at infinity. A: [3, 3] and b: [3] of `projection`.
+    """
+    there = uv @ A[:, :2].T + A[:, 2] + inverse_depth[..., None] * b
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return there[..., :2] / there[..., 2:] - uv, there[..., 2]
 
 
 def pixel_grid(height: int, width: int) -> np.ndarray:
