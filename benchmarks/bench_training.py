@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from stages.deformation import arap, lbs_kernels
+from stages.deformation import arap, lbs_kernels, weight_kernels
 from stages.deformation.model import TableDeformation
 from stages.gaussians import ssim_kernels
 from stages.gaussians.optimise import Trainer
@@ -36,8 +36,12 @@ PARTS: dict[str, list[tuple[Any, str]]] = {
     "project": [(projection_kernels, "project")],
     "project, backward": [(projection_kernels, "project_adjoint")],
     "skin": [
-        (lbs_kernels, name + suffix)
-        for name in ("softmax_weights", "blend", "blend_values")
+        (module, name + suffix)
+        for module, name in (
+            (weight_kernels, "softmax_weights"),
+            (lbs_kernels, "blend"),
+            (weight_kernels, "blend_values"),
+        )
         for suffix in ("", "_adjoint")
     ],
     "SSIM with gradient": [(ssim_kernels, name) for name in ("products", "blur", "similarity", "assemble")],

@@ -11,7 +11,7 @@ import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from stages.deformation import lbs_kernels, quaternions
+from stages.deformation import lbs_kernels, quaternions, weight_kernels
 
 INVERSE_STEPS = 4
 
@@ -152,7 +152,7 @@ class _Weights(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, *tensors: Tensor) -> Tensor:
         arrays = [tensor.detach().contiguous().numpy() for tensor in tensors]
-        weights = lbs_kernels.softmax_weights(*arrays)
+        weights = weight_kernels.softmax_weights(*arrays)
         ctx.arrays = (*arrays, weights)
         return torch.from_numpy(weights)
 
@@ -160,7 +160,7 @@ class _Weights(torch.autograd.Function):
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
         moving = ctx.needs_input_grad[0]
         given = (*ctx.arrays, gradients[0].contiguous().numpy(), moving)
-        g_sq_dist, g_radii = lbs_kernels.softmax_weights_adjoint(*given)
+        g_sq_dist, g_radii = weight_kernels.softmax_weights_adjoint(*given)
         return torch.from_numpy(g_sq_dist) if moving else None, torch.from_numpy(g_radii), None
 
 
@@ -187,10 +187,10 @@ class _BlendValues(torch.autograd.Function):
     def forward(ctx: Any, *tensors: Tensor) -> Tensor:
         values, *ctx.arrays = (tensor.detach().contiguous().numpy() for tensor in tensors)
         ctx.P = len(values)
-        return torch.from_numpy(lbs_kernels.blend_values(values, *ctx.arrays))
+        return torch.from_numpy(weight_kernels.blend_values(values, *ctx.arrays))
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
         given = (gradients[0].contiguous().numpy(), *ctx.arrays, ctx.P)
-        g_values = lbs_kernels.blend_values_adjoint(*given)
+        g_values = weight_kernels.blend_values_adjoint(*given)
         return torch.from_numpy(g_values), None, None
