@@ -30,8 +30,8 @@ def main(
 ) -> str:
     """Decide from evidence which effects the reconstruction has to model, and write why.
 
-    Moving parts, a camera that only turns, exposure change, view-dependent colour and bending movers: each is looked
-    for in the training frames alone, and modelled only where it is found. Every decision can be overruled.
+    Moving parts, a camera that only rotates, exposure change, view-dependent colour and non-rigid movers are detected
+    in the training frames alone, and modelled only where found. An option can overrule each decision.
     """
     content = read_sequence(sequence)
     seen = _observe(content, flow, masks, poses, depth, options)

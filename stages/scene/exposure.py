@@ -1,9 +1,9 @@
-"""Evidence for a change of exposure: a gain per frame, fitted together with what fog does to the same pixels.
+"""Evidence for a change of exposure: a gain per frame, fitted jointly with the effect of fog on the same pixels.
 
 Fog shows a surface of radiance J at distance r as I = J exp(-b r) + A (1 - exp(-b r)) (Koschmieder 1924). A step that
-changes its distance by dr changes log I by -b dr (1 - A / I): what is brighter than the airlight A brightens as the
-camera comes closer, what is darker darkens, far and near unlike. A gain changes log I everywhere alike. In colours
-coded for display both appear divided by DISPLAY_GAMMA.
+changes its distance by dr changes log I by -b dr (1 - A / I): as the camera approaches, surfaces brighter than the
+airlight A become brighter and darker ones darker, near and far ones differently. A gain changes log I by the same
+amount everywhere. In gamma-encoded colours both changes are divided by DISPLAY_GAMMA.
 """
 
 from dataclasses import dataclass
@@ -18,15 +18,15 @@ from stages.shared.cameras import pixel_grid, unproject
 from stages.shared.warp import is_inside, warp
 
 DARK, BRIGHT = 0.08, 0.92
-"""Colours outside are clipped or mostly noise; a gain cannot be read from them."""
+"""Colours outside this range are clipped or mostly noise and do not determine a gain."""
 DISPLAY_GAMMA = 2.2
 SMOOTH_PX = 1.0
 STRIDE_PX = 4
-"""One pixel in so many each way takes part: neighbours say the same."""
+"""Sampling step each way: neighbouring pixels hold the same information."""
 FARTHEST = 0.05
-"""Share of the static pixels, the most distant ones, whose brightness is taken for that of the airlight."""
+"""Share of the static pixels, the most distant ones, whose brightness is used as airlight."""
 LEAST_SHOWN, LEAST_AIRLIGHT = 0.1, 0.01
-"""Share of what lies in the fog that shows through even the thickest one, and the darkest airlight that may be."""
+"""Smallest transmittance of the fog, and smallest radiance of the airlight."""
 REGIONS = 4
 """Parts of the image each way that are left out in turn to see how far the gain depends on them."""
 IRLS_STEPS = 10
@@ -42,7 +42,7 @@ class Changes:
     Attributes:
         step: [n] the frame, 0..F - 2. ratio: [n] change of the logarithm of the brightness.
         farther: [n] change of distance in scene units. radiance: [n] linear, 0..1. region: [n] 0..REGIONS^2 - 1.
-        near, far: [n] bool, whether up to and from the median depth of its frame; both where all are as deep.
+        near, far: [n] bool, at most and at least the median depth of the frame; both are true at equal depths.
         airlight: linear radiance of the most distant pixels; reach: their distance.
     """
 
@@ -64,7 +64,7 @@ class Gains:
 
     Attributes:
         near, far: [F] the gains that near and far pixels show, fog aside.
-        standard_error: of the range of the gains, from what parts of the image disagree and an airlight that is wrong.
+        standard_error: of the range of the gains, from the variation between image regions and over airlights.
         extinction: b of the fog, 1 / scene unit, >= 0.
     """
 

@@ -1,4 +1,4 @@
-"""Evidence from geometry: do parts move, does the camera travel, do the movers bend?"""
+"""Evidence from geometry: moving parts, translation of the camera, non-rigid movers."""
 
 import cv2
 import numpy as np
@@ -14,9 +14,10 @@ IRLS_STEPS = 8
 
 
 def dynamic_evidence(seen: Observed) -> dict[str, float]:
-    """How much of the frames the masks cover, and how badly a static scene explains the flow in and outside them.
+    """Share of the pixels that masks cover, and residuals of the flow to a static scene inside and outside them.
 
-    The longest edges up to LONGEST frames are used: they add up slow motion; beyond, too little is still in view.
+    The longest edges up to LONGEST frames are used: slow motion adds up over them; over longer ones too little is
+    still in view.
     """
     inside, outside = [], []
     distances = np.abs(seen.offsets)

@@ -1,4 +1,4 @@
-"""What the evidence is drawn from: the training frames on the flow grid, with static pixels, depth and cameras."""
+"""Input of the evidence: the training frames on the flow grid, with static pixels, depth and cameras."""
 
 from dataclasses import dataclass
 

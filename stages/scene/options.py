@@ -24,4 +24,4 @@ class SceneOptions(SplitOptions):
     )
     exposure: Choice = Field("auto", description="brightness that changes over time: a gain per frame")
     view_dependent: Choice = Field("auto", description="colours that change with the view: spherical harmonics")
-    non_rigid: Choice = Field("auto", description="movers that bend: more control points, weaker rigidity")
+    non_rigid: Choice = Field("auto", description="non-rigid movers: more control points, weaker rigidity")

@@ -1,31 +1,31 @@
-"""From evidence to decisions. Each threshold stands here, with its reason."""
+"""Decisions from evidence, with their thresholds and the reasons for these."""
 
 from typing import Any, Literal
 
 import numpy as np
 
 MIN_MASK_SHARE = 5e-4
-"""Below this share of the pixels a mask is noise of the refiner: 56 px of a 512 x 218 frame."""
+"""A mask of less than this share of the pixels is noise of the refinement: 56 px of a 512 x 218 frame."""
 RIGID_RATIO, RIGID_SLACK_PX = 1.2, 0.2
-"""Masked pixels that follow the static scene about as well as the others do are false alarms."""
+"""Masked pixels that fit the static scene about as well as the others are false positives."""
 MIN_PARALLAX_PX = 1.0
-"""Less parallax than a pixel between the most distant frames tells no depth from infinity."""
+"""Parallax below one pixel between the most distant frames does not separate depths from infinity."""
 MIN_GAIN_PERCENT, MIN_GAIN_SIGMAS = 3.0, 4.0
 """A gain below 3 per cent is invisible and costs less than 0.1 dB at 30 dB."""
 MIN_PREDICTED_CHANGE, MIN_PREDICTED_SHARE = 0.01, 0.25
 """View dependence must predict 2.5 grey levels, and a quarter of the change; a degree more, another tenth."""
 MIN_SECOND_DEGREE_SHARE = 0.1
 MIN_BENDING_PX, MIN_BENDING_SHARE = 0.25, 0.15
-"""Flow of neighbouring frames is no better than a quarter of a pixel."""
+"""Flow between neighbouring frames has errors of about a quarter of a pixel."""
 RIGID_POINTS, BENDING_POINTS = 256, 512
 RIGID_ARAP, BENDING_ARAP = 0.5, 0.05
-"""Held-out PSNR hardly depends on the number of points; on bending movers a strong rigidity costs up to 0.9 dB."""
+"""Held-out PSNR hardly depends on the number of points; on non-rigid movers a strong rigidity costs up to 0.9 dB."""
 
 Choice = Literal["auto", "yes", "no"]
 
 
 def decide_dynamic(evidence: dict[str, float], choice: Choice) -> dict[str, Any]:
-    """Moving parts: masks that cover something and that the static scene does not explain."""
+    """Moving parts: masks that are not empty and whose flow a static scene does not explain."""
     share, inside, outside = (evidence[key] for key in ("mask_share", "residual_inside_px", "residual_outside_px"))
     explained = inside <= RIGID_RATIO * outside + RIGID_SLACK_PX
     needed = share >= MIN_MASK_SHARE and not explained
@@ -35,14 +35,14 @@ def decide_dynamic(evidence: dict[str, float], choice: Choice) -> dict[str, Any]
         why = f"a static scene explains the masked pixels as well as the others: {inside:.2f} px and {outside:.2f} px"
     else:
         why = (
-            f"the masks cover {share:.1%}; a static scene misses their flow by {inside:.1f} px,"
-            f" that of the others by {outside:.2f} px"
+            f"the masks cover {share:.1%}; the residual of a static scene is {inside:.1f} px inside them"
+            f" and {outside:.2f} px outside"
         )
     return _decision(needed, evidence, why, choice)
 
 
 def about_masks(decision: dict[str, Any], trusted: np.ndarray, used: np.ndarray) -> dict[str, Any]:
-    """What to change in the decision about moving parts where the pose stage distrusts masks of frames [T]."""
+    """Changes to the decision about moving parts if the pose stage did not trust the masks of some frames [T]."""
     if trusted.all():
         return {}
     frames = f"{(~trusted).sum()} of {len(trusted)} frames"
@@ -90,11 +90,11 @@ def decide_view_dependent(evidence: dict[str, float], choice: Choice) -> dict[st
 
 
 def decide_non_rigid(evidence: dict[str, float], choice: Choice) -> dict[str, Any]:
-    """Movers that bend: the flow of a rigid plane leaves a residual, absolutely and of the flow's own spread."""
+    """Non-rigid movers: the residual of a rigid plane's flow is large in px and relative to the spread of the flow."""
     bending, spread = evidence["bending_px"], evidence["flow_spread_px"]
     needed = bending >= MIN_BENDING_PX and bending >= MIN_BENDING_SHARE * spread
     why = (
-        f"rigid motion of each region leaves {bending:.2f} px of the flow's {spread:.2f} px spread"
+        f"residual of rigid motion of each region {bending:.2f} px, spread of its flow {spread:.2f} px"
         f" (thresholds {MIN_BENDING_PX} px, {MIN_BENDING_SHARE:.0%})"
     )
     decision = _decision(needed, evidence, why, choice)

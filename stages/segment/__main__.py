@@ -58,7 +58,7 @@ def main(
 
 
 def _masks(options: SegmentOptions, frames: Sequence, flow: Path, prior: Path) -> Masks:
-    """What makes the mask of a frame, for the chosen source."""
+    """The function that computes the mask of a frame, for the chosen source."""
     if options.source == "refined":
         return _refined(options, flow, prior)
     if options.source == "truth":

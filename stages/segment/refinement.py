@@ -63,7 +63,7 @@ def to_mask(probability: np.ndarray, high: float, low: float, min_area: float) -
 def guarded_thresholds(probability: np.ndarray, high: float, low: float, max_share: float) -> tuple[float, float]:
     """Thresholds raised, where needed, so that at most `max_share` of the frame [H, W] lies above `low`.
 
-    A mask that swallows the frame leaves no static ground to take poses from; only its surest part is kept.
+    A mask over nearly the whole frame leaves no static area to estimate poses from; only its surest part is kept.
     """
     guarded = max(low, float(np.quantile(probability, 1 - max_share)))
     return max(high, guarded), guarded
