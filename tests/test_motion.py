@@ -46,7 +46,7 @@ def test_sampson_error_is_the_distance_to_the_nearest_true_match() -> None:
     x, y = x_true[0] + 1e-5 * rng.normal(size=x.shape), y_true[0] + 1e-5 * rng.normal(size=y.shape)
     x_near, y_near = cv2.correctMatches(F, x[None], y[None])
     distance = np.sqrt(((x_near[0] - x) ** 2).sum(axis=1) + ((y_near[0] - y) ** 2).sum(axis=1))
-    np.testing.assert_allclose(epipolar.sampson_errors(F, x, y), distance, rtol=1e-2, atol=1e-8)
+    np.testing.assert_allclose(epipolar.epipolar_errors(F, x, y), distance, rtol=1e-2, atol=1e-8)
 
 
 def test_a_mover_stands_out_without_cameras() -> None:

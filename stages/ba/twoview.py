@@ -12,6 +12,7 @@ from numba import njit
 
 from stages.ba.graph import MIN_MATCHES, MIN_WEIGHT, FlowGraph
 from stages.shared import lie
+from stages.shared.sampson import sampson_distances, sampson_terms
 
 RANSAC_MATCHES = 1500
 """Number of matches for RANSAC, which gains nothing from more; the refinement uses all matches."""
@@ -89,10 +90,7 @@ def _refine_motion(R: np.ndarray, t: np.ndarray, x: np.ndarray, y: np.ndarray, w
 
 def sampson_errors(R: np.ndarray, t: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Signed Sampson distances [n] of the matches from the epipolar geometry of (R, t), in units of the rays."""
-    E = lie.skew(t) @ R
-    line_y, line_x = _homogeneous(x) @ E.T, _homogeneous(y) @ E
-    squared = (line_y[:, :2] ** 2).sum(axis=1) + (line_x[:, :2] ** 2).sum(axis=1)
-    return np.asarray((_homogeneous(y) * line_y).sum(axis=1) / np.sqrt(np.maximum(squared, 1e-24)))
+    return sampson_distances(lie.skew(t) @ R, x, y)
 
 
 def triangulate(R: np.ndarray, t: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -163,12 +161,7 @@ def _sum_normal(
     normal, gradient, by_E, J = np.zeros((5, 5)), np.zeros(5), np.empty(9), np.empty(5)
     for m in range(len(x)):
         X, Y = (x[m, 0], x[m, 1], 1.0), (y[m, 0], y[m, 1], 1.0)
-        line_y0 = E[0, 0] * X[0] + E[0, 1] * X[1] + E[0, 2]
-        line_y1 = E[1, 0] * X[0] + E[1, 1] * X[1] + E[1, 2]
-        line_x0 = E[0, 0] * Y[0] + E[1, 0] * Y[1] + E[2, 0]
-        line_x1 = E[0, 1] * Y[0] + E[1, 1] * Y[1] + E[2, 1]
-        n = line_y0 * Y[0] + line_y1 * Y[1] + E[2, 0] * X[0] + E[2, 1] * X[1] + E[2, 2]
-        g = np.sqrt(max(line_y0**2 + line_y1**2 + line_x0**2 + line_x1**2, 1e-24))
+        n, g, line_y0, line_y1, line_x0, line_x1 = sampson_terms(E, X[0], X[1], Y[0], Y[1])
         lines_y, lines_x, ratio = (line_y0, line_y1, 0.0), (line_x0, line_x1, 0.0), n / g**3
         # d(n / g) / dE = (y x^T) / g - n / g^3 ((E x)_top x^T + y (E^T y)_top^T)
         for a in range(3):

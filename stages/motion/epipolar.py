@@ -7,6 +7,7 @@ import cv2
 import numba
 import numpy as np
 
+from stages.shared.sampson import sampson_distances
 from stages.shared.threads import threaded
 
 MIN_CONFIDENCE = 0.5
@@ -68,7 +69,7 @@ def two_view_evidence(
     Args:
         edges: (source, target) -> row; every edge has its reverse.
     """
-    fit, errors = (fit_fundamental, sampson_errors) if parallax else (fit_homography, homography_errors)
+    fit, errors = (fit_fundamental, epipolar_errors) if parallax else (fit_homography, homography_errors)
     params = _usac(ransac_threshold_px(edges, pairs), seed)
     forward = [(i, j) for i, j in edges if i < j]
 
@@ -126,22 +127,9 @@ def fit_homography(x: np.ndarray, y: np.ndarray, params: cv2.UsacParams) -> np.n
     return H if H is not None and np.linalg.matrix_rank(H) == 3 else None
 
 
-def sampson_errors(F: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Sampson distance [...] px of matches x, y [..., 2] from the epipolar geometry F."""
-    flat = _sampson(np.ascontiguousarray(F), np.reshape(x, (-1, 2)), np.reshape(y, (-1, 2)))
-    return np.asarray(flat.reshape(x.shape[:-1]))
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _sampson(F, x, y):  # type: ignore[no-untyped-def]
-    errors = np.empty(len(x), np.float32)
-    for k in range(len(x)):
-        u, v, s, t = x[k, 0], x[k, 1], y[k, 0], y[k, 1]
-        a, b = F[0, 0] * u + F[0, 1] * v + F[0, 2], F[1, 0] * u + F[1, 1] * v + F[1, 2]
-        c = F[2, 0] * u + F[2, 1] * v + F[2, 2]
-        d, e = F[0, 0] * s + F[1, 0] * t + F[2, 0], F[0, 1] * s + F[1, 1] * t + F[2, 1]
-        errors[k] = abs(a * s + b * t + c) / np.sqrt(max(a * a + b * b + d * d + e * e, 1e-24))
-    return errors
+def epipolar_errors(F: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Sampson distance [...] px, without sign, of matches x, y [..., 2] from the epipolar geometry F."""
+    return np.abs(sampson_distances(F, x, y))
 
 
 def homography_errors(H: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
