@@ -11,7 +11,8 @@ import torch
 from torch import Tensor
 
 from benchmarks.timing import alternated
-from stages.deformation import lbs, quaternions
+from stages.deformation import lbs
+from stages.shared import quaternions
 
 CASES = ((20_000, 512, 4), (100_000, 512, 4), (20_000, 512, 8))
 KERNEL, PLAIN = (lbs.lbs_weights, lbs.blend), (lbs.lbs_weights_torch, lbs.blend_torch)

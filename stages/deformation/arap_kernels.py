@@ -3,7 +3,7 @@
 import numpy as np
 from numba import njit
 
-from stages.deformation.quaternion_kernels import FAST
+from stages.shared.quaternion_kernels import FAST, rotation
 
 SWEEPS = 10
 """Jacobi's method converges quadratically: six sweeps of a 4 x 4 matrix reach float64's last digits."""
@@ -41,10 +41,10 @@ def _best_rotation(C: np.ndarray, N: np.ndarray, V: np.ndarray, R: np.ndarray) -
     for a in range(1, 4):
         if N[a, a] > N[best, best]:
             best = a
-    w, x, y, z = V[0, best], V[1, best], V[2, best], V[3, best]
-    R[0, 0], R[0, 1], R[0, 2] = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
-    R[1, 0], R[1, 1], R[1, 2] = 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)
-    R[2, 0], R[2, 1], R[2, 2] = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
+    rows = rotation((V[0, best], V[1, best], V[2, best], V[3, best]))
+    R[0, 0], R[0, 1], R[0, 2] = rows[0]
+    R[1, 0], R[1, 1], R[1, 2] = rows[1]
+    R[2, 0], R[2, 1], R[2, 2] = rows[2]
 
 
 @njit(inline="always", **FAST)

@@ -11,7 +11,8 @@ import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from stages.deformation import lbs_kernels, quaternions, weight_kernels
+from stages.deformation import lbs_kernels, weight_kernels
+from stages.shared import quaternions
 
 INVERSE_STEPS = 4
 

@@ -8,9 +8,19 @@ adds K weighted rows: each row is one vector.
 import numpy as np
 from numba import njit
 
-from stages.deformation.quaternion_kernels import FAST, Quaternion, conjugate, product, row, unit, unit_adjoint
 from stages.deformation.weight_kernels import CHUNKS
 from stages.shared.lanes import LANES, load, store, total
+from stages.shared.quaternion_kernels import (
+    FAST,
+    Quaternion,
+    conjugate,
+    product,
+    rotation,
+    rotation_adjoint,
+    row,
+    unit,
+    unit_adjoint,
+)
 from stages.shared.threads import spread
 
 
@@ -19,15 +29,21 @@ def _pack(points: np.ndarray, point_quats: np.ndarray, point_translations: np.nd
           packed: np.ndarray) -> None:  # fmt: skip
     """Fill the motions [P, 16]."""
     for p in range(len(points)):
-        w, x, y, z = row(point_quats, p)
-        packed[p, 0], packed[p, 1], packed[p, 2] = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
-        packed[p, 3], packed[p, 4], packed[p, 5] = 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)
-        packed[p, 6], packed[p, 7], packed[p, 8] = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
+        quat = row(point_quats, p)
+        rows = rotation(quat)
+        packed[p, 0], packed[p, 1], packed[p, 2] = rows[0]
+        packed[p, 3], packed[p, 4], packed[p, 5] = rows[1]
+        packed[p, 6], packed[p, 7], packed[p, 8] = rows[2]
         for a in range(3):
             packed[p, 9 + a] = points[p, a] + point_translations[p, a]
             for b in range(3):
                 packed[p, 9 + a] -= packed[p, 3 * a + b] * (points[p, b] - centre[b])
-        packed[p, 12], packed[p, 13], packed[p, 14], packed[p, 15] = w, x, y, z
+        packed[p, 12], packed[p, 13], packed[p, 14], packed[p, 15] = quat
+
+
+@njit(inline="always", **FAST)
+def _quat(motion: np.ndarray) -> Quaternion:
+    return motion[12], motion[13], motion[14], motion[15]
 
 
 @njit(**FAST)
@@ -39,16 +55,15 @@ def _unpack_adjoint(points: np.ndarray, packed: np.ndarray, centre: np.ndarray, 
     """
     for p in range(len(packed)):
         g = summed[p]
-        w, x, y, z = packed[p, 12], packed[p, 13], packed[p, 14], packed[p, 15]
         for a in range(3):
             turned = packed[p, a] * g[9] + packed[p, 3 + a] * g[10] + packed[p, 6 + a] * g[11]
             g_points[p, a], g_translations[p, a] = g[9 + a] - turned, g[9 + a]
             for b in range(3):
                 g[3 * a + b] -= g[9 + a] * (points[p, b] - centre[b])
-        g_quats[p, 0] = g[12] + 2 * (x * (g[7] - g[5]) + y * (g[2] - g[6]) + z * (g[3] - g[1]))
-        g_quats[p, 1] = g[13] + 2 * (y * (g[1] + g[3]) + z * (g[2] + g[6]) + w * (g[7] - g[5]) - 2 * x * (g[4] + g[8]))
-        g_quats[p, 2] = g[14] + 2 * (x * (g[1] + g[3]) + z * (g[5] + g[7]) + w * (g[2] - g[6]) - 2 * y * (g[0] + g[8]))
-        g_quats[p, 3] = g[15] + 2 * (x * (g[2] + g[6]) + y * (g[5] + g[7]) + w * (g[3] - g[1]) - 2 * z * (g[0] + g[4]))
+        g_rows = (g[0], g[1], g[2]), (g[3], g[4], g[5]), (g[6], g[7], g[8])
+        g_w, g_x, g_y, g_z = rotation_adjoint(_quat(packed[p]), g_rows)
+        g_quats[p, 0], g_quats[p, 1] = g[12] + g_w, g[13] + g_x
+        g_quats[p, 2], g_quats[p, 3] = g[14] + g_y, g[15] + g_z
 
 
 @njit(inline="always", **FAST)
@@ -86,11 +101,6 @@ def _blended(packed: np.ndarray, signs: np.ndarray, weights: np.ndarray, index: 
         blended = blended + load(packed, LANES * p) * load(signs, LANES * _flips(packed, p, reference)) * weights[n, k]
     store(motion, 0, blended)
     return reference
-
-
-@njit(inline="always", **FAST)
-def _quat(motion: np.ndarray) -> Quaternion:
-    return motion[12], motion[13], motion[14], motion[15]
 
 
 def blend(

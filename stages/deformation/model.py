@@ -10,9 +10,9 @@ import math
 import torch
 from torch import Tensor
 
-from stages.deformation import quaternions
 from stages.deformation.arap import arap_energy, arap_graph
 from stages.deformation.splines import at_times, spline_basis
+from stages.shared import quaternions
 
 
 class Deformation(torch.nn.Module, abc.ABC):

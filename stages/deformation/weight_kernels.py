@@ -3,7 +3,7 @@
 import numpy as np
 from numba import njit
 
-from stages.deformation.quaternion_kernels import FAST
+from stages.shared.quaternion_kernels import FAST
 from stages.shared.threads import spread
 
 CHUNKS = 16

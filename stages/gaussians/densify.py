@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from stages.shared import quaternions
 from stages.splatting.model import Cloud
 
 MIN_OPACITY = 0.01
@@ -83,14 +84,8 @@ def _halve(cloud: Cloud, start: int, count: int) -> None:
         axis = cloud.log_scales[rows].argmax(dim=-1, keepdim=True)
         longest = cloud.log_scales[rows].gather(1, axis).exp()
         local = torch.zeros_like(cloud.means[rows]).scatter(1, axis, 0.5 * side * longest)
-        cloud.means[rows] += rotate(torch.nn.functional.normalize(cloud.quats[rows], dim=-1), local)
+        rotations = quaternions.rotation_matrices(quaternions.normalise(cloud.quats[rows]))
+        cloud.means[rows] += torch.einsum("nab,nb->na", rotations, local)
         shrink = torch.full_like(local, 0.85).scatter(1, axis, 0.5)
         cloud.log_scales[rows] += shrink.log()
         cloud.logits[rows] = (0.8 * cloud.logits[rows].sigmoid()).logit()
-
-
-def rotate(quats: Tensor, vectors: Tensor) -> Tensor:
-    """Vectors [n, 3] turned by unit quaternions wxyz [n, 4]: v + 2 w (q x v) + 2 q x (q x v)."""
-    w, q = quats[:, :1], quats[:, 1:]
-    cross = torch.linalg.cross(q, vectors)
-    return vectors + 2 * (w * cross + torch.linalg.cross(q, cross))

@@ -10,7 +10,17 @@ computed in float64; memory is float32.
 import numpy as np
 from numba import njit
 
-from stages.deformation.quaternion_kernels import FAST, Quaternion, row, unit, unit_adjoint
+from stages.shared.quaternion_kernels import (
+    FAST,
+    Quaternion,
+    Rows,
+    Vector,
+    rotation,
+    rotation_adjoint,
+    row,
+    unit,
+    unit_adjoint,
+)
 from stages.shared.threads import spread
 
 BLOCK = 1024
@@ -19,8 +29,6 @@ BLUR = 0.3
 """Variance in px^2 added to every splat, as in 3DGS and gsplat ("classic" antialiasing)."""
 MARGIN = 0.3
 """J is evaluated inside the field of view widened by this share: beyond, the linearisation explodes (as in gsplat)."""
-Vector = tuple[float, float, float]
-Rows = tuple[Vector, Vector, Vector]
 Limits = tuple[float, float, float, float]
 """Tuples stay in registers; small arrays inside the loops would cost more than the arithmetic."""
 
@@ -67,31 +75,6 @@ def _vector(array: np.ndarray, i: int) -> Vector:
 def _unit_quat(quats: np.ndarray, i: int) -> tuple[Quaternion, float]:
     w, x, y, z = row(quats, i)
     return unit((np.float64(w), np.float64(x), np.float64(y), np.float64(z)))
-
-
-@njit(**FAST)
-def _rotation(quat: Quaternion) -> Rows:
-    """Rotation matrix of a unit quaternion wxyz."""
-    w, x, y, z = quat
-    return (
-        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
-        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
-        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
-    )
-
-
-@njit(**FAST)
-def _rotation_adjoint(quat: Quaternion, g: Rows) -> Quaternion:
-    """Gradient of the unit quaternion from that of its rotation matrix."""
-    w, x, y, z = quat
-    a, b, c = g[0][1] + g[1][0], g[0][2] + g[2][0], g[1][2] + g[2][1]
-    d, e, f = g[2][1] - g[1][2], g[0][2] - g[2][0], g[1][0] - g[0][1]
-    return (
-        2 * (x * d + y * e + z * f),
-        2 * (y * a + z * b + w * d - 2 * x * (g[1][1] + g[2][2])),
-        2 * (x * a + z * c + w * e - 2 * y * (g[0][0] + g[2][2])),
-        2 * (x * b + y * c + w * f - 2 * z * (g[0][0] + g[1][1])),
-    )
 
 
 def _limits(K: np.ndarray, width: int, height: int) -> Limits:
@@ -150,7 +133,7 @@ def _project(first: int, last: int, means: np.ndarray, quats: np.ndarray, scales
         p = _to_camera(_vector(means, i), viewmat)
         if p[2] <= near_plane:
             continue
-        R, scale = _rotation(_unit_quat(quats, i)[0]), _vector(scales, i)
+        R, scale = rotation(_unit_quat(quats, i)[0]), _vector(scales, i)
         W = _jacobian(p, K, limits, viewmat)
         b, c, det, _ = _covariance(_each(_times(W[0], R), scale), _each(_times(W[1], R), scale))
         centres[i, 0] = K[0, 0] * p[0] / p[2] + K[0, 2]
@@ -227,7 +210,7 @@ def _project_adjoint(first: int, last: int, means: np.ndarray, quats: np.ndarray
             mean, scale = _vector(means, i), _vector(scales, i)
             p = _to_camera(mean, viewmat)
             quat, length = _unit_quat(quats, i)
-            R, W = _rotation(quat), _jacobian(p, K, limits, viewmat)
+            R, W = rotation(quat), _jacobian(p, K, limits, viewmat)
             B = _times(W[0], R), _times(W[1], R)
             g_u, g_v = _axes_adjoint(_each(B[0], scale), _each(B[1], scale), _vector(factors, i), _vector(g_factors, i))
             g_scales[i, 0] = g_u[0] * B[0][0] + g_v[0] * B[1][0]
@@ -235,7 +218,7 @@ def _project_adjoint(first: int, last: int, means: np.ndarray, quats: np.ndarray
             g_scales[i, 2] = g_u[2] * B[0][2] + g_v[2] * B[1][2]
             g_u, g_v = _each(g_u, scale), _each(g_v, scale)
             g_R = (_sum(W[0][0], g_u, W[1][0], g_v), _sum(W[0][1], g_u, W[1][1], g_v), _sum(W[0][2], g_u, W[1][2], g_v))
-            g_quat = unit_adjoint(quat, length, _rotation_adjoint(quat, g_R))
+            g_quat = unit_adjoint(quat, length, rotation_adjoint(quat, g_R))
             g_quats[i, 0], g_quats[i, 1], g_quats[i, 2], g_quats[i, 3] = g_quat
             g_W = (
                 (_dot(g_u, R[0]), _dot(g_u, R[1]), _dot(g_u, R[2])),

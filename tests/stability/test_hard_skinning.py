@@ -6,8 +6,9 @@ import torch
 from torch import Tensor
 
 from stages.control import canonical
-from stages.deformation import lbs, quaternions
+from stages.deformation import lbs
 from stages.deformation.model import TableDeformation
+from stages.shared import quaternions
 
 DOUBLE = torch.float64
 Arguments = tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]

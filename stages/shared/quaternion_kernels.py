@@ -9,6 +9,8 @@ FAST = {"cache": True, "nogil": True, "fastmath": {"contract", "nsz", "arcp"}, "
 """Fused multiply-add and reciprocals; not the flags that assume away infinities and NaN."""
 ONE: Any = np.float32(1)  # an integer would turn what it is added to into float64
 Quaternion = tuple[float, float, float, float]
+Vector = tuple[float, float, float]
+Rows = tuple[Vector, Vector, Vector]
 
 
 @njit(inline="always", **FAST)
@@ -60,4 +62,29 @@ def unit_adjoint(unit: Quaternion, length: float, g: Quaternion) -> Quaternion:
         (g[1] - unit[1] * along) / length,
         (g[2] - unit[2] * along) / length,
         (g[3] - unit[3] * along) / length,
+    )
+
+
+@njit(**FAST)
+def rotation(quat: Quaternion) -> Rows:
+    """Rotation matrix of a unit quaternion."""
+    w, x, y, z = quat
+    return (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+    )
+
+
+@njit(**FAST)
+def rotation_adjoint(quat: Quaternion, g: Rows) -> Quaternion:
+    """Gradient of the unit quaternion from that of its rotation matrix."""
+    w, x, y, z = quat
+    a, b, c = g[0][1] + g[1][0], g[0][2] + g[2][0], g[1][2] + g[2][1]
+    d, e, f = g[2][1] - g[1][2], g[0][2] - g[2][0], g[1][0] - g[0][1]
+    return (
+        2 * (x * d + y * e + z * f),
+        2 * (y * a + z * b + w * d - 2 * x * (g[1][1] + g[2][2])),
+        2 * (x * a + z * c + w * e - 2 * y * (g[0][0] + g[2][2])),
+        2 * (x * b + y * c + w * f - 2 * z * (g[0][0] + g[1][1])),
     )
