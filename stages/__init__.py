@@ -7,6 +7,9 @@ from pathlib import Path
 
 START_S = time.perf_counter()
 """When this process began its stage; the reported seconds include the imports."""
+KERNEL_TYPES = 2
+"""Raise it when a named tuple that kernels take is renamed or moved. Numba unpickles the index of its compiled code,
+with these types in it, before it compares the age of the source: an index that holds an old name is an error."""
 
 # Read once, when libgomp and OpenBLAS load, hence before numpy or torch:
 # spinning OpenMP threads cost 2-20x when two jobs share two cores, and a multi-threaded BLAS
@@ -14,8 +17,7 @@ START_S = time.perf_counter()
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 os.environ["OPENBLAS_NUM_THREADS"] = "1"
 os.environ.setdefault("OMP_NUM_THREADS", str(os.cpu_count() or 1))
-os.environ.setdefault("NUMBA_NUM_THREADS", os.environ["OMP_NUM_THREADS"])
-os.environ.setdefault("NUMBA_CACHE_DIR", str(Path(sys.prefix) / "numba_cache"))
+os.environ.setdefault("NUMBA_CACHE_DIR", str(Path(sys.prefix) / f"numba_cache_{KERNEL_TYPES}"))
 
 
 def kernels_compiled() -> bool:

@@ -31,9 +31,8 @@ ON_SLURM = (
     *("--profile", str(REPO / "profiles/slurm"), "--cores", str(CPUS), "--max-threads", str(CPUS)),
     # There is no accounting here, and jobs take seconds.
     *("--slurm-status-command", "squeue", "--slurm-init-seconds-before-status-checks", "2"),
-    *("--set-resources", "train:gpu=0", "render:gpu=0"),
 )
-VICTIM = "stages.flow.estimate"
+VICTIM = "stages.flow"
 
 
 @dataclass(frozen=True)

@@ -1,13 +1,23 @@
 """Work side by side: every item once, whatever the threads; errors reach the caller."""
 
+import ast
 import threading
 from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import REPO
 
-from stages import kernels_compiled
+from stages import KERNEL_TYPES, kernels_compiled
 from stages.shared.threads import spread
+
+TYPES = {
+    2: {
+        *("ba.kernel.EdgeMatches", "ba.kernel.Geometry", "simulate.bvh.Tree", "simulate.raycast.Hits"),
+        *("simulate.shading.Surface", "simulate.world.Materials"),
+    }
+}
+"""Named tuples that kernels take, by the number that the cache of kernels bears."""
 
 
 @pytest.mark.parametrize("threads", ["1", "2", "7"])
@@ -59,3 +69,18 @@ def test_kernels_count_as_compiled_once_there_is_one(tmp_path: Path, monkeypatch
     assert not kernels_compiled()
     (tmp_path / "cache" / "ba_0123" / "kernel._explain-82.py311.1.nbc").touch()
     assert kernels_compiled()
+
+
+def test_named_tuples_of_kernels_are_those_of_the_cache() -> None:
+    """Numba fails on an index that it wrote under another name of a type."""
+    parsed = {path.relative_to(REPO): ast.parse(path.read_text()) for path in REPO.glob("stages/*/*.py")}
+    functions = [node for tree in parsed.values() for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)]
+    kernels = [node for node in functions if any("njit" in ast.dump(mark) for mark in node.decorator_list)]
+    taken = {ast.unparse(argument.annotation) for node in kernels for argument in node.args.args if argument.annotation}
+    found = {
+        f"{path.parent.name}.{path.stem}.{node.name}"
+        for path, tree in parsed.items()
+        for node in tree.body
+        if isinstance(node, ast.ClassDef) and node.name in taken
+    }
+    assert found == TYPES[KERNEL_TYPES], "raise stages.KERNEL_TYPES, and add the names under the new number"

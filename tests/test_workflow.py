@@ -183,7 +183,7 @@ def test_a_target_of_unknown_name_says_so(repo_copy: Path, target: str, message:
     ("override", "rules"),
     [
         ("device: cpu", set()),
-        ("device: cuda", {"train", "render"}),
+        ("device: cuda", {"gaussians", "render"}),
         ("{device: cpu, render: {device: cuda}}", {"render"}),
     ],
 )
@@ -235,7 +235,7 @@ def test_on_a_cluster_short_stages_travel_together_and_settings_apart(repo_copy:
     own = {"scene", "control"}  # of settings that share the poses of another
     poses = {"poses": {"simulate", "inspect", "flow", "motion", "segment", "ba"} | own, "poses_rounds_1": own}
     poses |= {"poses_presets_fast": poses["poses"] - {"simulate", "inspect"}, "poses_claims_static": own}
-    assert rules == poses | {name.replace("poses", "gaussians"): {"train", "render"} for name in poses}
+    assert rules == poses | {name.replace("poses", "gaussians"): {"gaussians", "render"} for name in poses}
 
 
 @pytest.mark.parametrize(
