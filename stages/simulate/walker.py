@@ -8,6 +8,8 @@ from stages.simulate.keyframes import rotation
 from stages.simulate.meshes import Mesh
 from stages.simulate.shape_models import Walker
 
+Pose = tuple[np.ndarray, np.ndarray]
+"""Rotation [3, 3] and origin [3] of a segment."""
 SIDES = (-1.0, 1.0)
 HIP, SHOULDER = (0.05, 0.0, 0.5), (0.125, 0.0, 0.79)
 """Joints of the right side of a figure of height 1 that faces +y."""
@@ -27,20 +29,12 @@ def walker(shape: Walker) -> tuple[Deforming, Deforming, Deforming]:
     thigh, shin, upper_arm, forearm = _segment(*THIGH), _shin_with_shoe(), _segment(*UPPER_ARM), _segment(*FOREARM)
 
     def shirt(seconds: float, _: float) -> np.ndarray:
-        parts = [torso.vertices]
-        for side in SIDES:
-            swing, bend = _arm_deg(shape, seconds, side)
-            upper, lower = _hinges(SHOULDER, side, UPPER_ARM[0], swing, bend)
-            parts += [_moved(upper_arm, upper), _moved(forearm, lower)]
-        return _risen(shape, seconds, parts)
+        hinges = [_hinges(SHOULDER, side, UPPER_ARM[0], *_arm_deg(shape, seconds, side)) for side in SIDES]
+        return _risen(shape, seconds, [torso.vertices, *_limbs(upper_arm, forearm, hinges)])
 
     def trousers(seconds: float, _: float) -> np.ndarray:
-        parts = [hair.vertices]
-        for side in SIDES:
-            swing, bend = _leg_deg(shape, seconds, side)
-            upper, lower = _hinges(HIP, side, THIGH[0], swing, bend)
-            parts += [_moved(thigh, upper), _moved(shin, lower)]
-        return _risen(shape, seconds, parts)
+        hinges = [_hinges(HIP, side, THIGH[0], *_leg_deg(shape, seconds, side)) for side in SIDES]
+        return _risen(shape, seconds, [hair.vertices, *_limbs(thigh, shin, hinges)])
 
     def skin(seconds: float, _: float) -> np.ndarray:
         parts = [head.vertices]
@@ -72,7 +66,7 @@ def _arm_deg(shape: Walker, seconds: float, side: float) -> tuple[float, float]:
 
 def _hinges(
     joint: tuple[float, float, float], side: float, length: float, first_deg: float, second_deg: float
-) -> tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
+) -> tuple[Pose, Pose]:
     """Rotation and origin of a limb's upper and lower segment; the second angle is relative to the first."""
     origin = np.array(joint) * [side, 1, 1]
     upper = rotation((first_deg, 0, 0))
@@ -80,7 +74,12 @@ def _hinges(
     return (upper, origin), (lower, origin + upper @ [0, 0, -length])
 
 
-def _moved(mesh: Mesh, pose: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+def _limbs(upper: Mesh, lower: Mesh, hinges: list[tuple[Pose, Pose]]) -> list[np.ndarray]:
+    """Vertices of the segments of a limb on each side, upper before lower."""
+    return [_moved(mesh, pose) for poses in hinges for mesh, pose in zip((upper, lower), poses, strict=True)]
+
+
+def _moved(mesh: Mesh, pose: Pose) -> np.ndarray:
     R, origin = pose
     return np.asarray(mesh.vertices @ R.T + origin)
 
