@@ -46,6 +46,6 @@ def moving_pixels(flow_px: np.ndarray, depth: np.ndarray, source: Posed, target:
     Args:
         source, target: cam_from_world [4, 4] and K [3, 3] of the two frames.
     """
-    inverse_depth = 1 / np.where(depth > 0, depth.astype(float), np.inf)  # as for the solver, nothing is far away
+    inverse_depth = 1 / np.where(depth > 0, depth.astype(float), np.inf)  # no depth: infinitely far
     predicted_px, _ = static_flow(pixel_grid(*depth.shape), inverse_depth, *projection(source, target))
     return np.asarray(np.linalg.norm(flow_px - predicted_px, axis=-1) > MOVING_PX)
