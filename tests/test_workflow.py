@@ -28,7 +28,7 @@ COLLECTED = {"collect_sweep", "report", "sweep"}
 def planned(result: subprocess.CompletedProcess[str]) -> set[str]:
     """The rules that a dry run would execute."""
     assert result.returncode == 0, result.stderr
-    return set(re.findall(r"^(?:local)?rule (\w+):", result.stdout + result.stderr, re.MULTILINE))
+    return set(re.findall(r"^ *(?:local)?rule (\w+):", result.stdout + result.stderr, re.MULTILINE))
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +44,7 @@ def everything_done(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def write_outputs(folder: Path, plan: subprocess.CompletedProcess[str]) -> None:
     """Empty files and folders for all that a dry run would make."""
-    for line in re.findall(r"^    output: (.*)$", plan.stdout + plan.stderr, re.MULTILINE):
+    for line in re.findall(r"^ +output: (.*)$", plan.stdout + plan.stderr, re.MULTILINE):
         for name in line.split(", "):
             path = folder / name
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -142,7 +142,7 @@ def test_sequences_of_a_folder_with_memory_by_pixels(repo_copy: Path) -> None:
     write_frames(folder / "small", 4, (48, 64))
     write_frames(folder / "large", 8, (480, 640))
     result = run_snakemake(repo_copy, "poses", *with_options(repo_copy, f"dataset: {folder}"))
-    jobs = re.split(r"^(?=rule \w+:)", result.stdout + result.stderr, flags=re.MULTILINE)
+    jobs = re.split(r"^ *(?=rule \w+:)", result.stdout + result.stderr, flags=re.MULTILINE)
     flow = {name: job for job in jobs for name in ("small", "large") if job.startswith("rule flow") and name in job}
     memory = {name: int(re.search(r"mem_mb=(\d+)", job).group(1)) for name, job in flow.items()}  # type: ignore[union-attr]
     assert memory["large"] > memory["small"] > 0
@@ -189,7 +189,7 @@ def test_a_target_of_unknown_name_says_so(repo_copy: Path, target: str, message:
 )
 def test_jobs_ask_for_a_gpu_only_where_they_use_one(repo_copy: Path, override: str, rules: set[str]) -> None:
     result = run_snakemake(repo_copy, *with_options(repo_copy, override))
-    jobs = re.split(r"^(?=(?:local)?rule \w+:)", result.stdout + result.stderr, flags=re.MULTILINE)
+    jobs = re.split(r"^ *(?=(?:local)?rule \w+:)", result.stdout + result.stderr, flags=re.MULTILINE)
     asking = {job.partition(":")[0].removeprefix("rule ") for job in jobs if re.search(r"resources: .*\bgpu=", job)}
     assert asking == rules
 
