@@ -26,12 +26,6 @@ include: "workflow/rules/sweep.smk"
 include: "workflow/rules/report.smk"
 
 
-# profiles/default bounds them on one machine; on a cluster the bound is that of each job, and Slurm counts GPUs.
-resource_scopes:
-    gpu="local",
-    colmap="local",
-
-
 localrules:
     all,
     poses,
