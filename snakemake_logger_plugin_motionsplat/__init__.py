@@ -189,9 +189,7 @@ class LogHandler(LogHandlerBase):
         for jobid in jobids:  # each is reported again as failed
             self.running.pop(jobid, None)
         if not cut_off:
-            self._print(
-                f"{said['groupid']:<27}  FAILED  before any stage began ({', '.join(map(str, said['aux_logs']))})"
-            )
+            self._print(f"{said['groupid']:<27}  FAILED  no stage says why ({', '.join(map(str, said['aux_logs']))})")
 
     def _advance(self, done: int, total: int) -> None:
         if self.bar is not None:
@@ -236,8 +234,8 @@ def _tail(log: Path | None) -> str:
 
 def _was_cut_off(job: Job) -> bool:
     """Whether the job began and did not end, by its log (`stages.shared.cli` ends it in "done: ...")."""
-    began = job.log is not None and job.log.exists()
-    return began and " done: " not in "".join(_tail(job.log).strip().splitlines()[-1:])
+    words = _tail(job.log).strip().splitlines()  # Snakemake leaves empty logs of stages that never began
+    return bool(words) and " done: " not in words[-1]
 
 
 def _share_done(job: Job) -> str:
