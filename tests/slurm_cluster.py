@@ -1,8 +1,10 @@
 """A Slurm of one node on this machine, in a folder of its own: munged, slurmctld and slurmd for the time of a test."""
 
 import contextlib
+import ctypes
 import os
 import shutil
+import signal
 import socket
 import subprocess
 import sys
@@ -33,6 +35,7 @@ SelectTypeParameters=CR_Core_Memory
 SlurmdParameters=config_overrides
 ReturnToService=2
 MinJobAge=86400
+MessageTimeout=60
 SchedulerParameters=sched_interval=1,bf_interval=1
 StateSaveLocation={folder}/state
 SlurmdSpoolDir={folder}/spool
@@ -70,7 +73,10 @@ def running_slurm(folder: Path) -> Iterator[dict[str, str]]:
     try:
         for command in daemons:
             with (folder / f"{command[0]}.out").open("wb") as words:
-                started.append(subprocess.Popen(command, env=environment, stdout=words, stderr=words))
+                process = subprocess.Popen(
+                    command, env=environment, stdout=words, stderr=words, preexec_fn=_end_with_the_test
+                )
+            started.append(process)
             if command is munged:
                 _wait_for(lambda: (folder / "munge.socket").exists(), folder)
         _wait_for(lambda: "idle" in _said(["sinfo", "--noheader", "--format=%t"], environment), folder)
@@ -120,6 +126,11 @@ def _configure(folder: Path) -> dict[str, str]:
     srun.chmod(0o755)
     path = os.pathsep.join([str(folder / "bin"), os.environ["PATH"]])
     return {**os.environ, "SLURM_CONF": str(folder / "slurm.conf"), "PATH": path}
+
+
+def _end_with_the_test() -> None:
+    """Let the kernel end this daemon with the process that started it, even a killed one (1 is PR_SET_PDEATHSIG)."""
+    ctypes.CDLL(None).prctl(1, signal.SIGTERM)
 
 
 def _munge_flags(folder: Path) -> list[str]:

@@ -32,7 +32,7 @@ ON_SLURM = (
     # There is no accounting here, and jobs take seconds.
     *("--slurm-status-command", "squeue", "--slurm-init-seconds-before-status-checks", "2"),
 )
-VICTIM = "stages.flow"
+VICTIM = "stages.motion"
 
 
 @dataclass(frozen=True)
@@ -54,12 +54,14 @@ def run(folder: Path, *arguments: str, env: dict[str, str] | None = None) -> str
 
 
 def kill_once(folder: Path, ended: threading.Event) -> None:
-    """Kill the first process of the victim's stage in `folder`, as the kernel does where memory runs out."""
-    while not ended.wait(0.05):
+    """Kill the first process of the victim's stage in `folder` at work, as the kernel does where memory runs out."""
+    while not ended.wait(0.02):
         for process in Path("/proc").glob("[0-9]*"):
             try:
-                words = (process / "cmdline").read_bytes().split(b"\0")
-                if VICTIM.encode() in words and (process / "cwd").readlink() == folder:
+                words = (process / "cmdline").read_text().split("\0")
+                if VICTIM not in words or (process / "cwd").readlink() != folder:
+                    continue
+                if (folder / words[words.index("--log") + 1]).stat().st_size:
                     os.kill(int(process.name), signal.SIGKILL)
                     return
             except OSError:  # it has ended by itself
@@ -90,13 +92,13 @@ def results(folder: Path, name: str) -> Path:
     return folder / "results" / "simulated" / name
 
 
-def assert_same_table(one: Path, other: Path) -> None:
+def assert_same_table(one: Path, other: Path, tolerance: float = 1e-6) -> None:
     """Equal but for seconds and the last digits: kernels just compiled may differ there from those loaded from disk."""
     first, second = (read_table(path) for path in (one, other))
     assert list(first) == list(second)
     for name in set(first) - {"wall_s", "cpu_s"}:
         if first[name].dtype.kind == "f":
-            np.testing.assert_allclose(first[name], second[name], rtol=1e-6, atol=1e-9, err_msg=name)
+            np.testing.assert_allclose(first[name], second[name], rtol=tolerance, atol=1e-9, err_msg=name)
         else:
             np.testing.assert_array_equal(first[name], second[name], err_msg=name)
 
@@ -105,10 +107,10 @@ def test_a_killed_job_runs_again_with_more_time(both: Both) -> None:
     submitted = jobs(both.cluster)
     assert sorted(job["state"] for job in submitted) == ["COMPLETED", "COMPLETED", "FAILED"]
     (killed,) = (job for job in submitted if job["state"] == "FAILED")
-    (told,) = (line for line in both.log.splitlines() if "  FAILED  " in line)
-    assert told.startswith("flow ")
+    told = [line for line in both.log.splitlines() if "  FAILED  " in line]
+    assert [line.split()[0] for line in told] == ["motion"], told
     assert "failed:" not in both.log
-    assert submitted[-1]["minutes"] == 2 * killed["minutes"]
+    assert submitted[-1]["minutes"] > killed["minutes"]
     assert all(job["cpus"] == CPUS for job in submitted)
 
 
@@ -131,7 +133,8 @@ def test_a_sequence_is_four_submissions(both: Both) -> None:
     assert [job["state"] for job in submitted] == ["COMPLETED"] * (4 * len(NAMES) + 1)
     assert [job["cpus"] for job in submitted if "colmap" in job["rules"]] == [1] * len(NAMES)
     for name in NAMES:
-        for table in ("poses", "images", "masks"):
+        # Training makes more of the last digits: 4e-4 of the SSIM where a process compiled kernels on the way, else 0.
+        for table, tolerance in (("poses", 1e-6), ("masks", 1e-6), ("images", 5e-3)):
             there, here = (results(folder, name) / f"eval/{table}.parquet" for folder in (both.slurm, both.local))
-            assert_same_table(there, here)
+            assert_same_table(there, here, tolerance)
     assert (both.slurm / "results/simulated/report/index.html").exists()
