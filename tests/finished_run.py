@@ -195,7 +195,7 @@ def score(folder: Path) -> None:
         poses=[part / "ba/poses.parquet" for part in parts],
         depth=folder / "ba/depth.arrow",
         colmap=[folder / "colmap/poses.parquet"],
-        motion=folder / "control/deformation.safetensors",
+        deformation=folder / "control/deformation.safetensors",
         model=folder / "gaussians/model.safetensors",
         half=folder / "gaussians/model_half.safetensors",
         renders=folder / "renders",

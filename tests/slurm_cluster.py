@@ -93,12 +93,18 @@ def running_slurm(folder: Path) -> Iterator[dict[str, str]]:
 
 
 def jobs(environment: dict[str, str]) -> list[dict[str, Any]]:
-    """Every job that was submitted, oldest first: its state, CPUs, minutes at most, and the rules that it runs."""
-    text = _said(["squeue", "--states=all", "--noheader", "--sort=i", "--format=%T|%C|%l|%k"], environment)
-    rows = [line.split("|", 3) for line in text.splitlines()]
+    """Every job that was submitted, oldest first: its state, CPUs, limits in minutes and megabytes, and its rules."""
+    text = _said(["squeue", "--states=all", "--noheader", "--sort=i", "--format=%T|%C|%l|%m|%k"], environment)
+    rows = [line.split("|", 4) for line in text.splitlines()]
     return [
-        {"state": state, "cpus": int(cpus), "minutes": _minutes(limit), "rules": rules}
-        for state, cpus, limit, rules in rows
+        {
+            "state": state,
+            "cpus": int(cpus),
+            "minutes": _minutes(limit),
+            "memory_mb": int(memory.removesuffix("M")),
+            "rules": rules,
+        }
+        for state, cpus, limit, memory, rules in rows
     ]
 
 

@@ -1,5 +1,7 @@
 """The demo as `make demo` runs it, from its frames to its scores: floors on errors against the truth."""
 
+import re
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -7,6 +9,7 @@ import yaml
 from conftest import REPO, run_snakemake
 
 from stages.results.scorecard import score_rows
+from stages.shared.artifacts import read_json
 
 OPTIONS: dict[str, Any] = {
     "preset": "fast",
@@ -16,15 +19,40 @@ OPTIONS: dict[str, Any] = {
 
 
 @pytest.fixture(scope="module")
-def demo(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    """What the demo reached."""
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A working folder in which the demo has run."""
     folder = tmp_path_factory.mktemp("demo")
     (folder / "mine.yaml").write_text(yaml.safe_dump(OPTIONS))
+    run(folder, "results/simulated/demo/eval/poses.parquet")
+    return folder
+
+
+def run(folder: Path, *arguments: str) -> str:
+    """The repository's workflow in `folder`; what it printed."""
     where = ["-s", str(REPO / "Snakefile"), "--directory", str(folder), "--configfile", str(folder / "mine.yaml")]
-    done = run_snakemake(folder, "results/simulated/demo/eval/poses.parquet", *where)
+    done = run_snakemake(folder, *arguments, *where)
     assert done.returncode == 0, done.stderr[-4000:]
-    (row,) = score_rows(folder / "results/simulated")
+    return done.stdout + done.stderr
+
+
+@pytest.fixture(scope="module")
+def demo(finished: Path) -> dict[str, Any]:
+    """What the demo reached."""
+    (row,) = score_rows(finished / "results/simulated")
     return row
+
+
+def test_jobs_ask_for_the_memory_that_they_take(finished: Path) -> None:
+    """No job takes more than it asks for, nor asks for far more."""
+    plan = run(finished, "results/simulated/demo/eval/poses.parquet", "-n", "-F")
+    asked = {rule: int(mb) for rule, mb in re.findall(r"rule (\w+):.*?mem_mb=(\d+)", plan, re.DOTALL)}
+    peaks = {path.stem: read_json(path)["peak_mb"] for path in finished.glob("results/*/demo/stats/*.json")}
+    assert {"flow", "motion", "ba", "gaussians", "evaluate"} <= set(peaks)
+    del peaks["colmap"]  # it was stopped after a second
+    shares = {stage: asked[stage] / (1.048576 * peak) for stage, peak in peaks.items()}
+    assert min(shares.values()) > 1, shares
+    del shares["simulate"]  # it asks for what the largest scene of the library takes
+    assert max(shares.values()) < 1.5, shares
 
 
 def test_cameras_keep_their_floors(demo: dict[str, Any]) -> None:

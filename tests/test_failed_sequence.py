@@ -70,7 +70,7 @@ def score(folder: Path, stats: list[Path]) -> None:
     """The baseline and the evaluation; `stats` are the stages' time files."""
     baseline = folder / "colmap.parquet"
     colmap_stage.main(folder / "sequence.json", baseline, ColmapOptions(mappers=("global",), upsample=(1,)))
-    inputs = {"flow": FLOW, "depth": DEPTH, "motion": MOTION, "model": MODEL, "half": HALF, "renders": "renders"}
+    inputs = {"flow": FLOW, "depth": DEPTH, "deformation": MOTION, "model": MODEL, "half": HALF, "renders": "renders"}
     evaluate_stage.main(
         sequence=folder / "sequence.json",
         **{name: folder / path for name, path in inputs.items()},

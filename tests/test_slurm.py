@@ -109,8 +109,10 @@ def test_a_killed_job_runs_again_with_more_time(both: Both) -> None:
     (killed,) = (job for job in submitted if job["state"] == "FAILED")
     told = [line for line in both.log.splitlines() if "  FAILED  " in line]
     assert [line.split()[0] for line in told] == ["motion"], told
+    assert "Killed" in told[0], told
     assert "failed:" not in both.log
     assert submitted[-1]["minutes"] > killed["minutes"]
+    assert submitted[-1]["memory_mb"] > killed["memory_mb"]
     assert all(job["cpus"] == CPUS for job in submitted)
 
 

@@ -61,7 +61,7 @@ def main(
     poses: Annotated[list[Path], In("tables of estimated poses, one per round, in order")],
     depth: Annotated[Path, In("inverse depth of the last round")],
     colmap: Annotated[list[Path], In("poses of the baseline, without and with our masks")],
-    motion: Annotated[Path, In("control/deformation.safetensors")],
+    deformation: Annotated[Path, In("control/deformation.safetensors")],
     model: Annotated[Path, In("Gaussians, model.safetensors")],
     half: Annotated[Path, In("the same in half precision")],
     renders: Annotated[Path, In("folder of rendered views, a folder per split")],
@@ -94,7 +94,7 @@ def main(
     write_rows(frames_table, [*image_frames, *mask_frames], FRAMES, {})
     grid = read_dense(depth), read_metadata(depth)["stride_px"]
     checks = score_geometry.score_geometry(frames, pairs, read_cameras(poses[-1]), *grid, own_masks[-1])
-    checks += score_models.model_rows(frames.name, len(frames.frames), motion, model, half)
+    checks += score_models.model_rows(frames.name, len(frames.frames), deformation, model, half)
     _log_rows("checks", checks)
     write_rows(checks_table, _with(inputs.truth, checks), CHECKS, {})
     return _result(poses_table, masks_table, images_table)

@@ -10,7 +10,7 @@ DEVICES = Path("/dev")
 def takes_gpu(device: str) -> bool:
     """Whether a stage with the option `device` ("auto", "cpu", "cuda") takes a GPU; "auto" as on this very machine.
 
-    As `gaussians.rasterize.choose_device` decides, auto takes CUDA where it and gsplat are there. A machine that only
+    As `splatting.rasterize.choose_device` decides, auto takes CUDA where it and gsplat are there. A machine that only
     plans for others, such as the login node of a cluster, may have none: there `cuda` must be chosen.
     """
     if device != "auto":

@@ -25,7 +25,7 @@ rule ba:
         flags=flags("ba"),
         optional=optional_flags("masks", "previous_poses"),
     shell:
-        "python -m stages.ba --sequence {input.sequence:q} --flow {input.flow:q}"
+        "{{ python -m stages.ba --sequence {input.sequence:q} --flow {input.flow:q}"
         " {params.optional} --poses {output.poses:q} --trajectory {output.trajectory:q} --depth {output.depth:q}"
         " --convergence {output.convergence:q} --figure {output.figure:q} {params.flags}"
-        " --log {log:q} --stats {output.stats:q} 2>> {log:q}"
+        " --log {log:q} --stats {output.stats:q}; }} 2>> {log:q}"

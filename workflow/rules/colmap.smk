@@ -18,11 +18,11 @@ rule colmap:
         flags=flags("colmap"),
         masks="",
     shell:
-        "OMP_NUM_THREADS=1 nice -n 19 python -m stages.colmap --sequence {input.sequence:q} --output {output.poses:q}"
-        " {params.masks} {params.flags} --log {log:q} --stats {output.stats:q} 2>> {log:q}"
+        "{{ OMP_NUM_THREADS=1 nice -n 19 python -m stages.colmap --sequence {input.sequence:q} --output {output.poses:q}"
+        " {params.masks} {params.flags} --log {log:q} --stats {output.stats:q}; }} 2>> {log:q}"
 
 
-# Apart from the rule above, which need not wait for the masks.
+# Apart from the rule above, which on one machine need not wait for the masks.
 use rule colmap as colmap_masked with:
     input:
         sequence=artifact("inspect", "sequence.json"),

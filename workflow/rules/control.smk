@@ -24,7 +24,7 @@ rule control:
         code=code_digest("stages.control"),
         flags=flags("control"),
     shell:
-        "python -m stages.control --sequence {input.sequence:q} --flow {input.flow:q} --masks {input.masks:q}"
+        "{{ python -m stages.control --sequence {input.sequence:q} --flow {input.flow:q} --masks {input.masks:q}"
         " --poses {input.poses:q} --depth {input.depth:q} --scene {input.scene:q} --points {output.points:q}"
         " --deformation {output.deformation:q} --figure {output.figure:q} {params.flags}"
-        " --log {log:q} --stats {output.stats:q} 2>> {log:q}"
+        " --log {log:q} --stats {output.stats:q}; }} 2>> {log:q}"

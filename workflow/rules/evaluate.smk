@@ -8,7 +8,7 @@ rule evaluate:
         depth=artifact("ba", "ba/depth.arrow"),
         colmap=artifact("colmap", "colmap/poses.parquet"),
         masked=masked_baseline("colmap_masked/poses.parquet"),
-        motion=artifact("control", "control/deformation.safetensors"),
+        deformation=artifact("control", "control/deformation.safetensors"),
         model=artifact("gaussians", "gaussians/model.safetensors"),
         half=artifact("gaussians", "gaussians/model_half.safetensors"),
         renders=artifact("render", "renders"),
@@ -39,11 +39,11 @@ rule evaluate:
         code=code_digest("stages.evaluate"),
         flags=flags("evaluate"),
     shell:
-        "python -m stages.evaluate --sequence {input.sequence:q} --flow {input.flow:q} --priors {input.priors:q}"
+        "{{ python -m stages.evaluate --sequence {input.sequence:q} --flow {input.flow:q} --priors {input.priors:q}"
         " --masks {input.masks:q} --poses {input.poses:q} --depth {input.depth:q} --colmap {input.colmap:q}"
-        " {input.masked:q} --motion {input.motion:q} --model {input.model:q} --half {input.half:q}"
+        " {input.masked:q} --deformation {input.deformation:q} --model {input.model:q} --half {input.half:q}"
         " --renders {input.renders:q} --stage-stats {input.stage_stats:q} {input.masked_stats:q}"
         " --poses-table {output.poses:q} --images-table {output.images:q} --masks-table {output.masks:q}"
         " --checks-table {output.checks:q} --time-table {output.time:q} --trajectory-table {output.trajectory:q}"
         " --frames-table {output.frames:q} --figure {output.figure:q} {params.flags}"
-        " --log {log:q} --stats {output.stats:q} 2>> {log:q}"
+        " --log {log:q} --stats {output.stats:q}; }} 2>> {log:q}"

@@ -18,5 +18,5 @@ rule flow:
         code=code_digest("stages.flow"),
         flags=flags("flow"),
     shell:
-        "python -m stages.flow --sequence {input.sequence:q} --output {output.flow:q}"
-        " --figure {output.figure:q} {params.flags} --log {log:q} --stats {output.stats:q} 2>> {log:q}"
+        "{{ python -m stages.flow --sequence {input.sequence:q} --output {output.flow:q}"
+        " --figure {output.figure:q} {params.flags} --log {log:q} --stats {output.stats:q}; }} 2>> {log:q}"

@@ -28,8 +28,8 @@ rule gaussians:
         code=code_digest("stages.gaussians"),
         flags=flags("gaussians"),
     shell:
-        "python -m stages.gaussians --sequence {input.sequence:q} --masks {input.masks:q} --poses {input.poses:q}"
+        "{{ python -m stages.gaussians --sequence {input.sequence:q} --masks {input.masks:q} --poses {input.poses:q}"
         " --depth {input.depth:q} --scene {input.scene:q} --points {input.points:q}"
         " --deformation {input.deformation:q} --ply {output.ply:q} --model {output.model:q} --half {output.half:q}"
         " --convergence {output.convergence:q} --figure {output.figure:q} {params.flags}"
-        " --log {log:q} --stats {output.stats:q} 2>> {log:q}"
+        " --log {log:q} --stats {output.stats:q}; }} 2>> {log:q}"

@@ -23,5 +23,5 @@ rule inspect:
         folder=frame_folder,
         flags=flags("inspect"),
     shell:
-        "python -m stages.inspect --frames {params.folder:q} --output {output.sequence:q}"
-        " --figure {output.figure:q} {params.flags} --log {log:q} --stats {output.stats:q} 2>> {log:q}"
+        "{{ python -m stages.inspect --frames {params.folder:q} --output {output.sequence:q}"
+        " --figure {output.figure:q} {params.flags} --log {log:q} --stats {output.stats:q}; }} 2>> {log:q}"

@@ -22,5 +22,5 @@ rule motion:
         flags=flags("motion"),
         previous=optional_flags("previous_poses", "previous_depth"),
     shell:
-        "python -m stages.motion --sequence {input.sequence:q} --flow {input.flow:q} {params.previous}"
-        " --output {output.prior:q} --figure {output.figure:q} {params.flags} --log {log:q} --stats {output.stats:q} 2>> {log:q}"
+        "{{ python -m stages.motion --sequence {input.sequence:q} --flow {input.flow:q} {params.previous}"
+        " --output {output.prior:q} --figure {output.figure:q} {params.flags} --log {log:q} --stats {output.stats:q}; }} 2>> {log:q}"

@@ -26,6 +26,6 @@ rule render:
         code=code_digest("stages.render"),
         flags=flags("render"),
     shell:
-        "python -m stages.render --sequence {input.sequence:q} --poses {input.poses:q}"
+        "{{ python -m stages.render --sequence {input.sequence:q} --poses {input.poses:q}"
         " --model {input.model:q} --output {output.renders:q} --video {output.video:q} {params.flags}"
-        " --log {log:q} --stats {output.stats:q} 2>> {log:q}"
+        " --log {log:q} --stats {output.stats:q}; }} 2>> {log:q}"

@@ -31,6 +31,6 @@ rule report:
             else ""
         ),
     shell:
-        "python -m stages.report --sequences {params.sequences:q} --published-numbers {input.published:q}"
+        "{{ python -m stages.report --sequences {params.sequences:q} --published-numbers {input.published:q}"
         " {params.manifests} {params.comparisons} --output {output.html:q} --tables {output.tables:q} {params.flags}"
-        " --log {log:q} 2>> {log:q}"
+        " --log {log:q}; }} 2>> {log:q}"

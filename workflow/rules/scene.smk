@@ -21,6 +21,6 @@ rule scene:
         code=code_digest("stages.scene"),
         flags=flags("scene"),
     shell:
-        "python -m stages.scene --sequence {input.sequence:q} --flow {input.flow:q} --masks {input.masks:q}"
+        "{{ python -m stages.scene --sequence {input.sequence:q} --flow {input.flow:q} --masks {input.masks:q}"
         " --poses {input.poses:q} --depth {input.depth:q} --output {output.scene:q} --figure {output.figure:q}"
-        " {params.flags} --log {log:q} --stats {output.stats:q} 2>> {log:q}"
+        " {params.flags} --log {log:q} --stats {output.stats:q}; }} 2>> {log:q}"

@@ -20,5 +20,5 @@ rule segment:
         code=code_digest("stages.segment"),
         flags=flags("segment"),
     shell:
-        "python -m stages.segment --sequence {input.sequence:q} --flow {input.flow:q} --prior {input.prior:q}"
-        " --output {output.masks:q} --figure {output.figure:q} {params.flags} --log {log:q} --stats {output.stats:q} 2>> {log:q}"
+        "{{ python -m stages.segment --sequence {input.sequence:q} --flow {input.flow:q} --prior {input.prior:q}"
+        " --output {output.masks:q} --figure {output.figure:q} {params.flags} --log {log:q} --stats {output.stats:q}; }} 2>> {log:q}"

@@ -17,5 +17,5 @@ rule simulate:
         code=code_digest("stages.simulate"),
         flags=flags("simulate"),
     shell:
-        "python -m stages.simulate --scene {input.scene:q} --output simulated {params.flags}"
-        " --log {log:q} --stats {output.stats:q} 2>> {log:q}"
+        "{{ python -m stages.simulate --scene {input.scene:q} --output simulated {params.flags}"
+        " --log {log:q} --stats {output.stats:q}; }} 2>> {log:q}"

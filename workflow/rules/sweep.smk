@@ -42,7 +42,7 @@ rule collect_sweep:
     params:
         code=code_digest("stages.comparisons.sweep"),
     shell:
-        "python -m stages.comparisons.sweep --runs {input.runs:q} --output {output.table:q} --log {log:q} 2>> {log:q}"
+        "{{ python -m stages.comparisons.sweep --runs {input.runs:q} --output {output.table:q} --log {log:q}; }} 2>> {log:q}"
 
 
 rule collect_scaling:
@@ -58,4 +58,4 @@ rule collect_scaling:
     params:
         code=code_digest("stages.comparisons.scaling"),
     shell:
-        "python -m stages.comparisons.scaling --runs {input.runs:q} --output {output.table:q} --log {log:q} 2>> {log:q}"
+        "{{ python -m stages.comparisons.scaling --runs {input.runs:q} --output {output.table:q} --log {log:q}; }} 2>> {log:q}"
