@@ -16,7 +16,7 @@ import numpy as np
 import torch
 
 from stages.deformation import arap, lbs_kernels, weight_kernels
-from stages.deformation.model import TableDeformation
+from stages.deformation.motion_models import TableDeformation
 from stages.gaussians import ssim_kernels
 from stages.gaussians.optimise import Trainer
 from stages.gaussians.options import GaussiansOptions
@@ -24,7 +24,7 @@ from stages.gaussians.training_frames import TrainingFrames
 from stages.shared.cameras import centred_intrinsics
 from stages.splatting import projection_kernels, raster_adjoint, raster_bins, raster_kernels
 from stages.splatting.colours import ColourTable
-from stages.splatting.model import Cloud, GaussianScene
+from stages.splatting.gaussian_model import Cloud, GaussianScene
 
 N, N_DYNAMIC, P, WIDTH, HEIGHT, F = 50_000, 5_000, 512, 512, 218, 4
 STEPS, WARM_UP = 30, 3

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from stages.deformation.model import TableDeformation
+from stages.deformation.motion_models import TableDeformation
 from stages.gaussians.training_frames import TrainingFrames
 from stages.shared.artifacts import write_dense, write_json
 from stages.shared.cameras import centred_intrinsics, make_cameras, pixel_grid, write_cameras

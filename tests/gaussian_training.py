@@ -4,11 +4,11 @@ import gaussian_scene as truth
 import numpy as np
 import torch
 
-from stages.gaussians.initialise import initial_cloud, near_plane_of
+from stages.gaussians.lifting import initial_cloud, near_plane_of
 from stages.gaussians.optimise import Trainer
 from stages.gaussians.options import GaussiansOptions
 from stages.gaussians.training_frames import TrainingFrames
-from stages.splatting.model import GaussianScene
+from stages.splatting.gaussian_model import GaussianScene
 
 TRAIN = [k for k in range(truth.T) if k != 4]
 CANONICAL = TRAIN.index(truth.T // 2)

@@ -14,8 +14,8 @@ from square_inputs import write_inputs
 from stages.control import __main__ as control_stage
 from stages.control.options import ControlOptions
 from stages.deformation import arap
-from stages.deformation.model import Deformation, MLPDeformation, TableDeformation
-from stages.deformation.storage import (
+from stages.deformation.motion_models import Deformation, MLPDeformation, TableDeformation
+from stages.deformation.point_files import (
     deformation_from_tensors,
     deformation_tensors,
     load_deformation,

@@ -10,7 +10,7 @@ from stages.control import adapt, fitting, stage1
 from stages.control.options import ControlOptions
 from stages.control.sightings import Sightings
 from stages.deformation import lbs
-from stages.deformation.model import Deformation, TableDeformation
+from stages.deformation.motion_models import Deformation, TableDeformation
 from stages.shared.cameras import centred_intrinsics, make_cameras, project, unproject
 from stages.shared.split import SplitOptions, held_out
 

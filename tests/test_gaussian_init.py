@@ -6,10 +6,10 @@ import pytest
 import torch
 from gaussian_training import CANONICAL, TRAIN, image_at, new_scene, psnr
 
-from stages.gaussians.initialise import cloud_within, dynamic_share, initial_cloud, lift, near_plane_of
+from stages.gaussians.lifting import cloud_within, dynamic_share, initial_cloud, lift, near_plane_of
 from stages.gaussians.skinning import skin, to_canonical
 from stages.gaussians.training_frames import dense_depth, nearest_on_frame, with_movers
-from stages.splatting.model import GaussianScene
+from stages.splatting.gaussian_model import GaussianScene
 
 
 def test_static_gaussians_never_move_and_labels_are_right() -> None:

@@ -10,8 +10,8 @@ from gaussian_training import TRAIN, new_scene, psnr
 from stages.gaussians.optimise import Trainer
 from stages.gaussians.options import GaussiansOptions
 from stages.shared import lie
+from stages.splatting.model_files import scene_from_tensors, scene_tensors
 from stages.splatting.pose_table import PoseTable
-from stages.splatting.storage import scene_from_tensors, scene_tensors
 
 
 def corrections() -> PoseTable:

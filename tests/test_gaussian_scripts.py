@@ -12,7 +12,7 @@ from PIL import Image
 
 from stages.control import __main__ as control_stage
 from stages.control.options import ControlOptions
-from stages.deformation.storage import save_deformation, save_points
+from stages.deformation.point_files import save_deformation, save_points
 from stages.gaussians import __main__ as gaussians_stage
 from stages.gaussians import checkpoint
 from stages.gaussians.checkpoint import Checkpoint

@@ -12,16 +12,16 @@ from scipy.ndimage import binary_dilation
 
 from stages.gaussians import checkpoint, optimise
 from stages.gaussians.densify import densify
-from stages.gaussians.initialise import initial_cloud
+from stages.gaussians.lifting import initial_cloud
 from stages.gaussians.optimise import Trainer
 from stages.gaussians.options import GaussiansOptions
 from stages.gaussians.training_frames import TrainingFrames
 from stages.shared.artifacts import read_metadata, read_model, write_model
 from stages.splatting.colours import ColourTable
 from stages.splatting.gains import Exposure
-from stages.splatting.model import Cloud, GaussianScene
+from stages.splatting.gaussian_model import Cloud, GaussianScene
+from stages.splatting.model_files import halved, scene_from_tensors, scene_tensors
 from stages.splatting.pose_table import PoseTable
-from stages.splatting.storage import halved, scene_from_tensors, scene_tensors
 
 
 def test_held_out_frame_is_rendered_and_the_mover_needs_its_motion() -> None:

@@ -38,7 +38,7 @@ def main(
     """
     from stages.control import stage1
     from stages.control.figure import trajectories
-    from stages.deformation.storage import save_deformation, save_points
+    from stages.deformation.point_files import save_deformation, save_points
 
     content, cameras, decision = read_sequence(sequence), read_cameras(poses), read_json(scene)
     failed = "failed" in cameras.status

@@ -6,7 +6,7 @@ from torch import Tensor
 
 from stages.control.canonical import kernel_radii
 from stages.deformation import lbs
-from stages.deformation.model import TableDeformation
+from stages.deformation.motion_models import TableDeformation
 
 
 def weighted_gradient(weights: Tensor, index: Tensor, gradients: Tensor, P: int) -> Tensor:

@@ -3,7 +3,7 @@
 import torch
 from torch.nn.functional import mse_loss
 
-from stages.deformation.model import MLPDeformation, TableDeformation
+from stages.deformation.motion_models import MLPDeformation, TableDeformation
 from stages.shared.log import progress
 
 STEPS = 1000

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import torch
 
-from stages.deformation.model import Deformation
+from stages.deformation.motion_models import Deformation
 from stages.shared import drawing, images
 from stages.shared.cameras import Cameras, grid_from_frame, project
 from stages.shared.sequences import Sequence

@@ -12,7 +12,7 @@ from torch import Tensor
 from torch.nn.functional import smooth_l1_loss
 
 from stages.deformation import lbs
-from stages.deformation.model import Deformation, TableDeformation
+from stages.deformation.motion_models import Deformation, TableDeformation
 from stages.shared.log import progress
 
 NEIGHBOURS = 4

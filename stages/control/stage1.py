@@ -11,7 +11,7 @@ from stages.control.fitting import NEIGHBOURS, TrackPositions
 from stages.control.options import ControlOptions
 from stages.control.sightings import Sightings
 from stages.deformation import lbs
-from stages.deformation.model import Deformation, MLPDeformation, TableDeformation
+from stages.deformation.motion_models import Deformation, MLPDeformation, TableDeformation
 from stages.shared.cameras import Cameras
 from stages.shared.log import logger
 

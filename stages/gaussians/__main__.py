@@ -14,11 +14,11 @@ from stages.shared.cli import In, Out
 from stages.shared.log import logger
 
 if TYPE_CHECKING:
-    from stages.deformation.model import Deformation
+    from stages.deformation.motion_models import Deformation
     from stages.gaussians.training_frames import TrainingFrames
     from stages.splatting.colours import ColourTable
     from stages.splatting.gains import Exposure
-    from stages.splatting.model import GaussianScene
+    from stages.splatting.gaussian_model import GaussianScene
     from stages.splatting.pose_table import PoseTable
 
 
@@ -72,8 +72,8 @@ def _write_models(
     paths: tuple[Path, Path, Path], scene: "GaussianScene", seen: "TrainingFrames", about: dict[str, Any]
 ) -> None:
     """Canonical splats, the whole model, and the same in half precision."""
+    from stages.splatting.model_files import scene_tensors
     from stages.splatting.ply import write_ply
-    from stages.splatting.storage import scene_tensors
 
     ply, model, half = paths
     tensors, settings = scene_tensors(scene)
@@ -87,7 +87,7 @@ def _write_models(
 def _write_half(path: Path, scene: "GaussianScene", seen: "TrainingFrames", settings: dict[str, Any]) -> None:
     """The scene in half precision, with the PSNR of training frames and what of it the precision costs."""
     from stages.gaussians.optimise import training_psnr
-    from stages.splatting.storage import halved, scene_from_tensors, scene_tensors
+    from stages.splatting.model_files import halved, scene_from_tensors, scene_tensors
 
     tensors, small_settings = halved(scene_tensors(scene)[0], settings)
     small = scene_from_tensors(tensors, small_settings).to(scene.background.device)
@@ -102,7 +102,7 @@ def _with_motion(
     seen: "TrainingFrames", needs: dict[str, Any], sequence: Path, points: Path, deformation: Path
 ) -> tuple["TrainingFrames", "Deformation | None", int]:
     """The observations with the movers' depth, the motion (None: nothing moves), and the row of the canonical frame."""
-    from stages.deformation.storage import load_deformation
+    from stages.deformation.point_files import load_deformation
     from stages.gaussians.inputs import canonical_row
     from stages.gaussians.training_frames import with_movers
 
@@ -129,8 +129,8 @@ def _new_scene(
     """The untrained scene with what scene.json calls for."""
     import torch
 
-    from stages.gaussians.initialise import cloud_within, near_plane_of
-    from stages.splatting.model import GaussianScene
+    from stages.gaussians.lifting import cloud_within, near_plane_of
+    from stages.splatting.gaussian_model import GaussianScene
     from stages.splatting.rasterize import backend_name, choose_device
 
     device, neighbours = choose_device(options.device), options.neighbours

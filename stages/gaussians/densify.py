@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from stages.shared import quaternions
-from stages.splatting.model import Cloud
+from stages.splatting.gaussian_model import Cloud
 
 MIN_OPACITY = 0.01
 """Below this opacity a Gaussian changes no pixel visibly."""

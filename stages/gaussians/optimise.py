@@ -15,7 +15,7 @@ from stages.gaussians.training_frames import TrainingFrames
 from stages.shared.drawing import spread
 from stages.shared.log import progress
 from stages.shared.psnr import psnr_db
-from stages.splatting.model import GaussianScene
+from stages.splatting.gaussian_model import GaussianScene
 
 LEARNING_RATES = {
     "offsets": 0.18,

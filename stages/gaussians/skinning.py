@@ -5,7 +5,7 @@ import torch
 from torch import Tensor
 
 from stages.deformation.lbs import blend, inverse_blend, lbs_weights, neighbours
-from stages.deformation.model import Deformation
+from stages.deformation.motion_models import Deformation
 
 MAX_ERROR = 0.5
 """The inverse is accepted if skinning takes it this close to the point, in median kernel radii."""

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from scipy.spatial import cKDTree
 
-from stages.deformation.model import Deformation
+from stages.deformation.motion_models import Deformation
 from stages.shared.cameras import frame_from_grid, grid_from_frame, project, unproject
 
 COLOUR_STD = 0.06

@@ -31,7 +31,7 @@ def main(
     from stages.render.video import write_gif
     from stages.shared.artifacts import atomic_folder
     from stages.shared.images import write_image
-    from stages.splatting.storage import write_splats
+    from stages.splatting.model_files import write_splats
 
     content, cameras = read_sequence(sequence), read_cameras(poses)
     shots = planned_shots(content, cameras, float(read_metadata(model)["median_depth"]), options)

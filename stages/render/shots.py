@@ -17,9 +17,9 @@ from stages.shared.images import to_uint8
 from stages.shared.log import logger
 from stages.shared.sequences import Sequence
 from stages.shared.split import frame_times, held_out
-from stages.splatting.model import GaussianScene
+from stages.splatting.gaussian_model import GaussianScene
+from stages.splatting.model_files import scene_from_tensors
 from stages.splatting.rasterize import backend_name, choose_device
-from stages.splatting.storage import scene_from_tensors
 
 
 @dataclass(frozen=True)

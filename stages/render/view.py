@@ -28,7 +28,7 @@ def main(
     from stages.shared.cameras import read_cameras
     from stages.shared.images import write_image
     from stages.shared.split import frame_times
-    from stages.splatting.storage import write_splats
+    from stages.splatting.model_files import write_splats
 
     eyes, settings = read_cameras(cameras), read_metadata(model)
     with complete(model, "a model of the Gaussians", "give gaussians/model.safetensors"):

@@ -10,7 +10,7 @@ import yaml
 from stages.comparisons import made_under
 from stages.evaluate import pose_diagnostics
 from stages.report import overview, provenance, tradeoff_report
-from stages.report.effects import decision_rows, simulation_rows
+from stages.report.effect_tables import decision_rows, simulation_rows
 from stages.report.options import ReportOptions
 from stages.report.overview import Group
 from stages.report.sections import Section, build_section

@@ -10,7 +10,7 @@ from stages.control.options import ControlOptions
 from stages.control.sightings import Sightings
 from stages.deformation import arap, lbs
 from stages.deformation.arap_kernels import best_rotations
-from stages.deformation.model import MLPDeformation, TableDeformation
+from stages.deformation.motion_models import MLPDeformation, TableDeformation
 from stages.shared.cameras import centred_intrinsics, make_cameras, project
 
 DOUBLE = torch.float64

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from stages.control import canonical
 from stages.deformation import lbs
-from stages.deformation.model import TableDeformation
+from stages.deformation.motion_models import TableDeformation
 from stages.shared import quaternions
 
 DOUBLE = torch.float64

@@ -9,12 +9,12 @@ import torch
 from gaussian_training import CANONICAL, TRAIN, psnr
 
 from stages.gaussians.densify import densify, select
-from stages.gaussians.initialise import initial_cloud, near_plane_of
+from stages.gaussians.lifting import initial_cloud, near_plane_of
 from stages.gaussians.optimise import Trainer
 from stages.gaussians.options import GaussiansOptions
 from stages.gaussians.training_frames import TrainingFrames, with_movers
 from stages.splatting.colours import ColourTable
-from stages.splatting.model import GaussianScene
+from stages.splatting.gaussian_model import GaussianScene
 
 OPTIONS = GaussiansOptions(steps=12, stride_px=4)
 

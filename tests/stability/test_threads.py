@@ -14,10 +14,10 @@ from synthetic import flow_arrays, make_scene
 
 from stages.ba.__main__ import main as solve
 from stages.ba.options import BAOptions
+from stages.deformation.point_files import save_deformation, save_points
 from stages.deformation.splines import at_times
-from stages.deformation.storage import save_deformation, save_points
 from stages.shared.artifacts import read_metadata, read_model, read_table
-from stages.splatting.model import Cloud, GaussianScene
+from stages.splatting.gaussian_model import Cloud, GaussianScene
 
 THREADS = (1, 2, 4)
 

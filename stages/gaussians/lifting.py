@@ -6,12 +6,12 @@ import cv2
 import numpy as np
 import torch
 
-from stages.deformation.model import Deformation
+from stages.deformation.motion_models import Deformation
 from stages.gaussians.skinning import skin, to_canonical
 from stages.gaussians.training_frames import TrainingFrames
 from stages.shared.cameras import project, unproject
 from stages.splatting import sh
-from stages.splatting.model import Cloud
+from stages.splatting.gaussian_model import Cloud
 from stages.splatting.rasterize import rasterize
 
 LIFTED_FRAMES = 8

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from stages.deformation.model import Deformation, MLPDeformation, TableDeformation
+from stages.deformation.motion_models import Deformation, MLPDeformation, TableDeformation
 from stages.shared.artifacts import read_model, read_table, refuse_infinite, write_model, write_table
 
 

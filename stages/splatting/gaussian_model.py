@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from stages.deformation.lbs import blend, lbs_weights, neighbours
-from stages.deformation.model import Deformation
+from stages.deformation.motion_models import Deformation
 from stages.shared.torch_threads import one_torch_thread
 from stages.splatting.colours import ColourTable
 from stages.splatting.gains import Exposure

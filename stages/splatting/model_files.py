@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import torch
 
-from stages.deformation.storage import deformation_from_tensors, deformation_tensors
+from stages.deformation.point_files import deformation_from_tensors, deformation_tensors
 from stages.splatting.colours import ColourTable
 from stages.splatting.gains import Exposure
-from stages.splatting.model import Cloud, GaussianScene
+from stages.splatting.gaussian_model import Cloud, GaussianScene
 from stages.splatting.ply import write_ply
 from stages.splatting.pose_table import PoseTable
 
