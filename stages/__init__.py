@@ -8,7 +8,7 @@ from pathlib import Path
 START_S = time.perf_counter()
 """When this process began its stage; the reported seconds include the imports."""
 KERNEL_TYPES = 2
-"""Raise it when a named tuple that kernels take is renamed or moved. Numba unpickles the index of its compiled code,
+"""Raise it when a named tuple that kernels take is renamed or moved. Numba reads the index of its compiled code,
 with these types in it, before it compares the age of the source: an index that holds an old name is an error."""
 
 # Read once, when libgomp and OpenBLAS load, hence before numpy or torch:

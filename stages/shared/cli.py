@@ -53,7 +53,7 @@ def run(main: Callable[..., str | None], argv: Sequence[str] | None = None) -> N
     from where the terminal shows it. Exit codes: 0 done, 2 bad input (one line), 130 interrupted, 1 a bug of ours.
     """
     stage = _module_name(main).removeprefix("stages.")
-    faulthandler.enable()  # a crash in compiled code leaves its stack in the log
+    faulthandler.enable(2)  # a crash in compiled code leaves its stack in the log
     flags, model = _signature(main)
     parser = _parser(main, flags, model)
     arguments = vars(parser.parse_args(argv))
