@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from stages.deformation import arap, lbs_kernels, weight_kernels
+from stages.deformation import lbs_kernels, motion_models, weight_kernels
 from stages.deformation.motion_models import TableDeformation
 from stages.gaussians import ssim_kernels
 from stages.gaussians.optimise import Trainer
@@ -45,7 +45,7 @@ PARTS: dict[str, list[tuple[Any, str]]] = {
         for suffix in ("", "_adjoint")
     ],
     "SSIM with gradient": [(ssim_kernels, name) for name in ("products", "blur", "similarity", "assemble")],
-    "ARAP, forward": [(arap, "arap_energy"), (arap, "arap_graph")],
+    "ARAP, forward": [(motion_models, "arap_energy"), (motion_models, "arap_graph")],
     "Adam": [(torch.optim.Adam, "step")],
 }
 
