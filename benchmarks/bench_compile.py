@@ -21,6 +21,8 @@ from typing import Any
 
 import yaml
 
+from stages.shared.chain import AFTER, BEFORE, REPEATED
+
 REPO = Path(__file__).parents[1]
 FRAMES = 5
 GATE_S = 70.0
@@ -42,7 +44,18 @@ def stage_commands(folder: Path) -> list[list[str]]:
     command = [sys.executable, "-m", "snakemake", "-s", str(REPO / "Snakefile"), "--directory", str(folder)]
     command += ["--cores", str(os.cpu_count()), "--dry-run", "--printshellcmds", "--configfile", "mine.yaml"]
     plan = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True)
-    return [shlex.split(line) for line in re.findall(r"python -m (stages\..*?) 2>>", plan.stdout + plan.stderr)]
+    commands = re.findall(r"python -m (stages\..*?); } 2>>", plan.stdout + plan.stderr)
+    return sorted(map(shlex.split, commands), key=_when)
+
+
+def _when(command: list[str]) -> tuple[int, int, int]:
+    """Where a stage stands in the run: a dry run lists the jobs of a group by name."""
+    stage = command[0].removeprefix("stages.")
+    if stage in REPEATED:
+        number = re.search(r"/round(\d+)/", command[command.index("--stats") + 1])
+        return 1, int(number[1]) if number else sys.maxsize, REPEATED.index(stage)
+    before, after = ("simulate", *BEFORE), (*AFTER[:-1], "colmap", AFTER[-1], "report")
+    return (0, 0, before.index(stage)) if stage in before else (2, 0, after.index(stage))
 
 
 def run_recorded(record: Path, module: str, *flags: str) -> None:
