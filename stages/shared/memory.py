@@ -2,8 +2,9 @@
 
 Coefficients are fitted to the peaks (`peak_mb`) in the time files of 35 library scenes (14 to 200 frames of 512 x 218
 px, preset fast), of a real clip (24 frames of 854 x 480 px, and the same enlarged to 1920 x 1080) and, for `flow` and
-`motion`, of 30 to 300 frames of 1920 x 1080 px. Those of `evaluate` and `colmap` rest on small frames
-alone; `simulate` and `report`, which read no sequence, have a constant.
+`motion`, of 30 to 300 frames of 1920 x 1080 px. Those of `evaluate` and `colmap` rest on small frames alone. The bases
+of `motion` and `gaussians` leave room for a process that compiles its kernels. `simulate` and `report`, which read no
+sequence, have a constant.
 """
 
 from dataclasses import dataclass
