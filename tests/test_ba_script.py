@@ -68,6 +68,26 @@ def test_a_round_is_held_against_the_one_before(artifacts: dict[str, Path], tmp_
     assert metadata["flags"] == []
 
 
+def test_results_are_carried_over_only_where_the_static_area_is_the_same(
+    artifacts: dict[str, Path], tmp_path: Path
+) -> None:
+    options, (one, two, three) = BAOptions(stride_px=4), (outputs(tmp_path / name) for name in ("one", "two", "three"))
+    main(**artifacts, **one, options=options)
+    write_cameras(one["poses"], read_cameras(one["poses"]), read_metadata(one["poses"]) | {"flags": ["carried"]})
+    before = {f"previous_{name}": one[name] for name in ("poses", "depth", "convergence", "figure")}
+    shutil.copytree(artifacts["masks"], masks := tmp_path / "masks before")
+    assert "unchanged" in main(**artifacts, **two, options=options, **before, previous_masks=masks)
+    for name in ("poses", "depth", "convergence", "figure"):
+        assert two[name].read_bytes() == one[name].read_bytes()
+    assert_allclose(np.loadtxt(two["trajectory"]), np.loadtxt(one["trajectory"]), atol=1e-12)
+    for k in (1, 2):
+        write_image(masks / f"frame_{k:04d}.png", np.zeros((64, 96), bool))
+    assert "focal length" in main(**artifacts, **three, options=options, **before, previous_masks=masks)
+    assert "carried" not in read_metadata(three["poses"])["flags"]
+    with pytest.raises(InputError, match="give all or none"):
+        main(**artifacts, **two, options=options, previous_masks=artifacts["masks"])
+
+
 @pytest.mark.parametrize(("wrong", "trusted"), [([], range(6)), ([2, 4], [0, 1, 3, 5]), (range(6), [])])
 def test_it_is_said_of_which_frames_the_masks_are_not_believed(
     artifacts: dict[str, Path], tmp_path: Path, wrong: list[int], trusted: list[int]

@@ -1,4 +1,4 @@
-"""Mask refinement: edges, votes along the flow, hysteresis, and what the script writes."""
+"""Mask refinement: edges, specks, instances, and what the script writes."""
 
 from pathlib import Path
 
@@ -9,7 +9,7 @@ from conftest import write_frames
 
 from stages.segment import __main__ as segment_stage
 from stages.segment.options import SegmentOptions
-from stages.segment.refinement import smooth_along_edges, to_mask, vote
+from stages.segment.refinement import guarded_threshold, smooth_along_edges, to_instances, to_mask
 from stages.shared.artifacts import read_json, write_dense, write_json
 from stages.shared.errors import InputError
 from stages.shared.images import read_mask, write_image
@@ -37,20 +37,10 @@ def test_masks_follow_colour_edges() -> None:
     halo = cv2.dilate(disc.astype(np.float32), np.ones((11, 11)))
     prior = cv2.resize(cv2.GaussianBlur(halo, (0, 0), 3), (60, 40), interpolation=cv2.INTER_AREA)
     smoothed = smooth_along_edges(prior, rgb, 1000.0, 3.0)
-    mask = to_mask(smoothed, OPTIONS.high, OPTIONS.low, OPTIONS.min_area)
+    mask = to_mask(smoothed, 0.5, OPTIONS.min_area)
     naive = cv2.resize(prior, (120, 80)) > 0.5
     assert overlap(naive, disc) < 0.75
     assert overlap(mask, disc) > 0.95
-
-
-def test_hysteresis_extends_sure_regions_and_drops_unsure_ones() -> None:
-    probability = np.zeros((60, 60), np.float32)
-    probability[5:25, 5:25] = 0.5
-    probability[10, 10] = 0.9
-    probability[35:55, 35:55] = 0.5
-    mask = to_mask(probability, high=0.7, low=0.4, min_area=0.0)
-    assert mask[5:25, 5:25].all()
-    assert mask.sum() == 400
 
 
 def test_specks_go_and_small_holes_close() -> None:
@@ -58,22 +48,29 @@ def test_specks_go_and_small_holes_close() -> None:
     probability[20:60, 20:60] = 1.0
     probability[40:42, 40:42] = 0.0
     probability[80:82, 80:82] = 1.0
-    mask = to_mask(probability, high=0.7, low=0.4, min_area=1e-3)
+    mask = to_mask(probability, threshold=0.5, min_area=1e-3)
     assert mask[20:60, 20:60].all()
     assert mask.sum() == 1600
 
 
-def test_neighbouring_frames_outvote_a_miss_along_the_flow() -> None:
-    """The object moves 6 px per frame; the middle frame missed it, and a vote in place would smear it."""
-    probability = np.zeros((3, 40, 60), np.float32)
-    probability[0, 10:30, 10:26] = 1
-    probability[2, 10:30, 22:38] = 1
-    edges = {(1, 0): 0, (1, 2): 1}
-    flow = np.stack([np.full((40, 60, 2), (step, 0), np.float32) for step in (-6, 6)])
-    voted = vote(probability, edges, flow, np.ones((2, 40, 60), np.float32))
-    expected = np.zeros((40, 60), bool)
-    expected[10:30, 16:32] = True
-    np.testing.assert_array_equal(voted[1] > 0.5, expected)
+def test_a_mask_over_nearly_the_whole_frame_keeps_its_surest_part() -> None:
+    sureness = np.linspace(0.4, 1, 10_000).reshape(100, 100)
+    threshold = guarded_threshold(sureness, 0.5, max_share=0.6)
+    assert (sureness > threshold).mean() == pytest.approx(0.6, abs=0.001)
+    assert guarded_threshold(sureness, 0.9, max_share=0.6) == 0.9
+
+
+def test_pixels_of_a_mask_take_the_nearest_instance() -> None:
+    numbers = np.zeros((20, 30), int)
+    numbers[5:10, 3:8], numbers[5:10, 20:25] = 2, 7
+    mask = np.zeros((40, 60), bool)
+    mask[8:22, 2:58] = True
+    found = to_instances(mask, numbers)
+    assert found.dtype == np.uint16
+    assert (found[~mask] == 0).all()
+    assert (found[8:22, 2:24] == 2).all()
+    assert (found[8:22, 34:58] == 7).all()
+    assert not to_instances(mask, np.zeros((20, 30), int)).any()
 
 
 @pytest.fixture
@@ -90,6 +87,7 @@ def moving_disc(tmp_path: Path) -> tuple[Path, Path, Path, np.ndarray]:
     write_dense(tmp_path / "pairs.arrow", columns, {"width": 60, "height": 40, "scale": 0.5})
     prior = cv2.resize(disc.astype(np.float32), (60, 40), interpolation=cv2.INTER_AREA)
     columns = {"frame": np.array([7, 8, 9]), "probability": np.stack([prior] * 3).astype(np.float16)}
+    columns["weight"] = np.ones((3, 40, 60), np.float16)
     write_dense(tmp_path / "prior.arrow", columns)
     return tmp_path / "sequence.json", tmp_path / "pairs.arrow", tmp_path / "prior.arrow", disc
 
@@ -105,6 +103,12 @@ def test_script_writes_full_size_masks_by_frame_number(moving_disc: tuple[Path, 
     facts = read_json(tmp_path / "masks" / "masks.json")
     assert facts["dynamic_share"]["8"] == pytest.approx(mask.mean())
     assert facts["guarded"] == []
+    instances = cv2.imread(str(tmp_path / "masks/instances/frame_0008.png"), cv2.IMREAD_UNCHANGED)
+    assert instances.dtype == np.uint16
+    np.testing.assert_array_equal(instances, mask.astype(np.uint16))
+    seen = facts["instances"]["1"]
+    assert (seen["first_frame"], seen["last_frame"], seen["frames"]) == (7, 9, 3)
+    assert seen["pixels"] == pytest.approx(mask.sum(), rel=0.1)
 
 
 def with_true_mask(sequence: Path, frames: list[int]) -> np.ndarray:

@@ -19,9 +19,10 @@ from stages.shared.sequences import Sequence
 
 SWEEP: dict[str, Any] = {
     "presets": ["fast", "balanced"],
-    "knobs": {"ba.stride_px": [4, 16], "rounds": [1, 3], "gaussians.steps": [5]},
+    "knobs": {"ba.stride_px": [4, 16], "rounds": [1, 4], "gaussians.steps": [5]},
     "runs": {"claims": {"static only": {"scene.dynamic": "no"}, "left out": None}, "none": None},
 }
+WITHOUT_FIRST = {"first_masks": "none", "rounds": 2}
 
 
 def homes(stage: str, number: int = 0, **raw: Any) -> dict[str, str]:
@@ -78,24 +79,25 @@ def test_stages_before_the_first_difference_are_shared() -> None:
 def test_the_configured_value_stands_in_every_series_and_is_not_run_again() -> None:
     evaluated = homes("evaluate")
     assert {name for name, home in evaluated.items() if home == ""} == {
-        *("balanced", "ba.stride_px=8", "rounds=2", "gaussians.steps=1000")
+        *("balanced", "ba.stride_px=8", "rounds=3", "gaussians.steps=1000")
     }
     assert "left out" not in evaluated
 
 
 def test_rounds_in_common_are_shared() -> None:
     assert homes("ba", 1)["rounds=1"] == "round1/"
-    assert homes("ba", 1)["rounds=3"] == "round1/"
-    assert homes("ba", 2)["rounds=3"] == ""  # the last round of the configured run has no prefix
-    assert homes("ba", 3)["rounds=3"] == "settings/rounds=3/"
+    assert homes("ba", 1)["rounds=4"] == "round1/"
+    assert homes("ba", 2)["rounds=4"] == "round2/"
+    assert homes("ba", 3)["rounds=4"] == ""  # the last round of the configured run has no prefix
+    assert homes("ba", 4)["rounds=4"] == "settings/rounds=4/"
     assert homes("scene")["rounds=1"] == "settings/rounds=1/"
     assert homes("motion", 1)["ba.stride_px=4"] == "round1/"  # the first prior knows no adjustment
-    assert homes("motion", 2)["ba.stride_px=4"] == "settings/ba.stride_px=4/"
+    assert homes("motion", 2)["ba.stride_px=4"] == "settings/ba.stride_px=4/round2/"
 
 
 def test_the_first_round_may_go_without_masks() -> None:
     """Then its poses depend on flow alone: no change of masks is a reason to find them again."""
-    runs = {"a": {"none": {"first_masks": "none"}, "smooth": {"first_masks": "none", "segment.smoothness": 5}}}
+    runs = {"a": {"none": WITHOUT_FIRST, "smooth": WITHOUT_FIRST | {"segment.smoothness": 5}}}
     (plain, smooth), _ = settings.compared({"sweep": {"runs": runs, "presets": [], "knobs": {}}})
     assert list(plan.rounds_of(plain, "motion")) == list(plan.rounds_of(plain, "segment")) == [2]
     assert list(plan.rounds_of(plain, "ba")) == [1, 2]

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import cv2
 import numpy as np
 
-from stages.ba import cuts, dba, diagnostics, figure, from_truth
+from stages.ba import cuts, dba, diagnostics, figure, from_truth, rounds
 from stages.ba.depth import DepthMaps, depth_maps
 from stages.ba.estimate import Estimate, Problem
 from stages.ba.graph import (
@@ -58,8 +58,15 @@ def main(
     options: BAOptions,
     masks: Annotated[Path | None, In("folder of dynamic masks, 255 = dynamic")] = None,
     previous_poses: Annotated[Path | None, In("poses.parquet of the round before")] = None,
+    previous_depth: Annotated[Path | None, In("depth.arrow of the round before")] = None,
+    previous_convergence: Annotated[Path | None, In("convergence.parquet of the round before")] = None,
+    previous_figure: Annotated[Path | None, In("picture of the round before")] = None,
+    previous_masks: Annotated[Path | None, In("masks of the round before")] = None,
 ) -> str:
     """Estimate camera poses, one shared focal length and depth from flow and masks.
+
+    With the masks and all results of the round before, nothing is estimated where the static area is still the same:
+    these results are carried over.
 
     Masks that leave too little static area, or a worse path, are ignored: `masks_trusted` in poses.parquet is false for
     these frames, and later stages follow it. A camera that only rotates, or hardly moves, is detected and solved with
@@ -68,8 +75,12 @@ def main(
     """
     frames = read_sequence(sequence)
     matches = _read_matches(flow, len(frames.numbers), options)
+    areas = static_areas(_read_masks(masks, frames), *matches.size)
+    if previous_masks and rounds.is_same(areas, static_areas(_read_masks(previous_masks, frames), *matches.size)):
+        before = previous_poses, previous_depth, previous_convergence, previous_figure
+        return rounds.carry_over(frames.name, before, (poses, depth, convergence, figure), trajectory)
     centre, known_focal_px = _known_intrinsics(frames, matches, options)
-    static, ignored = trusted_static_areas(static_areas(_read_masks(masks, frames), *matches.size))
+    static, ignored = trusted_static_areas(areas)
     everything = with_texture(matches.graph(options.stride_px, centre), _read_texture(frames, matches.size))
     graph = mask_graph(everything, static)
     previous = _previous(previous_poses, matches.scale)

@@ -36,7 +36,12 @@ class Config(Options):
     pass_: Literal["clean", "final"] = Field("final", alias="pass", description="which MPI-Sintel pass to read")
     sequences: Literal["all"] | list[str] = Field("all", description="'all' or a list of names within the dataset")
     preset: Preset = Field("balanced", description="fast, balanced or accurate; your own values win over the preset's")
-    rounds: int = Field(2, ge=1, le=5, description="how often motion, masks and poses are estimated in turn")
+    rounds: int = Field(
+        3,
+        ge=1,
+        le=5,
+        description="how often motion, masks and poses are estimated in turn; poses only where masks have changed",
+    )
     first_masks: Literal["flow", "none"] = Field(
         "flow", description="masks of the first of several rounds: from flow alone, or none, which saves their time"
     )

@@ -20,7 +20,7 @@ PRESETS: dict[Preset, Overrides] = {
     },
     "balanced": {},
     "accurate": {
-        "rounds": 3,
+        "rounds": 4,
         "ba.stride_px": 4,
         "control.steps": 1000,
         "gaussians.steps": 2000,

@@ -29,7 +29,9 @@ Two-view geometry absorbs part of every motion, so the threshold without cameras
 def main(
     sequence: Annotated[Path, In("sequence.json of the input check")],
     flow: Annotated[Path, In("flow/pairs.arrow")],
-    output: Annotated[Path, Out("prior.arrow: probability of motion per frame and pixel")],
+    output: Annotated[
+        Path, Out("prior.arrow: probability of motion and the weight of its evidence, per frame and pixel")
+    ],
     figure: Annotated[Path, Out("picture for the report: frames and their prior")],
     options: MotionOptions,
     previous_poses: Annotated[Path | None, In("poses.parquet of the round before")] = None,
@@ -59,6 +61,7 @@ def main(
     facts |= {"moving_share": float((probability > 0.5).mean())}
     logger.info("%s: %s", frames.name, facts)
     columns = {"frame": np.array(frames.numbers), "probability": probability.astype(np.float16)}
+    columns["weight"] = evidence.weight.astype(np.float16)
     write_dense(output, columns, {"units": "probability", **facts, "options": options.model_dump(mode="json")})
     write_figure(figure, _picture(rgb, probability))
     return f"{facts['moving_share']:.1%} of the pixels seem to move"

@@ -7,7 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from stages.shared.drawing import contact_sheet, overlay_mask, scalar_to_rgb, spread
+from stages.shared.drawing import contact_sheet, overlay_instances, scalar_to_rgb, spread
 
 ATTEMPTS = ((65, 1.0), (50, 1.0), (35, 1.0), (35, 0.7), (25, 0.5), (15, 0.35))
 """Quality and share of the width, until a picture is small enough."""
@@ -56,11 +56,11 @@ def animation(path: Path) -> str:
     return data_uri(content.getvalue(), "image/webp")
 
 
-def mask_sheet(images: list[np.ndarray], masks: list[np.ndarray], truths: list[np.ndarray | None]) -> np.ndarray:
-    """Frames [H, W, 3] with our masks tinted red and the outline of the true ones in blue."""
+def mask_sheet(images: list[np.ndarray], instances: list[np.ndarray], truths: list[np.ndarray | None]) -> np.ndarray:
+    """Frames [H, W, 3] with instances [H, W] tinted, a colour for each, and the outline of the true masks in blue."""
     drawn = []
-    for image, mask, truth in zip(images, masks, truths, strict=True):
-        sheet = overlay_mask(image, mask)
+    for image, numbers, truth in zip(images, instances, truths, strict=True):
+        sheet = overlay_instances(image, numbers)
         if truth is not None:
             edge = cv2.morphologyEx(truth.astype(np.uint8), cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8)) > 0
             sheet[edge] = TRUE_EDGE

@@ -15,7 +15,7 @@ from stages.shared import charts, sequences, sintel
 from stages.shared.artifacts import read_dense, read_json, read_metadata, read_table
 from stages.shared.drawing import spread
 from stages.shared.images import numbered_frames, read_rgb
-from stages.shared.masks import read_masks
+from stages.shared.masks import read_instances, read_masks
 from stages.shared.tables import Row, Table, read_rows
 
 SHOWN_FRAMES = 4
@@ -135,11 +135,14 @@ def _series(rows: Sequence[Row], key: str) -> dict[str, tuple[list[float], list[
 def _mask_figures(folder: Path, sequence: sequences.Sequence) -> list[Figure]:
     masks = read_masks(_existing(folder, "masks"), sequence)
     truth, _ = true_masks(sequence)
-    shown = [sequence.numbers[k] for k in spread(len(sequence.numbers), SHOWN_FRAMES)]
-    images = [read_rgb(sequence.frames[sequence.numbers.index(n)]) for n in shown]
-    sheet = embedding.mask_sheet(images, [masks[n] for n in shown], [truth.get(n) for n in shown])
+    chosen = spread(len(sequence.numbers), SHOWN_FRAMES)
+    shown = [sequence.numbers[k] for k in chosen]
+    instances = [read_instances(folder / "masks", sequence, k) for k in chosen]
+    images = [read_rgb(sequence.frames[k]) for k in chosen]
+    sheet = embedding.mask_sheet(images, instances, [truth.get(n) for n in shown])
     outline = "; blue outline: the true ones" if truth else ""
-    title = f"Masks of frames {', '.join(map(str, shown))} (red: called dynamic{outline})"
+    meaning = f"tinted: called dynamic, a colour for each instance{outline}"
+    title = f"Masks of frames {', '.join(map(str, shown))} ({meaning})"
     share = 100 * np.mean([mask.mean() for mask in masks.values()])
     figures = [
         Figure(title, embedding.webp(sheet), f"Frames with dynamic masks covering {share:.1f} % on average", True)

@@ -1,83 +1,123 @@
-"""Refine the motion prior to binary dynamic masks at full resolution."""
+"""Refine the motion prior to binary dynamic masks at full resolution, and number what moves."""
 
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
 from stages.segment.options import SegmentOptions
-from stages.segment.refinement import guarded_thresholds, smooth_along_edges, to_mask, vote
+from stages.segment.permanence import confidence_of, persistent
+from stages.segment.refinement import guarded_threshold, smooth_along_edges, to_instances, to_mask
+from stages.segment.superpixels import superpixels
 from stages.shared import cli, drawing
 from stages.shared.artifacts import atomic_folder, read_dense, write_json
 from stages.shared.cli import In, Out
 from stages.shared.errors import InputError
-from stages.shared.images import enlarge, read_mask, read_rgb, write_figure, write_image
+from stages.shared.images import enlarge, read_mask, read_reduced, read_rgb, write_figure, write_image
 from stages.shared.log import logger
-from stages.shared.masks import mask_path
+from stages.shared.masks import instances_path, mask_path
 from stages.shared.sequences import Sequence, read_sequence
 
-PRIOR_THRESHOLD = 0.5
+DYNAMIC = 0.5
+"""Probability, or sureness, above which a pixel is dynamic."""
 
-Masks = Callable[[int, np.ndarray], tuple[np.ndarray, bool]]
-"""From a frame's index and picture [H, W, 3] to its mask [H, W] and whether the guard cut it back."""
+
+class Mask(NamedTuple):
+    """Dynamic pixels [H, W] bool of a frame, their instances [H, W] uint16, and whether the guard cut it back."""
+
+    dynamic: np.ndarray
+    instances: np.ndarray
+    guarded: bool = False
+
+
+Masks = Callable[[int, np.ndarray], Mask]
+"""From a frame's index and picture [H, W, 3] to its mask."""
 
 
 def main(
     sequence: Annotated[Path, In("sequence.json of the input check")],
     flow: Annotated[Path, In("flow/pairs.arrow")],
     prior: Annotated[Path, In("motion/prior.arrow")],
-    output: Annotated[Path, Out("folder of masks frame_0001.png, 255 = dynamic, full resolution, and masks.json")],
-    figure: Annotated[Path, Out("picture for the report: frames with their masks")],
+    output: Annotated[Path, Out("folder of masks frame_0001.png, 255 = dynamic, of instances, masks.json")],
+    figure: Annotated[Path, Out("picture for the report: frames with their masks, coloured by instance")],
     options: SegmentOptions,
 ) -> str:
     """Refine the motion prior to binary dynamic masks.
 
-    The prior is voted on along the flow, spread up to the colour edges of the frame, and cut by hysteresis. A mask may
-    be empty. A frame that would be masked beyond --max-share keeps its surest part; masks.json and the log name it.
-    Other sources write the masks that refinement is compared with.
+    One system over the superpixels of all frames decides what belongs to something that moves in the clip; its borders
+    then follow the colour edges of each frame. A mask may be empty. A frame that would be masked beyond --max-share
+    keeps its surest part; masks.json and the log name it. What is connected over space and time has one number through
+    the clip, in instances/frame_0001.png (16 bit, 0 = static). Other sources write the masks that refinement is
+    compared with, as one instance.
     """
     frames = read_sequence(sequence)
     masks = _masks(options, frames, flow, prior)
-    shares, guarded = {}, []
-    shown, overlays = set(drawing.spread(len(frames.numbers), 6).tolist()), []
-    with atomic_folder(output, ("frame_*.png", "masks.json")) as folder:
+    found, shown, overlays = _Facts(), set(drawing.spread(len(frames.numbers), 6).tolist()), []
+    with atomic_folder(output, ("frame_*.png", "instances/frame_*.png", "masks.json")) as folder:
         for k, (path, number) in enumerate(zip(frames.frames, frames.numbers, strict=True)):
             rgb = read_rgb(path)
-            mask, was_guarded = masks(k, rgb)
-            write_image(mask_path(folder, number), mask)
-            shares[number] = float(mask.mean())
-            guarded += [number] if was_guarded else []
-            overlays += [drawing.overlay_mask(rgb, mask)] if k in shown else []
-        write_json(
-            folder / "masks.json", {"dynamic_share": shares, "guarded": guarded, "options": options.model_dump()}
-        )
-    _tell(frames, shares, guarded, options)
+            mask = masks(k, rgb)
+            write_image(mask_path(folder, number), mask.dynamic)
+            write_image(instances_path(folder, number), mask.instances)
+            found.add(number, mask)
+            overlays += [drawing.overlay_instances(rgb, mask.instances)] if k in shown else []
+        write_json(folder / "masks.json", found.to_json() | {"options": options.model_dump()})
+    _tell(frames, found, options)
     write_figure(figure, drawing.contact_sheet(overlays, columns=3))
-    return f"{np.mean(list(shares.values())):.1%} of the pixels dynamic"
+    return f"{np.mean(list(found.shares.values())):.1%} of the pixels dynamic"
+
+
+class _Facts:
+    """What masks.json says of the masks: shares of the frames, frames that were cut back, and the instances."""
+
+    def __init__(self) -> None:
+        self.shares: dict[int, float] = {}
+        self.guarded: list[int] = []
+        self.pixels: dict[int, Counter[int]] = {}
+
+    def add(self, number: int, mask: Mask) -> None:
+        """Take in the mask of the frame with this number."""
+        self.shares[number] = float(mask.dynamic.mean())
+        self.guarded += [number] if mask.guarded else []
+        for instance, pixels in zip(*np.unique(mask.instances, return_counts=True), strict=True):
+            if instance > 0:
+                self.pixels.setdefault(int(instance), Counter())[number] = int(pixels)
+
+    def to_json(self) -> dict[str, Any]:
+        """The facts, with the frames in which each instance is seen and its mean pixels there."""
+        seen = {
+            number: {"first_frame": min(of), "last_frame": max(of), "frames": len(of), "pixels": of.total() / len(of)}
+            for number, of in sorted(self.pixels.items())
+        }
+        return {"dynamic_share": self.shares, "guarded": self.guarded, "instances": seen}
 
 
 def _masks(options: SegmentOptions, frames: Sequence, flow: Path, prior: Path) -> Masks:
     """The function that computes the mask of a frame, for the chosen source."""
     if options.source == "refined":
-        return _refined(options, flow, prior)
+        return _refined(options, frames, flow, prior)
     if options.source == "truth":
         return _true(frames)
-    threshold = PRIOR_THRESHOLD if options.source == "prior" else np.inf
-    probability = read_dense(prior)["probability"].astype(np.float32)
+    threshold = DYNAMIC if options.source == "prior" else np.inf
+    probability = read_dense(prior)["probability"]
     size = frames.width, frames.height
-    return lambda k, _: (enlarge(probability[k], size) > threshold, False)
+    return lambda k, _: _as_one(enlarge(probability[k].astype(np.float32), size) > threshold)
 
 
-def _refined(options: SegmentOptions, flow: Path, prior: Path) -> Masks:
-    pairs, probability = read_dense(flow), read_dense(prior)["probability"]
-    edges = {(int(i), int(j)): e for e, (i, j) in enumerate(zip(pairs["source"], pairs["target"], strict=True))}
-    voted = vote(probability, edges, pairs["flow"], pairs["confidence"])
+def _refined(options: SegmentOptions, frames: Sequence, flow: Path, prior: Path) -> Masks:
+    evidence = read_dense(prior)
+    pixels = superpixels(read_reduced(frames.frames, evidence["probability"].shape[:0:-1]))
+    probability, weight = (pixels.means(evidence[name]) for name in ("probability", "weight"))
+    choice = options.permanence, options.threshold
+    sure, instance = persistent(pixels, read_dense(flow), probability, confidence_of(weight), *choice)
 
-    def mask(k: int, rgb: np.ndarray) -> tuple[np.ndarray, bool]:
-        smoothed = smooth_along_edges(voted[k], rgb, options.smoothness, options.colour_sigma)
-        high, low = guarded_thresholds(smoothed, options.high, options.low, options.max_share)
-        return to_mask(smoothed, high, low, options.min_area), low > options.low
+    def mask(k: int, rgb: np.ndarray) -> Mask:
+        sureness = smooth_along_edges(pixels.paint(sure, k), rgb, options.smoothness, options.colour_sigma)
+        threshold = guarded_threshold(sureness, DYNAMIC, options.max_share)
+        dynamic = to_mask(sureness, threshold, options.min_area)
+        return Mask(dynamic, to_instances(dynamic, pixels.paint(instance, k)), threshold > DYNAMIC)
 
     return mask
 
@@ -86,15 +126,21 @@ def _true(frames: Sequence) -> Masks:
     if not frames.has_truth("motion_mask"):
         expected = "motion_mask beside them, for every frame, for `source: truth`"
         raise InputError(frames.frames[0].parent, expected, "no motion_mask", "set `source: refined`")
-    return lambda k, _: (read_mask(frames.truth["motion_mask"][frames.numbers[k]]), False)
+    return lambda k, _: _as_one(read_mask(frames.truth["motion_mask"][frames.numbers[k]]))
 
 
-def _tell(frames: Sequence, shares: dict[int, float], guarded: list[int], options: SegmentOptions) -> None:
+def _as_one(dynamic: np.ndarray) -> Mask:
+    """A mask [H, W] as one instance."""
+    return Mask(dynamic, dynamic.astype(np.uint16))
+
+
+def _tell(frames: Sequence, found: _Facts, options: SegmentOptions) -> None:
     """Log the shares; warn of guarded frames."""
-    logger.info("%s: %.1f %% of the pixels are dynamic", frames.name, 100 * float(np.mean(list(shares.values()))))
-    if guarded:
+    share, count = 100 * float(np.mean(list(found.shares.values()))), len(found.pixels)
+    logger.info("%s: %.1f %% of the pixels are dynamic, in %d instances", frames.name, share, count)
+    if found.guarded:
         text = "%s: masks of frames %s were cut back to %.0f %% of the frame, their surest part"
-        logger.warning(text, frames.name, guarded, 100 * options.max_share)
+        logger.warning(text, frames.name, found.guarded, 100 * options.max_share)
 
 
 if __name__ == "__main__":

@@ -15,10 +15,13 @@ class SegmentOptions(Options):
         description="masks for all later stages: refined, the prior above one half, none, or the true motion masks",
     )
 
-    high: float = Field(
-        0.8, ge=0.05, le=0.95, description="probability that a region must reach somewhere to be dynamic"
+    threshold: float = Field(0.33, ge=0.05, le=0.95, description="least probability, over the clip, of what is dynamic")
+    permanence: float = Field(
+        3.0,
+        ge=0,
+        le=100,
+        description="weight of links along the flow against evidence; 0: each frame alone",
     )
-    low: float = Field(0.4, ge=0.05, le=0.95, description="probability down to which such a region extends")
     smoothness: float = Field(
         1000.0, ge=0, le=1e5, description="weight of edge-aware smoothing against the prior, for frames 512 px wide"
     )

@@ -1,69 +1,64 @@
-"""From a motion prior to masks: edge-aware smoothing, a vote along the flow, hysteresis."""
+"""From superpixels to masks at full resolution: boundaries on pixels, specks and holes."""
 
 import cv2
 import numpy as np
 
 from stages.shared.images import enlarge
-from stages.shared.warp import warp
 
 REFERENCE_WIDTH = 512
-VOTE_OFFSETS = (1, 2)
 
 
-def smooth_along_edges(probability: np.ndarray, rgb: np.ndarray, smoothness: float, colour_sigma: float) -> np.ndarray:
-    """The prior [h, w] spread over the frame rgb [H, W, 3] uint8 up to its colour edges, [H, W] float32 in 0..1.
+def smooth_along_edges(image: np.ndarray, rgb: np.ndarray, smoothness: float, colour_sigma: float) -> np.ndarray:
+    """An image [h, w] in 0..1 spread over the frame rgb [H, W, 3] uint8 up to its colour edges, [H, W] float32 in 0..1.
 
     Weighted least squares: min_u sum (u - p)^2 + smoothness * sum exp(-|colour step| / colour_sigma) |grad u|^2, by the
     fast global smoother (Min et al., TIP 2014). The reach in pixels grows with the root of the weight, hence the
     scaling by the squared frame width.
     """
     H, W = rgb.shape[:2]
-    prior = enlarge(probability.astype(np.float32), (W, H))
+    full = enlarge(image.astype(np.float32), (W, H))
     weight = smoothness * (W / REFERENCE_WIDTH) ** 2
-    smoothed = cv2.ximgproc.fastGlobalSmootherFilter(rgb, prior, weight, colour_sigma)
+    smoothed = cv2.ximgproc.fastGlobalSmootherFilter(rgb, full, weight, colour_sigma)
     return np.asarray(np.clip(smoothed, 0, 1))
 
 
-def vote(
-    probability: np.ndarray, edges: dict[tuple[int, int], int], flow: np.ndarray, confidence: np.ndarray
-) -> np.ndarray:
-    """Mean probability [T, h, w] of each pixel and of what the flow matches it with one and two frames away.
-
-    Args:
-        edges: (source, target) -> row of flow [E, h, w, 2] px and confidence [E, h, w], which weighs the vote.
-    """
-    total = probability.astype(np.float32)
-    weight = np.ones_like(total)
-    for (i, j), e in edges.items():
-        if abs(i - j) in VOTE_OFFSETS:
-            trust = confidence[e].astype(np.float32)
-            total[i] += trust * warp(probability[j].astype(np.float32), flow[e].astype(np.float32))
-            weight[i] += trust
-    return np.asarray(total / weight)
-
-
-def to_mask(probability: np.ndarray, high: float, low: float, min_area: float) -> np.ndarray:
-    """Mask [H, W] bool by hysteresis: connected regions above `low` that reach `high` somewhere.
+def to_mask(sureness: np.ndarray, threshold: float, min_area: float) -> np.ndarray:
+    """Mask [H, W] bool of the pixels above a threshold.
 
     Regions, and holes in them, below `min_area` (a share of the frame) are dropped, respectively filled.
     """
-    pixels = min_area * probability.size
-    count, labels, stats, _ = cv2.connectedComponentsWithStats((probability > low).astype(np.uint8))
-    keep = np.zeros(count, bool)
-    keep[np.unique(labels[probability > high])] = True
-    keep &= stats[:, cv2.CC_STAT_AREA] >= pixels
-    keep[0] = False
-    mask = keep[labels]
-    _, holes, hole_stats, _ = cv2.connectedComponentsWithStats((~mask).astype(np.uint8))
-    small = hole_stats[:, cv2.CC_STAT_AREA] < pixels
-    small[0] = False
-    return np.asarray(mask | small[holes])
+    pixels = min_area * sureness.size
+    mask = _without_small(sureness > threshold, pixels)
+    return ~_without_small(~mask, pixels)
 
 
-def guarded_thresholds(probability: np.ndarray, high: float, low: float, max_share: float) -> tuple[float, float]:
-    """Thresholds raised, where needed, so that at most `max_share` of the frame [H, W] lies above `low`.
+def guarded_threshold(sureness: np.ndarray, threshold: float, max_share: float) -> float:
+    """The threshold raised, where needed, so that at most `max_share` of the frame [H, W] lies above it.
 
     A mask over nearly the whole frame leaves no static area to estimate poses from; only its surest part is kept.
     """
-    guarded = max(low, float(np.quantile(probability, 1 - max_share)))
-    return max(high, guarded), guarded
+    return max(threshold, float(np.quantile(sureness, 1 - max_share)))
+
+
+def to_instances(mask: np.ndarray, instances: np.ndarray) -> np.ndarray:
+    """Instance numbers [H, W] uint16 of the pixels of a mask [H, W]: those of the nearest of the numbers [h, w] > 0.
+
+    0 outside the mask, and everywhere if there is no number.
+    """
+    if not (instances > 0).any():
+        return np.zeros(mask.shape, np.uint16)
+    _, nearest = cv2.distanceTransformWithLabels(
+        (instances == 0).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5, labelType=cv2.DIST_LABEL_PIXEL
+    )
+    number_of = np.zeros(nearest.max() + 1, np.uint16)
+    number_of[nearest[instances > 0]] = instances[instances > 0]
+    full = cv2.resize(number_of[nearest], mask.shape[::-1], interpolation=cv2.INTER_NEAREST_EXACT)
+    return np.where(mask, full, 0).astype(np.uint16)
+
+
+def _without_small(mask: np.ndarray, pixels: float) -> np.ndarray:
+    """The mask [H, W] without connected regions of fewer pixels."""
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
+    keep = stats[:, cv2.CC_STAT_AREA] >= pixels
+    keep[0] = False
+    return np.asarray(keep[labels])

@@ -6,6 +6,8 @@ import cv2
 import numpy as np
 
 MASK_COLOUR = np.array([255, 60, 40])
+INSTANCE_COLOURS = np.array([MASK_COLOUR, (255, 187, 0), (44, 160, 44), (227, 119, 194), (23, 190, 207), (140, 86, 75)])
+"""Of instances 1, 2, ..., over and over. Blue is left for what is true."""
 GAP_PX = 4
 """Between the images of a contact sheet."""
 
@@ -31,12 +33,21 @@ def scalar_to_rgb(values: np.ndarray, low: float | None = None, high: float | No
     return np.ascontiguousarray(coloured[..., ::-1])
 
 
-def overlay_mask(rgb: np.ndarray, mask: np.ndarray) -> np.ndarray:
+def overlay_mask(rgb: np.ndarray, mask: np.ndarray, colour: np.ndarray = MASK_COLOUR) -> np.ndarray:
     """The frame [H, W, 3] with `mask` [H, W] tinted and outlined."""
-    tinted = np.where(mask[..., None], 0.5 * rgb + 0.5 * MASK_COLOUR, rgb).astype(np.uint8)
+    tinted = np.where(mask[..., None], 0.5 * rgb + 0.5 * colour, rgb).astype(np.uint8)
     edge = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8)) > 0
-    tinted[edge] = MASK_COLOUR
+    tinted[edge] = colour
     return tinted
+
+
+def overlay_instances(rgb: np.ndarray, instances: np.ndarray) -> np.ndarray:
+    """The frame [H, W, 3] with the pixels of instances [H, W], 0 for none, tinted and outlined, a colour for each."""
+    picture = rgb
+    for number in np.unique(instances[instances > 0]):
+        colour = INSTANCE_COLOURS[(int(number) - 1) % len(INSTANCE_COLOURS)]
+        picture = overlay_mask(picture, instances == number, colour)
+    return picture
 
 
 def contact_sheet(images: Sequence[np.ndarray], columns: int, width_px: int = 1200) -> np.ndarray:

@@ -77,8 +77,13 @@ def read_mask(path: Path) -> np.ndarray:
     return np.asarray(_decode(path, cv2.IMREAD_GRAYSCALE) > 127)
 
 
+def read_numbers(path: Path) -> np.ndarray:
+    """A file of whole numbers as [H, W] uint16."""
+    return _decode(path, cv2.IMREAD_UNCHANGED).astype(np.uint16)
+
+
 def write_image(path: Path, image: np.ndarray) -> None:
-    """Write [H, W, 3] RGB or [H, W] grey, uint8 (bool becomes 0 / 255), as PNG or what the suffix says."""
+    """Write [H, W, 3] RGB or [H, W] grey, uint8 (bool becomes 0 / 255) or uint16, as PNG or what the suffix says."""
     if image.dtype == bool:
         image = image.astype(np.uint8) * 255
     ok, encoded = cv2.imencode(path.suffix, image[..., ::-1] if image.ndim == 3 else image)

@@ -1,4 +1,7 @@
-"""The folder of dynamic masks that the segment stage writes: one PNG per frame, 255 where something moves."""
+"""The folder of dynamic masks that the segment stage writes: one PNG per frame, 255 where something moves.
+
+Beside them, the instances: what is connected over space and time has one number through the clip.
+"""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -17,6 +20,11 @@ def mask_path(folder: Path, number: int) -> Path:
     return folder / f"frame_{number:04d}.png"
 
 
+def instances_path(folder: Path, number: int) -> Path:
+    """Where the instances of the frame with this number lie: 16 bit, 0 where static."""
+    return folder / "instances" / f"frame_{number:04d}.png"
+
+
 def read_mask(folder: Path, frames: Sequence, k: int) -> np.ndarray:
     """The dynamic mask [H, W] bool of frame k (0-based).
 
@@ -30,6 +38,18 @@ def read_mask(folder: Path, frames: Sequence, k: int) -> np.ndarray:
     if mask.shape != (frames.height, frames.width):
         raise InputError(path, f"{frames.width} x {frames.height}", f"{mask.shape[1]} x {mask.shape[0]}", ADVICE)
     return mask
+
+
+def read_instances(folder: Path, frames: Sequence, k: int) -> np.ndarray:
+    """The instances [H, W] uint16 of frame k (0-based), 0 where static.
+
+    Raises:
+        InputError: if the file is missing or cannot be decoded.
+    """
+    path = instances_path(folder, frames.numbers[k])
+    if not path.is_file():
+        raise InputError(path, "the instances of a frame", "nothing there", ADVICE)
+    return images.read_numbers(path)
 
 
 def read_masks(folder: Path, frames: Sequence) -> dict[int, np.ndarray]:

@@ -4,6 +4,10 @@ rule ba:
         flow=artifact("flow", "flow/pairs.arrow"),
         masks=optional("segment", "masks"),
         previous_poses=optional("ba", "ba/poses.parquet", before=1),
+        previous_depth=optional("ba", "ba/depth.arrow", before=1),
+        previous_convergence=optional("ba", "ba/convergence.parquet", before=1),
+        previous_figure=optional("ba", "figures/ba.png", before=1),
+        previous_masks=optional("segment", "masks", before=1),
     output:
         poses="<results>/{dataset}/{seq}/{setting}{round}ba/poses.parquet",
         trajectory="<results>/{dataset}/{seq}/{setting}{round}ba/trajectory.tum",
@@ -23,7 +27,10 @@ rule ba:
     params:
         code=code_digest("stages.ba"),
         flags=flags("ba"),
-        optional=optional_flags("masks", "previous_poses"),
+        optional=optional_flags(
+            *("masks", "previous_poses", "previous_depth"),
+            *("previous_convergence", "previous_figure", "previous_masks"),
+        ),
     shell:
         "{{ python -m stages.ba --sequence {input.sequence:q} --flow {input.flow:q}"
         " {params.optional} --poses {output.poses:q} --trajectory {output.trajectory:q} --depth {output.depth:q}"

@@ -1,0 +1,124 @@
+"""Superpixels of a clip, and what links them: shared borders within a frame, matches of the flow between frames."""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from scipy import sparse
+
+from stages.shared.threads import threaded
+
+SIZE_PX = 8
+"""Of a superpixel, each way: small against a mover, large against the noise of a single pixel."""
+RULER = 15.0
+ITERATIONS = 5
+MIN_SIZE_PERCENT = 25
+LINKED_OFFSETS = (1, 2, 3)
+"""Frame distances of links. Longer ones add time and join what only looks matched."""
+SAMPLED_PX = 2
+"""Every other pixel each way is enough to count matches."""
+MIN_CONFIDENCE = 0.05
+
+
+class Superpixels(NamedTuple):
+    """Superpixels of T frames, numbered through the clip.
+
+    Attributes:
+        labels: [T, h, w] int32, the superpixel of every pixel, counted from 0 in each frame.
+        first: [T + 1] int64; those of frame k are first[k]..first[k + 1].
+        areas: [N] pixels; colours: [N, 3] mean CIELAB, 0..255.
+    """
+
+    labels: np.ndarray
+    first: np.ndarray
+    areas: np.ndarray
+    colours: np.ndarray
+
+    def part(self, start: int, stop: int) -> "Superpixels":
+        """Those of the frames start..stop, numbered anew."""
+        nodes = slice(self.first[start], self.first[stop])
+        first = self.first[start : stop + 1] - self.first[start]
+        return Superpixels(self.labels[start:stop], first, self.areas[nodes], self.colours[nodes])
+
+    def means(self, images: np.ndarray) -> np.ndarray:
+        """Means [N] over the superpixels of images [T, h, w]."""
+        counts = np.diff(self.first)
+        sums = [
+            np.bincount(labels.ravel(), image.ravel(), count)
+            for labels, image, count in zip(self.labels, images, counts, strict=True)
+        ]
+        return np.asarray(np.concatenate(sums) / self.areas)
+
+    def paint(self, values: np.ndarray, frame: int) -> np.ndarray:
+        """Values [N] of the superpixels as an image [h, w] of one frame."""
+        return np.asarray(values[self.first[frame] : self.first[frame + 1]][self.labels[frame]])
+
+
+def superpixels(rgb: np.ndarray) -> Superpixels:
+    """The superpixels of frames rgb [T, h, w, 3] uint8 by SLIC (Achanta et al., TPAMI 2012)."""
+    labels, counts, colours = zip(*threaded(_of_frame, rgb), strict=True)
+    areas = [np.bincount(of_frame.ravel(), minlength=n) for of_frame, n in zip(labels, counts, strict=True)]
+    first = np.concatenate([[0], np.cumsum(counts)])
+    return Superpixels(np.stack(labels), first, np.concatenate(areas).astype(float), np.concatenate(colours))
+
+
+def _of_frame(rgb: np.ndarray) -> tuple[np.ndarray, int, np.ndarray]:
+    """Labels [h, w], their number n, and mean colours [n, 3] of a frame."""
+    lab = cv2.cvtColor(rgb, cv2.COLOR_RGB2LAB)
+    slic = cv2.ximgproc.createSuperpixelSLIC(lab, cv2.ximgproc.SLIC, SIZE_PX, RULER)
+    slic.iterate(ITERATIONS)
+    slic.enforceLabelConnectivity(MIN_SIZE_PERCENT)
+    labels, count = slic.getLabels(), slic.getNumberOfSuperpixels()
+    areas = np.bincount(labels.ravel(), minlength=count)
+    colours = [np.bincount(labels.ravel(), lab[..., c].ravel(), count) / areas for c in range(3)]
+    return labels, count, np.stack(colours, axis=1)
+
+
+def borders(pixels: Superpixels) -> sparse.csr_matrix:
+    """Length in pixels of the border that two superpixels of a frame share, [N, N], symmetric."""
+    rows, columns = [], []
+    for start, labels in zip(pixels.first, pixels.labels, strict=False):
+        for a, b in ((labels[:, :-1], labels[:, 1:]), (labels[:-1], labels[1:])):
+            apart = a != b
+            rows.append(start + a[apart])
+            columns.append(start + b[apart])
+    return _symmetric(rows, columns, [np.ones(len(part)) for part in rows], pixels.first[-1])
+
+
+def matches(pixels: Superpixels, pairs: Mapping[str, np.ndarray], start: int = 0) -> sparse.csr_matrix:
+    """Pixels that the flow matches between two superpixels of near frames, weighted by confidence, [N, N], symmetric.
+
+    Args:
+        pixels: of the frames from `start` on.
+        pairs: source, target [E], flow [E, h, w, 2] px, confidence [E, h, w] of the whole clip.
+    """
+    T, h, w = pixels.labels.shape
+    o = SAMPLED_PX // 2
+    v, u = np.mgrid[o:h:SAMPLED_PX, o:w:SAMPLED_PX]
+    rows, columns, weights = [], [], []
+    for e, (i, j) in enumerate(zip(pairs["source"] - start, pairs["target"] - start, strict=True)):
+        if abs(i - j) not in LINKED_OFFSETS or not (0 <= i < T and 0 <= j < T):
+            continue
+        flow = pairs["flow"][e, o::SAMPLED_PX, o::SAMPLED_PX].astype(np.float32)
+        confidence = pairs["confidence"][e, o::SAMPLED_PX, o::SAMPLED_PX].astype(np.float32)
+        x, y = np.rint(u + flow[..., 0]).astype(int), np.rint(v + flow[..., 1]).astype(int)
+        seen = (confidence > MIN_CONFIDENCE) & (x >= 0) & (x < w) & (y >= 0) & (y < h)
+        rows.append(pixels.first[i] + pixels.labels[i][v[seen], u[seen]])
+        columns.append(pixels.first[j] + pixels.labels[j][y[seen], x[seen]])
+        weights.append(SAMPLED_PX**2 * confidence[seen])
+    return _symmetric(rows, columns, weights, pixels.first[-1])
+
+
+def _symmetric(
+    rows: list[np.ndarray], columns: list[np.ndarray], weights: list[np.ndarray], N: int
+) -> sparse.csr_matrix:
+    """The sparse sum of the weights and of their transpose, [N, N]."""
+    parts = []
+    for part in zip(weights, rows, columns, strict=True):
+        links = sparse.coo_matrix((part[0], part[1:]), (N, N))
+        links.sum_duplicates()  # pixels become superpixels, part by part: all at once would take ten times the memory
+        parts.append((links.data, links.row, links.col))
+    data, row, column = (np.concatenate(arrays) for arrays in zip(*parts, strict=True)) if parts else np.zeros((3, 0))
+    total = sparse.coo_matrix((data, (row.astype(int), column.astype(int))), (N, N)).tocsr()
+    return total + total.T

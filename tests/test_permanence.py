@@ -1,0 +1,157 @@
+"""Labels over the whole clip: what is found in one frame is found in all, and what is weak everywhere in none."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import sparse
+
+from stages.segment import permanence
+from stages.segment.permanence import instances, level, persistent, solve, windows
+from stages.segment.superpixels import Superpixels, borders, matches, superpixels
+
+T, H, W = 9, 96, 160
+STEP = 5
+"""Pixels by which the squares move from frame to frame."""
+
+
+def squares() -> tuple[np.ndarray, dict[str, np.ndarray], np.ndarray]:
+    """Frames with two squares that move right over textured ground, their exact flow, and which is where [T, H, W]."""
+    random = np.random.default_rng(0)
+    ground = random.integers(90, 110, (H, W, 1)).repeat(3, axis=2).astype(np.uint8)
+    where = np.zeros((T, H, W), int)
+    for k in range(T):
+        where[k, 8:44, 8 + STEP * k : 44 + STEP * k] = 1
+        where[k, 60:84, 16 + STEP * k : 48 + STEP * k] = 2
+    rgb = np.where(where[..., None] == 1, (200, 50, 40), ground)
+    rgb = np.where(where[..., None] == 2, (50, 60, 210), rgb).astype(np.uint8)
+    edges = [(i, j) for i in range(T) for j in range(T) if 1 <= abs(i - j) <= 2]
+    source, target = np.array(edges).T
+    flow, confidence = np.zeros((len(edges), H, W, 2), np.float32), np.zeros((len(edges), H, W), np.float32)
+    v, u = np.mgrid[:H, :W]
+    for e, (i, j) in enumerate(edges):
+        flow[e, ..., 0] = (where[i] > 0) * STEP * (j - i)
+        confidence[e] = where[j][v, (u + flow[e, ..., 0]).astype(int)] == where[i]  # else hidden
+    pairs = {"source": source, "target": target, "flow": flow, "confidence": confidence}
+    return rgb, pairs, where
+
+
+def found_in(prior: np.ndarray, permanence: float = 3.0, confidence: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+    """Dynamic pixels [T, H, W] and instances [T, H, W] of the squares, from a prior [T, H, W]."""
+    rgb, pairs, _ = squares()
+    pixels = superpixels(rgb)
+    means = pixels.means(prior)
+    sure, instance = persistent(pixels, pairs, means, np.full(len(means), confidence), permanence, 0.33)
+    return tuple(np.stack([pixels.paint(values, k) for k in range(T)]) for values in (sure >= 0.5, instance))  # type: ignore[return-value]
+
+
+def overlaps(found: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    """Intersection over union of each frame."""
+    return np.asarray((found & truth).sum(axis=(1, 2)) / np.maximum((found | truth).sum(axis=(1, 2)), 1))
+
+
+def test_what_is_found_in_some_frames_is_found_in_all() -> None:
+    *_, where = squares()
+    prior = np.full((T, H, W), 0.02)
+    for k in (1, 4, 7):
+        prior[k][where[k] == 1] = 0.95
+    found, _ = found_in(prior)
+    assert (overlaps(found, where == 1) > 0.9).all()
+    alone, _ = found_in(prior, permanence=0)
+    assert (overlaps(alone, where == 1)[[0, 2, 3, 5, 6, 8]] == 0).all()
+
+
+def test_movers_keep_their_number_through_the_clip_and_the_largest_is_first() -> None:
+    *_, where = squares()
+    _, numbers = found_in(np.where(where > 0, 0.9, 0.02))
+    for number in (1, 2):
+        assert (overlaps(numbers == number, where == number) > 0.9).all()
+    assert set(np.unique(numbers)) == {0, 1, 2}
+
+
+def test_weak_evidence_ends_halfway_between_the_mover_and_the_ground() -> None:
+    """Beside strong evidence, its halo of half that strength is ground; the same strength alone is a mover."""
+    *_, where = squares()
+    halo = np.zeros((T, H, W), bool)
+    for k in range(T):
+        halo[k, 8:44, 44 + STEP * k : 60 + STEP * k] = True
+    prior = np.where(where == 1, 0.98, np.where(halo, 0.4, 0.02))
+    prior[where == 2] = 0.5
+    found, _ = found_in(prior)
+    assert found[halo].mean() < 0.35
+    assert found[where == 2].mean() > 0.9
+
+
+@pytest.mark.parametrize(("prior", "confidence", "kept"), [(0.4, 1.0, False), (0.6, 1.0, True), (0.6, 0.2, False)])
+def test_an_instance_needs_strength_and_confidence(prior: float, confidence: float, kept: bool) -> None:
+    *_, where = squares()
+    found, numbers = found_in(np.where(where == 1, prior, 0.0), confidence=confidence)
+    assert found.any() == (numbers > 0).any() == kept
+
+
+def test_the_system_is_that_of_the_energy() -> None:
+    """Against a dense solution of the normal equations, term by term."""
+    random = np.random.default_rng(1)
+    N = 30
+    links = np.triu(random.uniform(0, 2, (N, N)) * (random.uniform(size=(N, N)) < 0.2), 1)
+    areas, prior, confidence = random.uniform(20, 60, N), random.uniform(0, 1, N), random.uniform(0.1, 1, N)
+    weight = areas * ((0.2 + 0.8 * prior) * confidence + permanence.TOLERANCE)
+    rows = [np.sqrt(weight)[:, None] * np.eye(N)]
+    for a, b in np.argwhere(links):
+        rows.append(np.sqrt(links[a, b]) * (np.eye(N)[a] - np.eye(N)[b])[None])
+    right = np.concatenate([np.sqrt(weight) * prior, np.zeros(len(rows) - 1)])
+    expected = np.linalg.lstsq(np.concatenate(rows), right, rcond=None)[0]
+    found = solve(sparse.csr_matrix(links + links.T), areas, prior, confidence)
+    np.testing.assert_allclose(found, expected, atol=3e-3)
+
+
+def test_the_level_is_that_of_the_mover_near_by() -> None:
+    """On a chain of superpixels with one high value, the level falls with the distance from it, from that value."""
+    N = 41
+    chain = sparse.diags([np.full(N - 1, 20.0)] * 2, [-1, 1], format="csr")
+    x = np.full(N, 0.02)
+    x[20] = 0.9
+    found = level(chain, np.full(N, 60.0), x)
+    assert found[20] > 0.85
+    assert (np.diff(found[20:]) <= 1e-12).all()
+    assert found[0] < 0.05
+
+
+@given(st.integers(1, 700))
+def test_windows_cover_every_frame_with_a_weight_of_one(frames: int) -> None:
+    total = np.zeros(frames)
+    for start, stop, taper in windows(frames):
+        assert stop - start <= permanence.WINDOW
+        total[start:stop] += taper
+    np.testing.assert_allclose(total, 1)
+
+
+def test_windows_agree_with_the_whole_clip(monkeypatch: pytest.MonkeyPatch) -> None:
+    *_, where = squares()
+    prior = np.where(where > 0, 0.9, 0.02)
+    whole = found_in(prior)
+    monkeypatch.setattr(permanence, "WINDOW", 5)
+    monkeypatch.setattr(permanence, "OVERLAP", 2)
+    for one, other in zip(whole, found_in(prior), strict=True):
+        assert (one == other).mean() > 0.995
+
+
+def test_instances_are_numbered_by_size() -> None:
+    dynamic = np.array([True, True, False, True, True, True])
+    joined = np.array([[0, 1, 3, 4], [1, 2, 4, 5]])
+    x, confidence = np.full(6, 0.8), np.full(6, 0.9)
+    np.testing.assert_array_equal(instances(dynamic, joined, x, confidence, np.ones(6)), [2, 2, 0, 1, 1, 1])
+    assert not instances(np.zeros(6, bool), joined, x, confidence, np.ones(6)).any()
+
+
+def test_links_count_borders_and_matches() -> None:
+    labels = np.array([[[0, 0, 1, 1]] * 4, [[0, 0, 1, 1]] * 4], np.int32)
+    pixels = Superpixels(labels, np.array([0, 2, 4]), np.full(4, 8.0), np.zeros((4, 3)))
+    np.testing.assert_array_equal(borders(pixels).toarray(), np.kron(np.eye(2), [[0, 4], [4, 0]]))
+    flow = np.zeros((1, 4, 4, 2), np.float32)
+    flow[..., 0] = 2  # the left half goes to the right one, the right half leaves the frame
+    pairs = {"source": np.array([0]), "target": np.array([1]), "flow": flow, "confidence": np.full((1, 4, 4), 0.5)}
+    expected = np.zeros((4, 4))
+    expected[0, 3] = expected[3, 0] = 0.5 * 8
+    np.testing.assert_array_equal(matches(pixels, pairs).toarray(), expected)
+    assert matches(pixels, pairs | {"target": np.array([9])}).nnz == 0
