@@ -39,7 +39,7 @@ def squares() -> tuple[np.ndarray, dict[str, np.ndarray], np.ndarray]:
 def found_in(prior: np.ndarray, permanence: float = 3.0, confidence: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
     """Dynamic pixels [T, H, W] and instances [T, H, W] of the squares, from a prior [T, H, W]."""
     rgb, pairs, _ = squares()
-    pixels = superpixels(rgb)
+    pixels = superpixels(T, lambda k: rgb[k])
     means = pixels.means(prior)
     sure, instance = persistent(pixels, pairs, means, np.full(len(means), confidence), permanence, 0.33)
     return tuple(np.stack([pixels.paint(values, k) for k in range(T)]) for values in (sure >= 0.5, instance))  # type: ignore[return-value]

@@ -83,6 +83,6 @@ def restore(trainer: Trainer, arrays: dict[str, np.ndarray], n_static: int) -> N
 def _fingerprint(inputs: list[Path], options: GaussiansOptions) -> str:
     digest = hashlib.sha256(options.model_dump_json().encode() + code_digest("stages.gaussians").encode())
     for path in inputs:
-        for file in sorted(path.rglob("*")) if path.is_dir() else [path]:
+        for file in sorted(filter(Path.is_file, path.rglob("*"))) if path.is_dir() else [path]:
             digest.update(file.name.encode() + file.read_bytes())
     return digest.hexdigest()

@@ -15,7 +15,7 @@ from stages.shared import cli, drawing
 from stages.shared.artifacts import atomic_folder, read_dense, write_json
 from stages.shared.cli import In, Out
 from stages.shared.errors import InputError
-from stages.shared.images import enlarge, read_mask, read_reduced, read_rgb, write_figure, write_image
+from stages.shared.images import enlarge, read_mask, read_rgb, reduce, write_figure, write_image
 from stages.shared.log import logger
 from stages.shared.masks import instances_path, mask_path
 from stages.shared.sequences import Sequence, read_sequence
@@ -108,7 +108,8 @@ def _masks(options: SegmentOptions, frames: Sequence, flow: Path, prior: Path) -
 
 def _refined(options: SegmentOptions, frames: Sequence, flow: Path, prior: Path) -> Masks:
     evidence = read_dense(prior)
-    pixels = superpixels(read_reduced(frames.frames, evidence["probability"].shape[:0:-1]))
+    size = evidence["probability"].shape[:0:-1]
+    pixels = superpixels(len(frames.frames), lambda k: reduce(read_rgb(frames.frames[k]), size))
     probability, weight = (pixels.means(evidence[name]) for name in ("probability", "weight"))
     choice = options.permanence, options.threshold
     sure, instance = persistent(pixels, read_dense(flow), probability, confidence_of(weight), *choice)

@@ -1,6 +1,6 @@
 """Superpixels of a clip, and what links them: shared borders within a frame, matches of the flow between frames."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import cv2
@@ -55,9 +55,13 @@ class Superpixels(NamedTuple):
         return np.asarray(values[self.first[frame] : self.first[frame + 1]][self.labels[frame]])
 
 
-def superpixels(rgb: np.ndarray) -> Superpixels:
-    """The superpixels of frames rgb [T, h, w, 3] uint8 by SLIC (Achanta et al., TPAMI 2012)."""
-    labels, counts, colours = zip(*threaded(_of_frame, rgb), strict=True)
+def superpixels(T: int, picture: Callable[[int], np.ndarray]) -> Superpixels:
+    """The superpixels of T frames by SLIC (Achanta et al., TPAMI 2012).
+
+    Args:
+        picture: gives frame k [h, w, 3] uint8, and is called on several threads; frames are not kept.
+    """
+    labels, counts, colours = zip(*threaded(lambda k: _of_frame(picture(k)), range(T)), strict=True)
     areas = [np.bincount(of_frame.ravel(), minlength=n) for of_frame, n in zip(labels, counts, strict=True)]
     first = np.concatenate([[0], np.cumsum(counts)])
     return Superpixels(np.stack(labels), first, np.concatenate(areas).astype(float), np.concatenate(colours))
