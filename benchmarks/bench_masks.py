@@ -1,9 +1,9 @@
 """What masks over a whole clip cost: CPU time and memory of `stages.segment` from 50 to 1,000 frames of 512 x 218 px.
 
 Run as `python -m benchmarks.bench_masks`. Frames and priors are drawn: discs that wander over resting ground, each
-found in two frames of three. The flow is zero, which is right but for the discs, and one array that every edge sees: in the
-stage, too, flow is mapped and not held in memory. Each length runs in a process of its own, on one thread. Gates: CPU
-time of a frame, the growth of the time with the frames, memory.
+found in two frames of three. The flow is zero, which is right but for the discs, and one array that every edge sees:
+in the stage, too, flow is mapped and not held in memory. Each length runs in a process of its own, on one thread.
+Gates: CPU time of a frame, the growth of the time with the frames, memory.
 """
 
 import argparse
