@@ -99,7 +99,6 @@ def write_results(folder: Path) -> None:
         write_dense(folder / part / "motion/prior.arrow", columns)
         for number, mask in zip(numbers, masks, strict=True):
             write_image(folder / part / f"masks/frame_{number:04d}.png", mask)
-            write_image(folder / part / f"masks/instances/frame_{number:04d}.png", mask.astype(np.uint16))
         write_json(folder / part / "masks/masks.json", {"options": {"source": "refined"}})
         about = {**DECIDED, "flags": ["an early warning"] if part else ["a warning", "one more"]}
         write_cameras(folder / part / "ba/poses.parquet", make_cameras(estimated, K, numbers), about)

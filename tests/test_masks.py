@@ -7,7 +7,7 @@ import pytest
 
 from stages.shared.errors import InputError
 from stages.shared.images import numbered_frames, write_image
-from stages.shared.masks import mask_path, read_mask, read_masks, read_masks_on_grid
+from stages.shared.masks import instances_path, mask_path, read_instances, read_mask, read_masks, read_masks_on_grid
 from stages.shared.sequences import Sequence
 
 H, W = 24, 36
@@ -34,6 +34,15 @@ def test_masks_are_read_by_the_number_of_their_frame(tmp_path: Path, masks: np.n
     found = read_masks(tmp_path, frames)
     assert list(found) == NUMBERS
     np.testing.assert_array_equal(np.stack(list(found.values())), masks)
+
+
+def test_masks_without_instances_are_one(tmp_path: Path, masks: np.ndarray, frames: Sequence) -> None:
+    np.testing.assert_array_equal(read_instances(tmp_path, frames, 1), masks[1])
+    numbers = np.random.default_rng(1).integers(0, 1000, (H, W)).astype(np.uint16)
+    write_image(instances_path(tmp_path, NUMBERS[1]), numbers)
+    np.testing.assert_array_equal(read_instances(tmp_path, frames, 1), numbers)
+    with pytest.raises(InputError, match="instances"):
+        read_instances(tmp_path, frames, 0)
 
 
 @pytest.mark.parametrize("factor", [3, 4])

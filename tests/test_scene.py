@@ -1,6 +1,7 @@
 """Exact inputs of scene and control: the wall with a moving square, whole or with its held-out frame poisoned."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import finished_run as clip
@@ -33,6 +34,7 @@ def observe(rgb: np.ndarray | None = None, dynamic: np.ndarray | None = None) ->
     return Observed(
         rgb=colours if rgb is None else rgb.astype(np.float32),
         dynamic=masks if dynamic is None else dynamic,
+        instances=(masks if dynamic is None else dynamic).astype(np.uint16),
         depth=np.stack([clip.wall(k)[1] for k in range(T)]),
         cam_from_world=clip.CAM_FROM_WORLD,
         Ks=np.broadcast_to(clip.K, (T, 3, 3)),
@@ -137,6 +139,7 @@ def in_fog(extinction: float, airlight: float, drift_percent: float, noise: floa
     return Observed(
         rgb=np.repeat(np.stack(rgb)[..., None], 3, axis=-1).astype(np.float32),
         dynamic=np.zeros(room.depth.shape, bool),
+        instances=np.zeros(room.depth.shape, np.uint16),
         depth=room.depth,
         cam_from_world=room.cam_from_world,
         Ks=np.broadcast_to(room.K, (room.T, 3, 3)),
@@ -187,10 +190,26 @@ def test_planar_residual_is_zero_for_a_rigid_plane_only() -> None:
 
 
 def test_a_sliding_square_is_rigid() -> None:
-    decision = rules.decide_non_rigid(geometry.bending_evidence(observe()), "auto")
+    seen = observe()
+    regions = geometry.moving_regions(seen)
+    bending = geometry.bending_evidence(seen, regions), geometry.bending_of_instances(regions)
+    decision = rules.decide_non_rigid(*bending, "auto")
     assert not decision["needed"]
     assert decision["points"] == rules.RIGID_POINTS
     assert decision["arap_weight"] == rules.RIGID_ARAP
+    assert [(n, of["label"]) for n, of in decision["instances"].items()] == [("1", "rigid")]
+
+
+def test_each_instance_has_a_label_of_its_own() -> None:
+    """Beside the sliding square, a second mover whose flow is a wave."""
+    seen = observe()
+    dynamic, instances, flow = seen.dynamic.copy(), seen.instances.copy(), seen.flow.copy()
+    dynamic[:, 50:60, 5:30] = True
+    instances[:, 50:60, 5:30] = 2
+    flow[:, 50:60, 5:30, 1] += 2 * np.sin(1.3 * np.arange(25))
+    waving = replace(seen, dynamic=dynamic, instances=instances, flow=flow)
+    labels = geometry.bending_of_instances(geometry.moving_regions(waving))
+    assert labels[1]["bending_px"] < rules.MIN_BENDING_PX < labels[2]["bending_px"]
 
 
 def test_the_user_overrules_and_the_evidence_stays() -> None:

@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Annotated, Any
 
+import cv2
 import numpy as np
 
 from stages.scene import exposure, geometry, photometry, rules
@@ -13,7 +14,7 @@ from stages.shared.artifacts import read_dense, read_metadata, write_json
 from stages.shared.cameras import read_cameras, scale_intrinsics
 from stages.shared.cli import In, Out
 from stages.shared.log import logger
-from stages.shared.masks import read_masks_on_grid
+from stages.shared.masks import read_instances, read_masks_on_grid
 from stages.shared.sequences import Sequence, read_sequence
 from stages.shared.split import held_out
 
@@ -54,12 +55,14 @@ def _decide(seen: Observed, rotation_only_share: float, options: SceneOptions) -
     gains = exposure.measure_gains(seen)
     view = photometry.view_evidence(seen, gains.common)
     parallax = geometry.parallax_evidence(seen) | {"frames_marked_share": rotation_only_share}
+    regions = geometry.moving_regions(seen)
+    bending = geometry.bending_evidence(seen, regions), geometry.bending_of_instances(regions)
     return {
         "dynamic": rules.decide_dynamic(geometry.dynamic_evidence(seen), options.dynamic),
         "rotation_only": rules.decide_rotation_only(parallax, options.rotation_only),
         "exposure": rules.decide_exposure(exposure.exposure_evidence(gains), options.exposure),
         "view_dependent": rules.decide_view_dependent(view, options.view_dependent),
-        "non_rigid": rules.decide_non_rigid(geometry.bending_evidence(seen), options.non_rigid),
+        "non_rigid": rules.decide_non_rigid(*bending, options.non_rigid),
     }
 
 
@@ -77,6 +80,9 @@ def _observe(sequence: Sequence, flow: Path, masks: Path, poses: Path, depth: Pa
     return Observed(
         rgb=np.stack([images.reduce(image, (w, h)) / 255 for image in rgb]),
         dynamic=read_masks_on_grid(masks, sequence, frames, (w, h)) & cameras.masks_used[frames, None, None],
+        instances=np.stack(
+            [images.reduce(read_instances(masks, sequence, int(k)), (w, h), cv2.INTER_NEAREST) for k in frames]
+        ),
         depth=depth_on_grid(dense["inverse_depth"][frames], stride_px, scale, h, w),
         cam_from_world=cameras.cam_from_world[frames],
         Ks=scale_intrinsics(cameras.Ks[frames], scale),

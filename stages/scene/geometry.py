@@ -1,5 +1,8 @@
 """Evidence from geometry: moving parts, translation of the camera, non-rigid movers."""
 
+from collections.abc import Sequence
+from typing import NamedTuple
+
 import cv2
 import numpy as np
 
@@ -48,28 +51,53 @@ def parallax_evidence(seen: Observed) -> dict[str, float]:
     return {"parallax_px": max(parallax), "parallax_share_of_width": max(parallax) / w}
 
 
-def bending_evidence(seen: Observed) -> dict[str, float]:
-    """What is left of each moving region's flow to the next frame after the best planar rigid motion, and their size.
+class Region(NamedTuple):
+    """A connected moving region of a frame: its instance, and of its pixels, in px, the residual of the flow to the
+    best planar rigid motion and the distance of the flow from its median."""
+
+    instance: int
+    residual: np.ndarray
+    spread: np.ndarray
+
+
+def moving_regions(seen: Observed) -> list[Region]:
+    """Moving regions of frames over the clip, by their flow to the next frame.
 
     The flow of a rigid plane is quadratic in the pixel with eight parameters (Longuet-Higgins and Prazdny 1980);
     a moderately curved rigid body comes close to one.
     """
-    residuals, areas, spreads = [], [], []
+    regions = []
     for edge in _spread_edges(seen, 1):
-        dynamic = seen.dynamic[seen.edges[edge, 0]].astype(np.uint8)
-        count, labels = cv2.connectedComponents(dynamic)
-        areas.append(float(dynamic.sum()))
+        frame = seen.edges[edge, 0]
+        count, labels = cv2.connectedComponents(seen.dynamic[frame].astype(np.uint8))
         for label in range(1, count):
             chosen = (labels == label) & (seen.confidence[edge] >= MIN_CONFIDENCE)
             if chosen.sum() >= MIN_REGION_PX:
                 flow = seen.flow[edge][chosen].astype(float)
-                residuals.append(planar_residual(np.argwhere(chosen)[:, ::-1], flow))
-                spreads.append(np.linalg.norm(flow - np.median(flow, axis=0), axis=1))
+                instance = int(np.bincount(seen.instances[frame][chosen]).argmax())
+                residual = planar_residual(np.argwhere(chosen)[:, ::-1], flow)
+                regions.append(Region(instance, residual, np.linalg.norm(flow - np.median(flow, axis=0), axis=1)))
+    return regions
+
+
+def bending_evidence(seen: Observed, regions: Sequence[Region]) -> dict[str, float]:
+    """Residual of moving regions to rigid motion and spread of their flow, in px, and the share that they cover."""
+    shares = [float(seen.dynamic[seen.edges[edge, 0]].mean()) for edge in _spread_edges(seen, 1)]
+    return bending_of(regions) | {"area_share": float(np.median(shares)) if shares else 0.0}
+
+
+def bending_of(regions: Sequence[Region]) -> dict[str, float]:
+    """Median residual to rigid motion and median spread of the flow over the pixels of regions, in px; 0 of none."""
     return {
-        "bending_px": _median(residuals),
-        "flow_spread_px": _median(spreads),
-        "area_share": float(np.median(areas)) / dynamic.size if areas else 0.0,
+        "bending_px": _median([region.residual for region in regions]),
+        "flow_spread_px": _median([region.spread for region in regions]),
     }
+
+
+def bending_of_instances(regions: Sequence[Region]) -> dict[int, dict[str, float]]:
+    """The same by instance."""
+    numbers = sorted({region.instance for region in regions} - {0})
+    return {n: bending_of([region for region in regions if region.instance == n]) for n in numbers}
 
 
 def planar_residual(uv: np.ndarray, flow: np.ndarray) -> np.ndarray:

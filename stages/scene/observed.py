@@ -14,6 +14,7 @@ class Observed:
 
     Attributes:
         rgb: [F, h, w, 3] float32 in 0..1. dynamic: [F, h, w] bool, the masks.
+        instances: [F, h, w] what of them has one number through the clip; 0 where static.
         depth: [F, h, w] z-depth in scene units; in dynamic pixels a guess from their border.
         cam_from_world: [F, 4, 4]. Ks: [F, 3, 3] in pixels of the flow grid.
         edges: [E, 2] positions in 0..F-1, source and target. flow: [E, h, w, 2] px. confidence: [E, h, w] 0..1.
@@ -22,6 +23,7 @@ class Observed:
 
     rgb: np.ndarray
     dynamic: np.ndarray
+    instances: np.ndarray
     depth: np.ndarray
     cam_from_world: np.ndarray
     Ks: np.ndarray

@@ -1,5 +1,6 @@
 """Decisions from evidence, with their thresholds and the reasons for these."""
 
+from collections.abc import Mapping
 from typing import Any, Literal
 
 import numpy as np
@@ -89,10 +90,16 @@ def decide_view_dependent(evidence: dict[str, float], choice: Choice) -> dict[st
     return decision | {"sh_degree": degree if decision["needed"] else 0}
 
 
-def decide_non_rigid(evidence: dict[str, float], choice: Choice) -> dict[str, Any]:
-    """Non-rigid movers: the residual of a rigid plane's flow is large in px and relative to the spread of the flow."""
+def decide_non_rigid(
+    evidence: dict[str, float], instances: Mapping[int, dict[str, float]], choice: Choice
+) -> dict[str, Any]:
+    """Non-rigid movers: the residual of a rigid plane's flow is large in px and relative to the spread of the flow.
+
+    Args:
+        evidence: of all movers, which decides; instances: of each, which gives it a label of its own.
+    """
     bending, spread = evidence["bending_px"], evidence["flow_spread_px"]
-    needed = bending >= MIN_BENDING_PX and bending >= MIN_BENDING_SHARE * spread
+    needed = _bends(evidence)
     why = (
         f"residual of rigid motion of each region {bending:.2f} px, spread of its flow {spread:.2f} px"
         f" (thresholds {MIN_BENDING_PX} px, {MIN_BENDING_SHARE:.0%})"
@@ -102,7 +109,13 @@ def decide_non_rigid(evidence: dict[str, float], choice: Choice) -> dict[str, An
     return decision | {
         "arap_weight": BENDING_ARAP if bends else RIGID_ARAP,
         "points": BENDING_POINTS if bends else RIGID_POINTS,
+        "instances": {str(n): {"label": "bending" if _bends(of) else "rigid", **of} for n, of in instances.items()},
     }
+
+
+def _bends(evidence: dict[str, float]) -> bool:
+    bending = evidence["bending_px"]
+    return bending >= MIN_BENDING_PX and bending >= MIN_BENDING_SHARE * evidence["flow_spread_px"]
 
 
 def _decision(needed: bool, evidence: dict[str, float], why: str, choice: Choice) -> dict[str, Any]:

@@ -41,12 +41,14 @@ def read_mask(folder: Path, frames: Sequence, k: int) -> np.ndarray:
 
 
 def read_instances(folder: Path, frames: Sequence, k: int) -> np.ndarray:
-    """The instances [H, W] uint16 of frame k (0-based), 0 where static.
+    """The instances [H, W] uint16 of frame k (0-based), 0 where static; in masks without a folder of them, all is one.
 
     Raises:
-        InputError: if the file is missing or cannot be decoded.
+        InputError: if the file is missing or cannot be decoded, or as `read_mask`.
     """
     path = instances_path(folder, frames.numbers[k])
+    if not path.parent.is_dir():
+        return read_mask(folder, frames, k).astype(np.uint16)
     if not path.is_file():
         raise InputError(path, "the instances of a frame", "nothing there", ADVICE)
     return images.read_numbers(path)
