@@ -1,4 +1,4 @@
-"""Dense optical flow with confidence between near frames of a sequence, and far ones with enough in common."""
+"""Dense optical flow with confidence between near frames, and between distant ones that share enough of the view."""
 
 from pathlib import Path
 from typing import Annotated, Any
@@ -30,10 +30,11 @@ def main(
     figure: Annotated[Path, Out("picture for the report: frames, flow, confidence")],
     options: FlowOptions,
 ) -> str:
-    """Estimate dense optical flow between frames by dense inverse search, longer edges started by chaining.
+    """Estimate dense optical flow with confidence between pairs of frames by dense inverse search.
 
-    Fast pairs are started anew from sparse matches where that explains the frames better. Far frames are matched where
-    enough of the picture is in view in both. Flow is in pixels of the flow grid: the frames, reduced to at most
+    The search for a longer edge starts from the chained flow of shorter ones. Neighbours with large motion are searched
+    again from sparse matches, and that flow is taken where its photometric residual is lower. Distant frames are
+    matched where both show enough of the same view. Flow is in pixels of the flow grid: the frames, reduced to at most
     --max-width-px.
     """
     frames = read_sequence(sequence)
@@ -65,17 +66,17 @@ def main(
 
 
 def stored(flow: np.ndarray) -> np.ndarray:
-    """Flow [h, w, 2] px as pairs.arrow holds it: float16, off by at most 1/2048 of itself, and never infinite.
+    """Flow [h, w, 2] px as pairs.arrow holds it: float16, clipped to twice the longer side of the frame.
 
-    That is 0.06 px at 128 px, yet rounding of many pixels cancels out: camera paths are as good as from float32. What
-    leads further than twice the length of the frame, as true flow of points beside the camera does, is cut to that.
+    The relative rounding error is at most 1/2048, 0.06 px at 128 px; it averages out over the pixels that determine a
+    camera. Clipping keeps float16 finite: true flow of points beside the camera has no upper limit.
     """
     longest = 2 * max(flow.shape[:2])
     return np.clip(flow, -longest, longest).astype(np.float16)
 
 
 def _match(rgb: np.ndarray, options: FlowOptions) -> tuple[Flows, Flows, dict[str, Any]]:
-    """Flow [h, w, 2] and confidence [h, w] of all edges between frames [T, h, w, 3], and how many began anew."""
+    """Flow [h, w, 2] px and confidence [h, w] of all edges between frames [T, h, w, 3] uint8, and facts for the log."""
     grey = np.stack([cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY) for frame in rgb])
     nearest = [(i, i + min(options.offsets)) for i in range(len(rgb) - min(options.offsets))]
     short = edge_list(len(rgb), options.offsets)
@@ -106,10 +107,11 @@ def _match(rgb: np.ndarray, options: FlowOptions) -> tuple[Flows, Flows, dict[st
 
 
 def _averaged(rgb: np.ndarray, finest_scale: int, threads: int) -> tuple[np.ndarray, list[np.ndarray], float]:
-    """Grey frames [T, h, w] uint8 with less noise than those of rgb, and how far that still makes their flow err.
+    """Grey frames averaged over time along their flow, and the variance of their flow.
 
     Returns:
-        frames, the variance [h, w] px^2 of the flow of each, and that by the noise left, at the median pixel.
+        frames [T, h, w] uint8; the variance [h, w] px^2 of the flow of each frame (`noise.averaged_variance`); the
+        median of `noise.flow_variance` for the remaining noise, px^2.
     """
     loud = noise.quiet_grey(rgb)
     level = float(np.mean([noise.noise_variance(frame) for frame in loud]))
@@ -120,7 +122,7 @@ def _averaged(rgb: np.ndarray, finest_scale: int, threads: int) -> tuple[np.ndar
 
 
 def _take(truth: Truth, T: int, options: FlowOptions) -> tuple[Flows, Flows]:
-    """True flow [h, w, 2] of all edges of T frames, and confidence [h, w] 1 where it is known, 0 elsewhere."""
+    """True flow [h, w, 2] px of all edges of T frames, and its confidence [h, w]: 1 where it is known, else 0."""
     short = {edge: true_flow(truth, edge) for edge in edge_list(T, options.offsets)}
     longer = long_edges({edge: flow for edge, (flow, _) in short.items()}, T, options.long_edges)
     steps = short | {edge: true_flow(truth, edge) for edge in longer}
@@ -128,7 +130,7 @@ def _take(truth: Truth, T: int, options: FlowOptions) -> tuple[Flows, Flows]:
 
 
 def _picture(rgb: np.ndarray, edges: list[Edge], flow: np.ndarray, confidence: np.ndarray) -> np.ndarray:
-    """A row per shown frame: the frame, its flow to the next one, the confidence of that flow."""
+    """One row per shown frame: the frame, its flow to the next frame, and the confidence of that flow."""
     onward = [e for e, (i, j) in enumerate(edges) if j - i == min(b - a for a, b in edges if b > a)]
     shown = [onward[k] for k in drawing.spread(len(onward), 4)]
     longest = float(np.percentile(np.linalg.norm(flow[shown].astype(np.float32), axis=-1), 98))

@@ -1,4 +1,4 @@
-"""How far dense flow can be trusted, from what the two frames and the flow back say about it."""
+"""Confidence of dense flow, from the two frames and the backward flow."""
 
 import cv2
 import numpy as np
@@ -8,27 +8,33 @@ from stages.shared.warp import is_inside, warp
 
 NOISE_PX = 0.3
 NOISE_PER_PX = 0.02
-"""Expected disagreement of forward and backward flow: a floor and a share of the motion."""
 FAST_PX = 30.0
+"""Expected forward-backward error: NOISE_PX, plus NOISE_PER_PX for each px of motion up to FAST_PX."""
 ROUGH_PX = 0.35
-"""Flow that varies this much within 7 x 7 px crosses a motion border, where it bleeds over by a few pixels."""
+"""Standard deviation of flow within 7 x 7 px at a motion boundary, where the flow of one side leaks to the other."""
 PHOTOMETRIC_LIMIT = 2.0
-"""A photometric residual of this many times the frame's median is a mismatch."""
+"""A photometric residual of this multiple of the frame's median halves the confidence."""
 
 TEXTURELESS = 0.45
-"""Without texture above the noise, flow is a guess from its surroundings: its confidence stays below one half."""
+"""Least value of the texture term. Flow without texture above the noise is interpolated from its surroundings, so its
+confidence stays below one half."""
 
 
 def flow_confidence(
     flow: np.ndarray, back: np.ndarray, source: np.ndarray, target: np.ndarray, textured: np.ndarray | None = None
 ) -> np.ndarray:
-    """Confidence [h, w] float32 in 0..1 that flow [h, w, 2] px is right to a pixel.
+    """Confidence [h, w] float32 in 0..1 that the error of flow [h, w, 2] px is below 1 px.
 
-    The product of four terms: forward-backward consistency with `back` (the flow of the target), smoothness,
-    photometric residual between the grey frames source and target [h, w] uint8, and texture above the noise (that of
-    the source is `textured` where it is known). Zero where the flow leaves the frame.
-    Above 0.5 the true error is under 1 px for more than nine pixels in ten (benchmarks/flow_accuracy.py measures it),
-    in fog at night, where few pixels are above it, about nine in ten from frame to frame and fewer further on.
+    The confidence is the product of four terms: forward-backward consistency, smoothness of the flow, photometric
+    residual, and texture above the noise. It is zero where the flow leaves the frame.
+    Of the pixels above 0.5 more than nine in ten have an error below 1 px (benchmarks/flow_accuracy.py measures it). In
+    fog at night few pixels are above 0.5: about nine in ten of them are right between neighbouring frames, and fewer
+    over longer edges.
+
+    Args:
+        back: [h, w, 2] px, flow from the target to the source.
+        source, target: [h, w] uint8 grey frames.
+        textured: [h, w], the `texture_confidence` of the source; None: computed here.
     """
     disagreement = cv2.magnitude(*cv2.split(flow + warp(back, flow)))
     expected = NOISE_PX + NOISE_PER_PX * np.minimum(cv2.magnitude(*cv2.split(flow)), FAST_PX)
@@ -40,20 +46,20 @@ def flow_confidence(
 
 
 def texture_confidence(variance: np.ndarray) -> np.ndarray:
-    """The term [h, w] that tells texture from noise, TEXTURELESS..1, for a variance [h, w] px^2 of flow by noise."""
+    """Texture term [h, w] in TEXTURELESS..1 for the variance [h, w] px^2 that noise causes in the flow."""
     return np.asarray(TEXTURELESS + (1 - TEXTURELESS) / (1 + variance))
 
 
 def _local_variance(flow: np.ndarray) -> np.ndarray:
-    """Variance of flow within 7 x 7 px, [h, w] px^2; taken about the mean flow, which keeps float32 exact."""
+    """Variance of flow within 7 x 7 px, [h, w] px^2; subtracting the mean flow first avoids cancellation in float32."""
     u, v = (channel - np.float32(channel.mean()) for channel in cv2.split(flow))
     mean_u, mean_v, mean_square = (cv2.blur(values, (7, 7)) for values in (u, v, u * u + v * v))
     return np.asarray(np.maximum(mean_square - mean_u**2 - mean_v**2, 0))
 
 
 def _photometric_ratio(flow: np.ndarray, source: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """Grey-level residual [h, w] after the flow, without the pair's change of exposure, over the frame's median."""
+    """Photometric residual [h, w] as a multiple of the frame's median; a change of exposure in the pair is removed."""
     difference = warp(target.astype(np.float32), flow) - source
     residual = cv2.blur(np.abs(difference - np.median(difference[::2, ::2])), (5, 5))
-    # One grey level is the least that 8-bit frames resolve: textureless frames have no smaller residual.
+    # Differences below one grey level cannot be resolved in 8-bit frames, though a textureless pair may have them.
     return np.asarray(residual / max(float(np.median(residual[::2, ::2])), 1.0))

@@ -1,4 +1,4 @@
-"""Dense flow between many pairs of frames by OpenCV's dense inverse search (Kroeger et al., ECCV 2016)."""
+"""Dense flow between pairs of frames by OpenCV's dense inverse search (Kroeger et al., ECCV 2016)."""
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -20,8 +20,12 @@ def estimate_flow(
 ) -> dict[Edge, np.ndarray]:
     """Flow [h, w, 2] float32 px of every edge between frames grey [T, h, w] uint8.
 
-    Short edges go first; a longer one starts from the chain of shorter ones, or of `known` flow, that leads to its
-    target, which keeps the search within reach of large motions. The result does not depend on `threads`.
+    Edges are solved by increasing length. A longer edge starts from the chained flow of shorter edges or of `known`
+    ones, which brings large motions within the range of the search. The result does not depend on `threads`.
+
+    Args:
+        finest_scale: finest pyramid level searched; 0 is full size.
+        known: flow [h, w, 2] px of edges that are not to be solved again.
     """
     flow = dict(known or {})
 
@@ -39,7 +43,7 @@ def estimate_flow(
 
 
 def chained(flow: Mapping[Edge, np.ndarray], hops: Sequence[Edge] | None) -> np.ndarray | None:
-    """Flow [h, w, 2] from the first to the last frame of `hops`, composed of known flow."""
+    """Flow [h, w, 2] px from the first to the last frame of `hops`, composed of known flow; None without hops."""
     if not hops:
         return None
     total = flow[hops[0]]
@@ -49,10 +53,14 @@ def chained(flow: Mapping[Edge, np.ndarray], hops: Sequence[Edge] | None) -> np.
 
 
 def solve_pair(source: np.ndarray, target: np.ndarray, start: np.ndarray | None, finest_scale: int) -> np.ndarray:
-    """Flow [h, w, 2] float32 px between two grey frames [h, w] uint8, searched from `start` (zero if None)."""
+    """Flow [h, w, 2] float32 px between two grey frames [h, w] uint8, searched from `start` [h, w, 2] (zero if None).
+
+    Args:
+        finest_scale: finest pyramid level searched; 0 is full size.
+    """
     # The solver object holds buffers that threads must not share, so every call makes its own.
     dis = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
     dis.setFinestScale(finest_scale)
     dis.setPatchStride(4)
-    dis.setVariationalRefinementIterations(5)  # ten take a third longer and leave camera paths no better
+    dis.setVariationalRefinementIterations(5)  # more take longer and do not improve the camera paths
     return np.asarray(dis.calc(source, target, start))

@@ -1,4 +1,4 @@
-"""Which frames to match: near ones by their distance, far ones where enough of the picture is still in view."""
+"""Which pairs of frames are matched: near ones by their distance, far ones where enough of the view is shared."""
 
 from collections.abc import Container, Iterator, Mapping, Sequence
 
@@ -12,9 +12,9 @@ Edge = tuple[int, int]
 LADDER = (8, 12, 16, 24, 32, 48, 64)
 """Frame distances of long edges."""
 MIN_COVISIBLE = 0.3
-"""Share of a frame's pixels that must be followed to the target for a long edge."""
+"""Least share of a frame's pixels that can be tracked to the target of a long edge."""
 CONSISTENT_PX = 1.5
-"""A pixel is lost where forward and backward flow of a step disagree by more than this."""
+"""A track is lost where forward and backward flow of a step disagree by more than this."""
 TRACK_STRIDE_PX = 8
 
 
@@ -24,7 +24,11 @@ def edge_list(T: int, offsets: Sequence[int]) -> list[Edge]:
 
 
 def most_edges(T: int, offsets: Sequence[int], per_frame: int) -> int:
-    """How many edges T frames have at most: where all that far frames show stays in view."""
+    """Largest possible number of directed edges of T frames: that of a sequence whose frames all share their view.
+
+    Args:
+        offsets: frame distances of near edges. per_frame: long edges per frame, at most.
+    """
     near = {offset for offset in offsets if offset < T}
     rungs = [rung for rung in LADDER if rung > max(near, default=0)]
     short = sum(T - offset for offset in near)
@@ -32,10 +36,10 @@ def most_edges(T: int, offsets: Sequence[int], per_frame: int) -> int:
 
 
 def long_edges(flow: Mapping[Edge, np.ndarray], T: int, per_frame: int) -> list[Edge]:
-    """Directed edges (i, j) beyond the known ones of flow [h, w, 2] px, both ways, sorted.
+    """Directed edges (i, j) longer than those of the known flow [h, w, 2] px, both ways, sorted.
 
-    They lead from every frame to at most `per_frame` later ones: the furthest on the ladder to which enough pixels can
-    be followed along the flow. Their number and the cost of choosing them grow linearly with T.
+    Each frame is connected to at most `per_frame` later ones: those at the largest distances in LADDER to which enough
+    pixels can be tracked along the flow. The number of edges and the cost of choosing them are linear in T.
     """
     distances = sorted({j - i for i, j in flow if j > i}, reverse=True)
     rungs = [rung for rung in LADDER if rung > max(distances, default=0)]
@@ -47,7 +51,7 @@ def long_edges(flow: Mapping[Edge, np.ndarray], T: int, per_frame: int) -> list[
 
 
 def path(known: Container[Edge], distances: Sequence[int], edge: Edge) -> list[Edge] | None:
-    """Known edges that lead from one end of `edge` to the other, longest first; None if they do not reach it.
+    """Known edges that lead from one end of `edge` to the other, longest first; None if there is no such chain.
 
     Args:
         distances: frame distances of known edges, in descending order.
@@ -68,7 +72,7 @@ def path(known: Container[Edge], distances: Sequence[int], edge: Edge) -> list[E
 def _covisible(
     flow: Mapping[Edge, np.ndarray], i: int, distances: Sequence[int], rungs: Sequence[int]
 ) -> Iterator[int]:
-    """Frames at `rungs` from frame i, while enough of its pixels can be followed there."""
+    """Frames at the distances `rungs` from frame i, as long as enough pixels of frame i can be tracked there."""
     points, at = None, i
     for rung in rungs:
         hops = path(flow, distances, (at, i + rung))
@@ -91,7 +95,7 @@ def _grid(h: int, w: int) -> np.ndarray:
 
 
 def _advanced(points: np.ndarray, forward: np.ndarray, backward: np.ndarray) -> np.ndarray:
-    """Where points [n, 2] go along one edge, without those that leave the frame or do not find back, [m, 2]."""
+    """Points [n, 2] px moved along one edge, without those that leave it or fail the forward-backward check: [m, 2]."""
     h, w = forward.shape[:2]
     moved = points + bilinear(forward, points)
     inside = ((moved >= 0) & (moved <= (w - 1, h - 1))).all(axis=1)

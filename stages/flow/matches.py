@@ -1,8 +1,8 @@
-"""Large motion: a start for dense flow from sparse matches, densified along image edges.
+"""Large motion: dense flow initialised from sparse matches that are interpolated along image edges.
 
-SIFT matches that fit one epipolar geometry are interpolated by RIC (Hu, Li, Song, CVPR 2017) of opencv-contrib. It pays
-where dense search loses its way and matches are many and right; elsewhere it costs ten times the search and gains
-nothing, hence the gate.
+SIFT matches that fit one epipolar geometry are interpolated by RIC (Hu, Li, Song, CVPR 2017) of opencv-contrib. This
+helps where dense search fails and most matches are correct. Elsewhere it costs far more time than the search and gains
+nothing, so only pairs that pass a gate are treated.
 """
 
 import threading
@@ -17,23 +17,26 @@ from stages.flow.edges import Edge
 from stages.shared.warp import warp
 
 MAX_CONFIDENT_SHARE, LOST_SHARE = 0.5, 0.1
-"""Pairs that are confident on more of their pixels than this are left alone: fast ones, and others."""
+"""Pairs with a larger share of confident pixels keep their flow: first limit for fast pairs, second for all others."""
 MIN_MATCHES, MIN_INLIER_SHARE, MIN_MOTION_PX = 250, 0.7, 10.0
-"""The gate: so many matches, of which so many fit one epipolar geometry, moving by so much in the median."""
+"""The gate: least number of matches, least share of inliers to one epipolar geometry, least median motion."""
 KEYPOINTS, CONTRAST, EDGE, RATIO = 4000, 0.008, 20, 0.85
+"""SIFT: number of keypoints, contrast threshold, edge threshold, limit of the ratio test."""
 EPIPOLAR_PX, ITERATIONS, PROBABILITY = 1.0, 2000, 0.999
+"""MAGSAC: inlier threshold, iterations, confidence."""
 RESIDUAL_WINDOW_PX = 9
 _ONE_AT_A_TIME = threading.Lock()
-"""The interpolators of two threads share state: side by side, some of their flows come out different."""
+"""Interpolators share state between threads: concurrent calls can return different flow."""
 
 
 def restarted_pair(
     rgb: np.ndarray, grey: np.ndarray, flow: Mapping[Edge, np.ndarray], pair: Edge, finest_scale: int
 ) -> dict[Edge, np.ndarray]:
-    """Better flow [h, w, 2] px of both edges of a pair that moves fast and is not confident; empty behind the gate.
+    """New flow [h, w, 2] px of both edges of a pair with large motion and low confidence; empty if the gate fails.
 
     Args:
-        rgb: [T, h, w, 3] uint8; grey: [T, h, w] uint8; flow: of both edges.
+        rgb: [T, h, w, 3] uint8. grey: [T, h, w] uint8.
+        flow: [h, w, 2] px, of both edges. finest_scale: as in `solve_pair`.
     """
     i, j = pair
     if not _is_lost(flow[i, j], flow[j, i], grey[i], grey[j]):
@@ -47,7 +50,7 @@ def restarted_pair(
 
 
 def _is_lost(flow: np.ndarray, back: np.ndarray, source: np.ndarray, target: np.ndarray) -> bool:
-    """Whether a pair is confident nowhere, or is little confident and moves fast as far as its flow can tell."""
+    """Whether hardly any pixel of a pair is confident, or few are and the median of its flow is large."""
     share = float((flow_confidence(flow, back, source, target) > 0.5).mean())
     fast = np.median(np.linalg.norm(flow, axis=-1)) > MIN_MOTION_PX / 2
     return share < (MAX_CONFIDENT_SHARE if fast else LOST_SHARE)
@@ -68,7 +71,7 @@ def sparse_matches(source: np.ndarray, target: np.ndarray) -> np.ndarray:
 
 
 def trusted(matches: np.ndarray) -> np.ndarray | None:
-    """The matches [m, 2, 2] of [n, 2, 2] that fit one epipolar geometry, if they pass the gate; else None."""
+    """The inliers [m, 2, 2] of matches [n, 2, 2] px to one epipolar geometry; None if they fail the gate."""
     if len(matches) < MIN_MATCHES:
         return None
     here, there = np.ascontiguousarray(matches[:, 0]), np.ascontiguousarray(matches[:, 1])
@@ -88,16 +91,16 @@ def restarted(
     matches: np.ndarray,
     finest_scale: int,
 ) -> np.ndarray | None:
-    """Flow [h, w, 2] px searched anew from densified matches, wherever that explains the target better than `flow`.
+    """Flow [h, w, 2] px: `flow`, replaced where a search from interpolated matches has a lower photometric residual.
 
-    The same bytes in every call and thread, if OpenCV itself runs single-threaded.
+    The result is the same bit for bit in every call and thread, provided that OpenCV itself runs single-threaded.
 
     Args:
         rgb, grey: source and target, [h, w, 3] and [h, w] uint8.
         matches: [n, 2, 2] (source, target) px.
 
     Returns:
-        None where the interpolator refuses the matches (too sparse or clustered).
+        None if the interpolator rejects the matches (too sparse or clustered).
     """
     here, there = np.ascontiguousarray(matches[:, 0]), np.ascontiguousarray(matches[:, 1])
     try:
@@ -123,6 +126,6 @@ def _features(frame: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _residual(flow: np.ndarray, source: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """Mean grey-level difference [h, w] after the flow, over a window."""
+    """Photometric residual [h, w]: absolute grey-level difference after the flow, averaged over a window."""
     difference = np.abs(warp(target.astype(np.float32), flow) - source)
     return cv2.blur(difference, (RESIDUAL_WINDOW_PX, RESIDUAL_WINDOW_PX))

@@ -1,4 +1,4 @@
-"""Noise of the camera: how far it hides texture, and frames averaged along their flow where it does."""
+"""Image noise: how far it hides texture, and averaging of frames over time along their flow where it does."""
 
 from collections.abc import Mapping, Sequence
 
@@ -9,27 +9,32 @@ from stages.flow.edges import Edge
 from stages.shared.warp import is_inside, warp
 
 MIN_NOISE = 0.29
-"""Noise of 8-bit rounding, in grey levels."""
+"""Standard deviation of 8-bit rounding, in grey levels."""
 BLUR_PX, TEXTURE_WINDOW_PX = 1.5, 15
+"""Standard deviation of the blur before the gradients, and side of the structure tensor's window."""
 HIDDEN_PX, COARSE_PX = 0.4, 0.6
-"""Noise that makes flow err by more than the first at the median pixel (by day it is 0.03 to 0.2) is averaged away.
+"""Limits of the flow error that noise causes at the median pixel (standard deviation; in daylight 0.03 to 0.2 px).
 
-Where more than the second is left, full size is not searched: patches of 8 px hold little but noise.
+Above the first limit the frames are averaged over time. If it is above the second after that, flow is not searched at
+full size: patches of 8 px contain little but noise.
 """
 REACH = (1, 2)
-"""Frames are averaged with those so many frames before and after them."""
+"""Frame distances, before and after, of the frames that enter an average."""
 MATCH_BLUR_PX, MATCH_SIGMAS = 2.0, 2.0
-"""What differs after this blur by more than so many standard deviations of the noise shows something else."""
+"""Blur of the difference between two aligned frames, and the blurred difference, in standard deviations of its noise,
+beyond which the other frame hardly counts: it shows another surface there."""
 SHARED = 3.0
-"""Two averaged frames show the same noise where the flow put it, so that it errs by more than what is left predicts."""
+"""Factor on the variance of flow between averaged frames. They share noise that the flow has aligned, so flow errors
+are larger than the remaining noise predicts."""
 SUPPORT_PX, NO_TEXTURE = 31, 4.0
-"""Flow against noise takes its surroundings along: it needs texture there too. Beyond this variance, px^2, is none."""
+"""In strong noise flow depends on a window of SUPPORT_PX, so texture is needed there too. A variance above NO_TEXTURE
+(px^2) counts as no texture."""
 
 
 def noise_variance(image: np.ndarray) -> float:
-    """Variance of the noise of a grey frame [h, w] uint8, in squared grey levels.
+    """Variance of the noise of a grey frame [h, w] uint8 or float32, in squared grey levels.
 
-    Immerkaer, CVIU 1996; by the median, which edges disturb less.
+    Immerkaer, CVIU 1996, with the median in place of the mean: edges affect it less.
     """
     kernel = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)
     response = np.abs(cv2.filter2D(image, cv2.CV_32F, kernel))
@@ -37,13 +42,14 @@ def noise_variance(image: np.ndarray) -> float:
 
 
 def flow_variance(image: np.ndarray, noise: float | np.ndarray | None = None) -> np.ndarray:
-    """Variance [h, w] px^2 that noise causes in flow along the worst direction of a window (Cramer-Rao bound).
+    """Variance [h, w] px^2 that noise causes in flow, in the worst direction (Cramer-Rao bound over a window).
 
-    The noise of two frames over the smaller eigenvalue of the structure tensor, less what noise itself adds to that.
+    It is the noise variance of two frames, divided by the smaller eigenvalue of the structure tensor. The contribution
+    of the noise to that eigenvalue is subtracted.
 
     Args:
-        image: [h, w] uint8 grey frame.
-        noise: variance of its noise, of all pixels or per pixel [h, w]; None: estimated.
+        image: [h, w] uint8 or float32 grey frame.
+        noise: variance of its noise in squared grey levels, for all pixels or per pixel [h, w]; None: estimated.
     """
     noise = noise_variance(image) if noise is None else noise
     smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), BLUR_PX)
@@ -51,39 +57,41 @@ def flow_variance(image: np.ndarray, noise: float | np.ndarray | None = None) ->
     window = (TEXTURE_WINDOW_PX, TEXTURE_WINDOW_PX)
     xx, yy, xy = (cv2.blur(product, window) for product in (gx * gx, gy * gy, gx * gy))
     eigenvalue = (xx + yy) / 2 - np.sqrt((xx - yy) ** 2 / 4 + xy**2) - noise / (8 * np.pi * BLUR_PX**4)
-    # Of two flat directions any is as bad as the other: 1e-9 keeps the quotient finite.
+    # Without texture the eigenvalue can be zero or below: 1e-9 keeps the quotient finite.
     return np.asarray(2 * noise / (np.maximum(eigenvalue, 1e-9) * TEXTURE_WINDOW_PX**2))
 
 
 def hides_texture(grey: np.ndarray, variances: Sequence[np.ndarray]) -> bool:
-    """Whether noise, more than the rounding to 8 bits, leaves half of the flow of frames [T, h, w] uint8 a guess.
+    """Whether noise beyond 8-bit rounding makes flow between frames [T, h, w] uint8 unreliable at the median pixel.
 
     Args:
-        variances: `flow_variance` [h, w] of every frame.
+        variances: `flow_variance` [h, w] px^2 of every frame.
     """
     loud = noise_variance(grey[len(grey) // 2]) > MIN_NOISE**2
     return bool(loud and typical_variance(variances) > HIDDEN_PX**2)
 
 
 def typical_variance(variances: Sequence[np.ndarray]) -> float:
-    """Median over frames and pixels of `flow_variance` [h, w]."""
+    """Median over frames and pixels of `flow_variance` [h, w], in px^2."""
     return float(np.median([np.median(variance[::4, ::4]) for variance in variances]))
 
 
 def quiet_grey(rgb: np.ndarray) -> np.ndarray:
-    """Grey frames [T, h, w] float32 of frames [T, h, w, 3] uint8 with the least noise: channels by inverse variance."""
+    """Grey frames [T, h, w] float32 of frames [T, h, w, 3] uint8: channels weighted by inverse noise variance."""
     channels = rgb[len(rgb) // 2]
     weights = np.array([1 / noise_variance(np.ascontiguousarray(channels[..., c])) for c in range(3)], np.float32)
     return np.asarray(rgb @ (weights / weights.sum()))
 
 
 def averaged(grey: np.ndarray, flow: Mapping[Edge, np.ndarray], i: int, noise: float) -> tuple[np.ndarray, np.ndarray]:
-    """Frame i averaged with its neighbours along the flow, [h, w] uint8, and the variance [h, w] of its noise left.
+    """Frame i averaged with its neighbours along the flow, [h, w] uint8, and the variance [h, w] of the noise left.
 
-    A neighbour counts where it shows the same thing but for noise; not where it is hidden or the flow is wrong.
+    A neighbour counts where it differs from frame i by no more than noise; not at occlusions or where the flow is
+    wrong.
 
     Args:
-        grey: [T, h, w] float32 frames; flow: [h, w, 2] px of edges from frame i; noise: variance of a frame's noise.
+        grey: [T, h, w] float32 frames. flow: [h, w, 2] px of the edges from frame i.
+        noise: variance of the noise of a frame, in squared grey levels.
     """
     total, weights, squares = grey[i].copy(), np.ones_like(grey[i]), np.ones_like(grey[i])
     limit = MATCH_SIGMAS**2 * 2 * noise / (4 * np.pi * MATCH_BLUR_PX**2)
@@ -101,7 +109,11 @@ def averaged(grey: np.ndarray, flow: Mapping[Edge, np.ndarray], i: int, noise: f
 
 
 def averaged_variance(image: np.ndarray, noise: np.ndarray) -> np.ndarray:
-    """`flow_variance` [h, w] of an averaged frame [h, w] uint8 with noise of variance [h, w], nowhere too low."""
+    """`flow_variance` [h, w] px^2 of an averaged frame [h, w] uint8 with noise variance [h, w], as an upper estimate.
+
+    It takes into account that averaged frames share noise (SHARED), and that their flow needs texture in a wider window
+    (SUPPORT_PX).
+    """
     variance = flow_variance(image, noise)
     around = cv2.blur(np.minimum(variance, NO_TEXTURE), (SUPPORT_PX, SUPPORT_PX))
     return np.asarray(SHARED * np.maximum(variance, around))

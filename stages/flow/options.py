@@ -20,22 +20,21 @@ class FlowOptions(Options):
         2,
         ge=0,
         le=7,
-        description="at most so many later frames, 8 to 64 frames on, that a frame is matched with besides, both ways:"
-        " the furthest in which 30 % of it are still in view; each takes up to a quarter more time",
+        description="long edges per frame, both ways: at most so many later frames, 8 to 64 frames ahead, the furthest"
+        " that still show 30 % of the frame; each costs time",
     )
     max_width_px: int = Field(512, ge=64, description="wider frames are reduced to this width before matching")
     finest_scale: int = Field(
         0,
         ge=0,
         le=3,
-        description="finest pyramid level that is searched: 0 is full size; 1 takes less than half the"
-        " time and has a third more error",
+        description="finest pyramid level that is searched: 0 is full size; 1 is faster and less accurate",
     )
 
     @field_validator("offsets")
     @classmethod
     def _links_neighbours(cls, value: tuple[int, ...]) -> tuple[int, ...]:
-        """Poses are chained, tracks followed and long edges started from frame to frame."""
+        """Require distance 1: poses, tracks and long edges are chained over neighbouring frames."""
         if 1 not in value:
             raise ValueError("1 among the frame distances")
         return value

@@ -1,4 +1,4 @@
-"""True flow between any two frames, from true depth, cameras and forward flow: what perfect matching would give."""
+"""True flow between any two frames, from true depth, cameras and forward flow: the result of perfect matching."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -16,12 +16,13 @@ from stages.shared.warp import is_inside, matches, warp
 
 NEEDED = ("camdata_left", "depth", "flow")
 MOVING_PX = 0.1
-"""Without motion masks, pixels move whose true flow differs by more than this from the motion of the static world."""
+"""Without motion masks, a pixel is moving if its true flow differs by more than this from that of a static scene."""
 DEPTH_AGREEMENT = 0.02
 """Relative difference of depth up to which two pixels show the same surface."""
 SMOOTH_PX = 1.0
-"""Flow that varies more than this over 3 x 3 px is not interpolated: different things meet there."""
+"""Flow that varies more than this over 3 x 3 px is not interpolated: it crosses the boundary of a surface."""
 INVERSION_STEPS, INVERSION_PX = 8, 0.05
+"""Fixed-point iterations of the inversion, and the largest residual that is accepted."""
 
 Step = tuple[np.ndarray, np.ndarray]
 
@@ -45,10 +46,10 @@ class Truth:
 
 
 def read_truth(frames: sequences.Sequence, width: int, height: int) -> Truth:
-    """Truth of a sequence, reduced to width x height.
+    """Truth of a sequence, reduced to width x height px.
 
     Raises:
-        InputError: names the kinds of truth that are missing.
+        InputError: if truth is missing, with its kinds, or if the true flow is not finite.
     """
     missing = [kind for kind in NEEDED if not frames.has_truth(kind)]
     if missing:
@@ -70,10 +71,11 @@ def read_truth(frames: sequences.Sequence, width: int, height: int) -> Truth:
 
 
 def true_flow(truth: Truth, edge: Edge) -> Step:
-    """Flow [h, w, 2] float32 px of an edge, and where it is known: the point is seen in both frames, [h, w] bool.
+    """Flow [h, w, 2] float32 px of an edge, and where it is known: the point is visible in both frames, [h, w] bool.
 
-    Static pixels move as depth and cameras say, exactly; they are seen where the depths of both frames agree. Moving
-    pixels follow the true flow from frame to frame, backwards by inverting it, as long as every step is known.
+    The flow of static pixels follows from depth and cameras; it is known where the depths of both frames agree. The
+    flow of moving pixels is chained from the true flow of single steps, inverted for steps backwards; it is known where
+    every step is.
     """
     i, j = edge
     flow, known = _static_motion(truth, i, j)
@@ -85,9 +87,14 @@ def true_flow(truth: Truth, edge: Edge) -> Step:
 
 
 def inverted(flow: np.ndarray, known: np.ndarray, inverse_depth: np.ndarray, there: np.ndarray) -> Step:
-    """Flow [h, w, 2] back from the target of `flow`, and where it is known: on pixels `there` [h, w] of the target.
+    """Flow [h, w, 2] px from the target of `flow` back to its source, and where it is known, [h, w] bool.
 
-    It solves back(x) = -flow(x + back(x)) by iteration, from what lands nearest to x; near things cover far ones.
+    It solves back(x) = -flow(x + back(x)) by fixed-point iteration. The initial value is the flow that lands nearest to
+    x; of several surfaces that land there, the nearest to the camera is visible.
+
+    Args:
+        known: [h, w] bool, where `flow` is known. inverse_depth: [h, w] of the source.
+        there: [h, w] bool, pixels of the target to which the result is restricted.
     """
     h, w = known.shape
     back = np.zeros_like(flow)
@@ -108,7 +115,7 @@ def inverted(flow: np.ndarray, known: np.ndarray, inverse_depth: np.ndarray, the
 
 
 def _followed(steps: Mapping[Edge, Step], i: int, j: int) -> Step:
-    """Flow of moving pixels from frame i to j, step by step."""
+    """Flow of moving pixels from frame i to j, chained from single steps, and where it is known."""
     sign = 1 if j > i else -1
     total, known = steps[i, i + sign]
     for k in range(i + sign, j, sign):
@@ -120,7 +127,7 @@ def _followed(steps: Mapping[Edge, Step], i: int, j: int) -> Step:
 
 
 def _static_motion(truth: Truth, i: int, j: int) -> Step:
-    """Flow of static pixels, and where they are seen again."""
+    """Flow of static pixels from frame i to j, and where the point is visible in frame j."""
     inverse_depth = truth.inverse_depth[i]
     pixels, cameras = pixel_grid(*inverse_depth.shape), projection(_camera(truth, i), _camera(truth, j))
     static, ratio = static_flow(pixels, inverse_depth.astype(float), *cameras)
@@ -143,7 +150,7 @@ def _is_smooth(flow: np.ndarray) -> np.ndarray:
 
 
 def _reduce(inverse_depth: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """Inverse depth on the grid: linear between pixels of one surface, zero between two."""
+    """Inverse depth on the grid: interpolated linearly within a surface, zero across the boundary of two."""
     nearest = reduce(inverse_depth, size, cv2.INTER_NEAREST_EXACT)
     linear = reduce(inverse_depth, size, cv2.INTER_LINEAR)
     one_surface = np.abs(linear - nearest) < DEPTH_AGREEMENT * nearest
@@ -158,7 +165,7 @@ def _read_forward(frames: sequences.Sequence, number: int, size: tuple[int, int]
 
 
 def _is_unoccluded(frames: sequences.Sequence, number: int, size: tuple[int, int]) -> np.ndarray:
-    """Where the true flow of a frame is valid and leads to something seen, [h, w] bool."""
+    """Where the true flow of a frame is valid and its target is not occluded, [h, w] bool."""
     hidden = np.zeros((frames.height, frames.width), bool)
     for kind in ("occlusions", "invalid"):
         if path := frames.truth.get(kind, {}).get(number):
@@ -172,7 +179,7 @@ def _read_moving(frames: sequences.Sequence, size: tuple[int, int]) -> np.ndarra
 
 
 def _derived_moving(still: Truth, forward: np.ndarray) -> np.ndarray:
-    """Pixels [T, h, w] whose true flow is not that of a static world; the last frame takes what lands in it."""
+    """Pixels [T, h, w] whose true flow is not that of a static scene; in the last frame, where such flow ends."""
     moving = np.zeros(still.inverse_depth.shape, bool)
     for k, flow in enumerate(forward):
         moving[k] = np.linalg.norm(flow - _static_motion(still, k, k + 1)[0], axis=-1) > MOVING_PX
