@@ -1,6 +1,6 @@
-"""The runs of a sweep and of a scaling: for each sequence and setting, what it is called and where its results lie.
+"""The runs of a sweep and of a scaling: names and result paths for each sequence and setting.
 
-All paths start in the folder of the dataset under results/.
+Paths are relative to the folder of the dataset under results/.
 """
 
 from collections.abc import Sequence
@@ -17,13 +17,13 @@ SIZES = {
     "gaussians": ("gaussians", "gaussians/model.safetensors"),
     "control points": ("control", "control/points.parquet"),
 }
-"""The stage and the file that shows how large each thing that grows has become."""
+"""The stage and the file from which the size along each axis of the scaling is read."""
 CONVERGENCE = "gaussians/convergence.parquet"
 SCORES = ("poses", "images", "masks", "time")
 
 
 def swept_run(settings: Sequence[Setting], setting: Setting, sequence: str) -> dict[str, Any]:
-    """What the table of the sweep says about a run, and where its scores, its model and its training lie."""
+    """Columns of the sweep's table that identify a run, and the paths of its scores, model and training history."""
     scores = _path(settings, setting, sequence, "evaluate", "eval")
     return {
         "sequence": sequence,
@@ -42,7 +42,7 @@ def swept_run(settings: Sequence[Setting], setting: Setting, sequence: str) -> d
 
 
 def scaled_run(settings: Sequence[Setting], setting: Setting, sequence: str) -> dict[str, Any]:
-    """Where the size of a run and the costs of the stages that its axis measures lie, a file per round."""
+    """Paths of the file with a run's size and of the time files of the stages on its axis, one file per round."""
     stats = {
         stage: [
             _path(settings, setting, sequence, stage, f"stats/{stage}.json", number)
@@ -60,7 +60,7 @@ def scaled_run(settings: Sequence[Setting], setting: Setting, sequence: str) -> 
 
 
 def needed_files(run: dict[str, Any]) -> list[str]:
-    """The files that a run's row is collected from."""
+    """The files from which the row of a run (`swept_run` or `scaled_run`) is computed."""
     configured = [
         f"{run['sequence']}/sequence.json",
         *(f"{run['sequence']}/stats/{name}.json" for name in run["stages"]),
@@ -72,7 +72,7 @@ def needed_files(run: dict[str, Any]) -> list[str]:
 
 
 def _stages(settings: Sequence[Setting]) -> dict[str, int]:
-    """How often each stage of the configured run, the first of the settings, runs."""
+    """Number of rounds of each stage in the configured run, which is the first of the settings."""
     return {stage: len(rounds_of(settings[0], stage)) for stage in MEASURED}
 
 

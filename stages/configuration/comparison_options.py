@@ -1,4 +1,4 @@
-"""Options that say which settings a sweep compares and over which sizes the growth of cost is measured."""
+"""Options of the comparisons: the settings of a sweep, and the sizes over which the growth of cost is measured."""
 
 from typing import Any, Literal
 
@@ -8,7 +8,7 @@ from stages.configuration.presets import Overrides, Preset
 from stages.shared.options import Options
 
 Knobs = dict[str, list[Any]]
-"""Values to try by the dotted name of an option, as in {"ba.stride_px": [4, 8, 16]}."""
+"""Values to try, by the dotted name of an option: {"ba.stride_px": [4, 8, 16]}."""
 
 GROWING: dict[str, tuple[str, ...]] = {
     "frames": ("inspect", "flow", "motion", "segment", "ba", "scene", "control", "gaussians", "render"),
@@ -16,7 +16,7 @@ GROWING: dict[str, tuple[str, ...]] = {
     "gaussians": ("gaussians", "render"),
     "control points": ("control", "gaussians", "render"),
 }
-"""What may grow, and the stages whose cost is measured against it."""
+"""Sizes that can be varied, and the stages whose cost is measured against each."""
 
 
 class SweepOptions(Options):

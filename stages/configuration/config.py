@@ -1,4 +1,4 @@
-"""The whole configuration: one section per stage, shared keys on top, checked before any work."""
+"""The whole configuration: one section per stage and shared keys at the top level, checked before any work."""
 
 from collections.abc import Mapping
 from typing import Any, Literal
@@ -27,7 +27,7 @@ SIMULATED = "simulated"
 
 
 class Config(Options):
-    """config.yaml. Keys that several stages share stand on top; a section may override them."""
+    """config.yaml. Keys that several stages share are at the top level; a section may override them."""
 
     dataset: str = Field(SIMULATED, description="'simulated', or a folder: MPI-Sintel, frame folders, or frames")
     scenes: Literal["all", "tuned", "test"] | list[str] = Field(
@@ -69,23 +69,26 @@ class Config(Options):
     @field_validator("scenes", "sequences")
     @classmethod
     def _not_none_at_all(cls, names: str | list[str]) -> str | list[str]:
-        """Refuse an empty list: there would be nothing to run, nor to report."""
+        """Refuse an empty list: there would be nothing to run."""
         if not names:
             raise ValueError("'all' or at least one name")
         return names
 
 
 SHARED_KEYS = ("intrinsics", "holdout_every", "holdout_first", "device", "seed")
+"""Top-level keys that sections inherit."""
 
 
 def load(raw: Mapping[str, Any], mine: Mapping[str, Any] | None = None, where: str = "config.yaml") -> Config:
     """Check a parsed config.yaml (merged with its overrides) and apply its preset.
 
     Args:
-        mine: what the user's own files and flags set. It wins over the preset, as does any value that is no default.
+        mine: values from the user's own files and flags. They win over the preset, as does every value that differs
+            from the default.
+        where: source of `raw`, named in error messages.
 
     Raises:
-        InputError: one line for the first thing that is wrong.
+        InputError: one line for the first wrong value.
     """
     config = validate(Config, raw, where)
     values, defaults = config.model_dump(by_alias=True), Config().model_dump(by_alias=True)
@@ -98,7 +101,7 @@ def load(raw: Mapping[str, Any], mine: Mapping[str, Any] | None = None, where: s
 
 
 def section(config: Config, name: str) -> Options:
-    """The options of one script: its section, with shared keys from the top where it does not set them."""
+    """The options of one stage: its section, with the shared top-level keys that the section does not set."""
     options: Options = getattr(config, name)
     inherited = {key: getattr(config, key) for key in SHARED_KEYS if key in type(options).model_fields}
     chosen = inherited | {key: getattr(options, key) for key in options.model_fields_set}
@@ -106,5 +109,5 @@ def section(config: Config, name: str) -> Options:
 
 
 def flags(config: Config, name: str) -> str:
-    """The command-line flags of one script."""
+    """The command-line flags of one stage."""
     return to_flags(section(config, name))

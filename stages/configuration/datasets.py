@@ -11,9 +11,9 @@ from stages.shared.sequences import Sequence, check_headers, choose, list_sequen
 SCENES = Path(__file__).parents[1] / "simulate" / "scenes"
 """The scene library."""
 EARLY_FRAMES = 1000
-"""So many frames are checked one by one before any work; of more, the first of each sequence. `inspect` checks all.
+"""Up to this many frames, all image headers are checked before any work; beyond, those of each first frame alone.
 
-Thousands of headers take seconds, on the file systems of clusters minutes.
+Thousands of headers take seconds, and minutes on the file systems of clusters. `inspect` checks all of them.
 """
 
 
@@ -23,11 +23,11 @@ def dataset_name(config: Config) -> str:
 
 
 def find_sequences(config: Config, folders: Mapping[str, str], headers: bool = True) -> dict[str, Sequence]:
-    """The chosen sequences with frames and sizes, but without truth; simulated ones as their scene files promise.
+    """The chosen sequences with frames and sizes, without truth; those of simulated ones are taken from scene files.
 
     Args:
         folders: the folder of frames of every chosen sequence.
-        headers: read those of all frames, where there are no more than EARLY_FRAMES; else that of each first frame.
+        headers: check the headers of all frames if there are at most EARLY_FRAMES of them.
 
     Raises:
         InputError: for too few frames, gaps in their numbers and unreadable frames.
@@ -43,7 +43,7 @@ def find_sequences(config: Config, folders: Mapping[str, str], headers: bool = T
 
 
 def frame_folders(config: Config) -> dict[str, str]:
-    """The folder of frames of every chosen sequence; simulated ones lie under simulated/."""
+    """The folder of frames of every chosen sequence; that of a simulated one is under simulated/."""
     dataset = Path(config.dataset)
     if config.dataset == SIMULATED:
         folders = {name: Path(SIMULATED, "training", config.pass_, name) for name in scene_files(config)}
@@ -53,7 +53,11 @@ def frame_folders(config: Config) -> dict[str, str]:
 
 
 def scene_files(config: Config) -> dict[str, Path]:
-    """The scenes to render, by name: the whole library or one split of it, names from it, or paths of YAML files."""
+    """The scene files to render, by name: the whole library, one split of it, or chosen names and YAML files.
+
+    Raises:
+        InputError: for a file that does not exist or a name that is not in the library.
+    """
     library = {path.stem: path for path in sorted(SCENES.glob("*.yaml"))}
     if config.scenes == "all":
         return library
@@ -69,7 +73,7 @@ def scene_files(config: Config) -> dict[str, Path]:
 
 @functools.cache
 def _split(scene: Path) -> str | None:
-    """Which part of the library a scene belongs to; remembered, as every job asks."""
+    """The split of the library that a scene belongs to; cached, since every job asks."""
     from stages.simulate.scene import load_scene
 
     return load_scene(scene).split

@@ -1,7 +1,7 @@
-"""The steps of a setting, and where the results of each lie: settings share the steps in which they do not differ.
+"""The steps of a setting and the folders of their results: settings share the steps in which they do not differ.
 
-Snakemake knows the order of stages within one setting from its files. Across settings it cannot tell that two results
-would be equal: that depends on options alone, and is decided here.
+Snakemake derives the order of stages within one setting from their files. It cannot tell that two settings would give
+equal results: that depends on options alone, and is decided here.
 """
 
 import functools
@@ -18,7 +18,7 @@ Step = tuple[str, int]
 def rounds_of(setting: Setting, stage: str) -> range:
     """The rounds in which a setting runs a stage: the last one for stages that rounds do not repeat.
 
-    The first of several rounds goes without masks if `first_masks` is "none".
+    If `first_masks` is "none", the first of several rounds runs `ba` alone.
     """
     rounds, without = setting.config.rounds, setting.config.first_masks == "none"
     if stage not in REPEATED:
@@ -28,9 +28,9 @@ def rounds_of(setting: Setting, stage: str) -> range:
 
 @functools.cache
 def steps(setting: Setting, stage: str) -> tuple[Step, ...]:
-    """All steps of a setting in their order, as far as a stage or its last round: each reads what some before it made.
+    """All steps of a setting in order, up to `stage` in its last round; each step reads results of earlier ones.
 
-    COLMAP stands beside the chain: it reads the frames alone.
+    COLMAP is not part of this chain: it reads the frames alone.
     """
     last = setting.config.rounds
     if stage == "colmap":
@@ -42,7 +42,7 @@ def steps(setting: Setting, stage: str) -> tuple[Step, ...]:
 
 @functools.cache
 def _flags_up_to(setting: Setting, stage: str, number: int) -> tuple[tuple[str, str], ...]:
-    """Every step up to one of them with its flags: equal for two settings, the results are equal."""
+    """Every step up to the given one with its flags; if two settings agree in them, their results are equal."""
     chain = steps(setting, stage)
     chain = chain[: chain.index((stage, number)) + 1]
     if stage == "evaluate" and is_baseline(setting.overrides):  # the one stage that reads what COLMAP made
@@ -51,11 +51,11 @@ def _flags_up_to(setting: Setting, stage: str, number: int) -> tuple[tuple[str, 
 
 
 def find_home(settings: Sequence[Setting], setting: Setting, stage: str, number: int) -> str:
-    """Where the results of a stage under a setting lie: in the folder of the first setting that makes the same ones.
+    """The folder of a stage's results under a setting: that of the first setting with the same results.
 
     Args:
-        settings: all, the configured one first.
-        number: the round that is meant, one of `rounds_of`; ignored by stages that rounds do not repeat.
+        settings: all settings, the configured one first.
+        number: the round, one of `rounds_of`; ignored for stages that rounds do not repeat.
 
     Returns:
         "", or a prefix that ends with "/": "settings/<name>/", "round1/", "settings/<name>/round1/".

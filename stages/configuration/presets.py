@@ -1,4 +1,4 @@
-"""Presets: sets of option values that move the knobs of several stages together."""
+"""Presets: values for options of several stages that trade accuracy for time."""
 
 from collections.abc import Mapping
 from typing import Any, Literal
@@ -26,21 +26,23 @@ PRESETS: dict[Preset, Overrides] = {
         "gaussians.steps": 2000,
     },
 }
-"""Balanced is the defaults themselves.
+"""`balanced` is the defaults. `snakemake sweep` compares the presets on any sequences (its group `presets`); with an
+option under `sweep: knobs:` it shows what that option contributes. Figures below are examples from a few sequences.
 
-Fast takes a third of the CPU time of balanced from flow to poses (13 against 40 s for 30 frames, 512 x 218 px; flow
-alone 5 against 17). Its path error is 0.02 to 0.11 % where that of balanced is 0.02 to 0.06 (six sequences), 0.38
-against 0.22 in a fast and blurred one; thin movers lose half of their masks. Smaller frames cost less than stopping at
-a coarser scale. Its first poses do without masks, at no loss but where movers fill near half of the view: there 0.75
-against 0.05 %, flagged. It keeps two rounds: one leaves masks of a large mover at an IoU of 0.11 instead of 0.98.
+`fast` takes a third of the CPU time of `balanced` from flow to poses (13 and 40 s for 30 frames, 512 x 218 px; the flow
+5 and 17 s). Its path error is 0.02 to 0.11 % of the path, that of `balanced` 0.02 to 0.06 % (six sequences); on a fast
+and blurred sequence 0.38 and 0.22 %. Masks of thin movers lose half of their area. Smaller frames lose less accuracy
+than a coarser finest scale. The first poses are estimated without masks. This does no harm unless movers fill nearly
+half of the view: there the error is 0.75 instead of 0.05 %, and flagged. Two rounds are kept: with one, the mask of a
+large mover has an IoU of 0.11 instead of 0.98.
 
-Accurate: half the stride of the adjustment doubles its time and lowers the path error by a tenth at best (four
-sequences); the third round brings masks of a scene that moves by half from 0.65 to 0.97.
+`accurate` halves the stride of the adjustment. This doubles its time and lowers the path error by at most a tenth (four
+sequences). Its third round raises the mask IoU from 0.65 to 0.97 on a scene half of which moves.
 """
 
 
 def override(raw: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
-    """A parsed config.yaml with option values replaced; `raw` stays as it is."""
+    """A copy of a parsed config.yaml with option values replaced."""
     changed = dict(raw)
     for name, value in overrides.items():
         section, _, option = name.rpartition(".")
@@ -49,7 +51,7 @@ def override(raw: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, 
 
 
 def value_of(values: Mapping[str, Any], name: str) -> Any:
-    """The value of an option by its dotted name; None where it is not set."""
+    """The value of an option by its dotted name; None if it is not set."""
     section, _, option = name.rpartition(".")
     inner = (values.get(section) or {}) if section else values
     return inner.get(option) if isinstance(inner, Mapping) else None

@@ -1,4 +1,4 @@
-"""Settings: sets of overrides under which the same sequences run again, sharing every stage that does not differ."""
+"""Settings: option overrides under which the same sequences run again; stages that do not differ are shared."""
 
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -18,9 +18,9 @@ class Setting:
     """One way to run a sequence.
 
     Attributes:
-        folder: where its results lie within the sequence's folder: "" for the configured run, or "settings/<name>/".
-        group, name: what it is compared with, and what it is called there.
-        knob, value: the option that is varied and its value, if it is one of a series.
+        folder: of its results, within that of the sequence: "" for the configured run, or "settings/<name>/".
+        group: the comparison that it belongs to, as under `sweep:` or `scaling:`. name: unique within the group.
+        knob, value: the dotted name and the value of the varied option, if the setting is one of a series.
         overrides: the options in which it differs from the configured run, by dotted name.
     """
 
@@ -34,7 +34,7 @@ class Setting:
 
 
 def configured(raw: Mapping[str, Any], mine: Mapping[str, Any] | None = None) -> Setting:
-    """The run that config.yaml describes; `mine` holds what the user's own files and flags set.
+    """The run that config.yaml describes; `mine` holds the values from the user's own files and flags.
 
     Raises:
         InputError: one line for the first option that is wrong.
@@ -96,7 +96,7 @@ def _setting(
 
 
 def _refuse_data(option: str, where: str, is_knob: bool) -> None:
-    """A setting changes how a sequence is processed, not which sequences there are; COLMAP is no knob of ours."""
+    """Refuse options that choose the sequences, and options of COLMAP as knobs: a knob varies our own stages."""
     section, _, _ = option.partition(".")
     stages = [stage for stage in (*MEASURED, "evaluate") if not (is_knob and stage == "colmap")]
     if section not in (*stages, *SHARED_KEYS, "rounds", "first_masks", "preset"):
@@ -105,10 +105,10 @@ def _refuse_data(option: str, where: str, is_knob: bool) -> None:
 
 
 def choose_sequences(options: SweepOptions | ScalingOptions, names: Iterable[str]) -> list[str]:
-    """The sequences of a comparison among the chosen ones.
+    """The sequences of a comparison, out of the chosen ones (`names`).
 
     Raises:
-        InputError: for one that is not chosen.
+        InputError: for a sequence that is not among `names`.
     """
     known = list(names)
     if isinstance(options.sequences, str):
@@ -121,12 +121,12 @@ def choose_sequences(options: SweepOptions | ScalingOptions, names: Iterable[str
 
 
 def is_baseline(overrides: Iterable[str]) -> bool:
-    """Whether a setting is about COLMAP, not about our own stages."""
+    """Whether a setting varies COLMAP instead of our own stages."""
     return any(option.startswith("colmap.") for option in overrides)
 
 
 def runs_masked_baseline(setting: Setting) -> bool:
-    """Whether COLMAP with our masks belongs to a setting: not to those that vary our own stages."""
+    """Whether a setting runs COLMAP with our masks; those that vary our own stages do not."""
     chosen = not setting.folder or is_baseline(setting.overrides)
     return bool(chosen and setting.config.colmap.upsample_masked)
 

@@ -1,4 +1,4 @@
-"""Settings that take truth as input, and which sequences have it."""
+"""Settings that take ground truth as input, and which sequences have it."""
 
 from stages.configuration.settings import Setting
 from stages.shared import sintel
@@ -12,13 +12,16 @@ TRUTH = {
     "ba.poses_from": ("camdata_left",),
     "ba.depth_from": ("depth",),
 }
-"""The kinds of truth that an option set to "truth" needs."""
+"""The kinds of ground truth that each option needs when it is set to "truth"."""
 ONE_CAMERA = ("intrinsics", "ba.poses_from")
 """Options that, set to "truth", need a true camera with one focal length throughout."""
 
 
 def lacks_truth(setting: Setting, sequence: Sequence) -> bool:
-    """Whether a setting takes truth as input that the sequence has not got, or none that the adjustment can take."""
+    """Whether a sequence lacks ground truth that a setting takes as input.
+
+    True cameras whose focal length changes count as lacking where the adjustment would take them.
+    """
     wanted = [option for option, value in setting.overrides.items() if value == "truth"]
     if not all(sequence.has_truth(kind) for option in wanted for kind in TRUTH.get(option, ())):
         return True
@@ -26,7 +29,7 @@ def lacks_truth(setting: Setting, sequence: Sequence) -> bool:
 
 
 def takes_one_camera(setting: Setting) -> bool:
-    """Whether a setting takes true cameras for the adjustment, which knows one focal length for all frames."""
+    """Whether a setting gives true cameras to the adjustment, which has one focal length for all frames."""
     return any(setting.overrides.get(option) == "truth" for option in ONE_CAMERA)
 
 
