@@ -1,4 +1,4 @@
-"""Colour that changes with time: shading that moves over the movers, which no constant colour can follow."""
+"""Colour that changes over time: shading changes on moving surfaces, which a constant colour cannot represent."""
 
 import numpy as np
 import torch
@@ -9,7 +9,7 @@ from stages.deformation.splines import at_times, spline_basis
 
 
 class ColourTable(torch.nn.Module):
-    """An offset of colour per control point and training frame; Gaussians blend it as they blend the motion.
+    """A colour offset per control point and training frame; Gaussians blend offsets with their skinning weights.
 
     Attributes:
         knots: [F] ascending times in 0..1, F >= 2. table: [F, P, 3] offsets of the constant SH coefficient, trained.
@@ -26,8 +26,8 @@ class ColourTable(torch.nn.Module):
         """Offsets [N, 3] at `time` 0..1, by a natural cubic spline between the frames.
 
         Args:
-            weights: [N, K] skinning weights; they get no gradient, so that colour never drives the motion's kernels.
-            index: [N, K] control points.
+            weights: [N, K] skinning weights; they get no gradient, so that colours do not change the kernel radii.
+            index: [N, K] indices of control points.
         """
         of_points = at_times(spline_basis(self.knots, np.array([time])), self.table)
         return blend_values(of_points[0], weights, index)

@@ -1,4 +1,4 @@
-"""Exposure compensation: one gain per channel and training frame, for scenes whose brightness drifts."""
+"""Exposure compensation: one gain per colour channel and training frame, for scenes whose brightness changes."""
 
 import numpy as np
 import torch
@@ -8,7 +8,7 @@ from torch import Tensor
 class Exposure(torch.nn.Module):
     """Gains over time, linear between the training frames.
 
-    Their mean logarithm over the frames is zero: otherwise gains and colours could grow against each other.
+    Their mean logarithm over the frames is zero: a common factor of all gains could not be told from the colours.
 
     Attributes:
         knots: [F] ascending times in 0..1. log_gains: [F, 3], trained.

@@ -16,12 +16,14 @@ from stages.splatting.rasterize import Rendering, rasterize
 
 @dataclass
 class Cloud:
-    """N Gaussians as numbers that can be optimised freely.
+    """N Gaussians, parametrised without constraints.
 
     Attributes:
-        means: [N, 3] scene units. footprints: [N] size of a lifted pixel there, the unit of learning rates.
-        log_scales: [N, 3]. quats: [N, 4] wxyz, any length but zero. logits: [N] of opacity.
-        sh: [N, K, 3] coefficients. dynamic: [N] bool, static Gaussians first.
+        means: [N, 3] canonical, scene units.
+        footprints: [N] scene units, distance of neighbouring lifted pixels; the unit of the learning rate of means.
+        log_scales: [N, 3] logarithms of the standard deviations in scene units.
+        quats: [N, 4] wxyz, any length but zero. logits: [N] of opacity.
+        sh: [N, K, 3] coefficients, K = (degree + 1)^2. dynamic: [N] bool, static Gaussians first.
     """
 
     means: Tensor
@@ -36,8 +38,8 @@ class Cloud:
 class GaussianScene(torch.nn.Module):
     """Gaussians with their motion.
 
-    A mean is `anchors + footprints * offsets`: the optimiser's steps are in footprints, hence about a pixel's share
-    for near and far Gaussians alike, and independent of the scene's unit.
+    A mean is `anchors + footprints * offsets`. A step of the optimiser is therefore in footprints: the same share of a
+    pixel for near and far Gaussians, and independent of the scene unit.
     """
 
     anchors: Tensor
@@ -56,9 +58,14 @@ class GaussianScene(torch.nn.Module):
         exposure: Exposure | None = None,
         poses: PoseTable | None = None,
     ) -> None:
-        """background: [3] colour behind everything. neighbours: control points per dynamic Gaussian.
+        """A scene of the Gaussians of `cloud`.
 
-        colours: of the control points over time, None where they keep theirs; likewise exposure and corrected poses.
+        Args:
+            deformation: motion of the control points; None if all Gaussians are static.
+            background: [3] colour in 0..1 behind all Gaussians. near_plane: scene units.
+            neighbours: control points per dynamic Gaussian.
+            colours: of the control points over time; None if colours are constant.
+            exposure, poses: gains and pose corrections over time; None if there are none.
         """
         super().__init__()
         self.deformation, self.colours, self.exposure, self.poses = deformation, colours, exposure, poses
@@ -83,7 +90,7 @@ class GaussianScene(torch.nn.Module):
         self.bind()
 
     def cloud(self) -> Cloud:
-        """The Gaussians as they are, detached."""
+        """The Gaussians with their present parameters, detached."""
         values = {name: parameter.detach() for name, parameter in self.gaussians.items()}
         dynamic = torch.arange(len(self.anchors), device=self.anchors.device) >= self.n_static
         sh = torch.cat([values["sh_dc"], values["sh_rest"]], dim=1)
@@ -91,7 +98,7 @@ class GaussianScene(torch.nn.Module):
         return Cloud(self.means.detach(), self.footprints, *shape, sh, dynamic)
 
     def bind(self) -> None:
-        """Find the nearest control points of every dynamic Gaussian where it is now."""
+        """Find the nearest control points of every dynamic Gaussian at its present canonical mean."""
         dynamic = self.means[self.n_static :]
         if self.deformation is None:
             self.register_buffer("index", torch.zeros(0, 1, dtype=torch.int64, device=dynamic.device))
@@ -111,7 +118,7 @@ class GaussianScene(torch.nn.Module):
     def at(self, time: float, detach: bool = False) -> tuple[Tensor, Tensor, Tensor]:
         """Means [N, 3], quats [N, 4] and constant SH coefficients [N, 1, 3] at `time` 0..1.
 
-        `detach` stops gradients into the motion model.
+        With `detach` they have no gradient to the motion of the control points and to their kernel radii.
         """
         means, quats, sh_dc = self.means, self.gaussians["quats"], self.gaussians["sh_dc"]
         n = self.n_static
@@ -121,7 +128,7 @@ class GaussianScene(torch.nn.Module):
             point_quats, translations = self.deformation(means.new_tensor([time]))
             weights = self._weights(means[n:])
         motion = (self.deformation.points, point_quats[0], translations[0], weights, self.index)
-        parts = [n, len(means) - n]  # the gradient of a split is one copy, that of two slices five
+        parts = [n, len(means) - n]  # the backward pass of a split copies once, that of two slices five times
         (still, means), (unturned, quats) = means.split_with_sizes(parts), quats.split_with_sizes(parts)
         moved, turned = blend(means, quats, *motion)
         if self.colours is not None:
@@ -132,16 +139,19 @@ class GaussianScene(torch.nn.Module):
     def render(
         self, time: float, viewmat: Tensor, K: Tensor, width: int, height: int, detach: bool = False
     ) -> Rendering:
-        """The scene at `time` 0..1 from one camera [4, 4], [3, 3]; see `rasterize` for what comes back.
+        """Render the scene at `time` 0..1 from one camera, as `rasterize` does for C = 1.
 
-        The camera is an estimated one: the corrections of poses, where there are any, come on top.
+        Args:
+            viewmat: estimated cam_from_world [4, 4], to which the pose corrections are applied if there are any.
+            K: [3, 3] px. width, height: px. detach: as in `at`.
         """
         if self.poses is not None:
             viewmat = self.poses(time) @ viewmat.double()
         means, quats, sh_dc = self.at(time, detach)
         values = self.gaussians
         sh = sh_dc if self.sh_degree == 0 else torch.cat([sh_dc, values["sh_rest"]], dim=1)
-        with one_torch_thread():  # what is left over beside whole vectors is rounded otherwise, and threads move it
+        # Torch rounds the remainder beside whole vectors differently, and where it lies depends on the threads.
+        with one_torch_thread():
             scales, opacities = values["log_scales"].exp(), values["logits"].sigmoid()
         rendering = rasterize(
             means,
@@ -162,7 +172,10 @@ class GaussianScene(torch.nn.Module):
         return rendering._replace(colour=rendering.colour * self.exposure(time))
 
     def _weights(self, means: Tensor) -> Tensor:
-        """Skinning weights [N, K]; without gradient to the means, which would trade place for influence."""
+        """Skinning weights [N, K] of the dynamic Gaussians at canonical means [N, 3], without gradient to the means.
+
+        With it, Gaussians would move in order to change their weights.
+        """
         assert self.deformation is not None
         offsets = means.detach()[:, None] - self.deformation.points[self.index]
         return lbs_weights(offsets.square().sum(-1), self.deformation.log_radii, self.index)

@@ -15,12 +15,13 @@ from stages.splatting.ply import write_ply
 from stages.splatting.pose_table import PoseTable
 
 DEFORMATION, COLOURS, EXPOSURE, POSES = "deformation.", "colours.", "exposure.", "poses."
-"""Prefixes of the tensors of the motion, of its colours, of the gains and of the corrections of poses."""
+"""Prefixes of the tensors of the motion, of the colours over time, of the gains and of the pose corrections."""
 HALVED = ("means", "log_scales", "quats", "logits", "sh", DEFORMATION + "table", COLOURS + "table")
+"""Tensors that `halved` stores as float16."""
 
 
 def scene_tensors(scene: GaussianScene) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """All that rendering needs; the footprints, units of the training's steps, are left out."""
+    """Tensors and metadata that rendering needs; footprints, which only training needs, are left out."""
     cloud = scene.cloud()
     tensors = {name: value.cpu().numpy() for name, value in vars(cloud).items() if name != "footprints"}
     tensors["dynamic"] = tensors["dynamic"].astype(np.uint8)
@@ -38,11 +39,11 @@ def scene_tensors(scene: GaussianScene) -> tuple[dict[str, np.ndarray], dict[str
 def halved(
     tensors: Mapping[str, np.ndarray], settings: Mapping[str, Any]
 ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """The same model with HALVED as float16.
+    """The same model with the tensors HALVED as float16.
 
-    Means are in units of their median distance from the origin, since float16 ends at 65504, and off by at most 1/2048
-    of themselves: up to a quarter of a pixel at the border of frames 512 wide. Quaternions, which may have any length,
-    are scaled to a largest entry of 1.
+    Means are divided by their median distance from the origin (`unit` in the metadata), since float16 ends at 65504.
+    Their relative error is at most 1/2048, up to a quarter of a pixel at the border of frames 512 px wide. Quaternions
+    may have any length and are scaled to a largest entry of 1.
     """
     distances = np.linalg.norm(tensors["means"], axis=-1)
     unit = float(np.median(distances)) if distances.any() else 1.0
@@ -53,7 +54,7 @@ def halved(
 
 
 def scene_from_tensors(tensors: Mapping[str, np.ndarray], metadata: Mapping[str, Any]) -> GaussianScene:
-    """Rebuild the scene of `scene_tensors`, whole or halved, for rendering."""
+    """Rebuild the scene, for rendering, from the result of `scene_tensors` or `halved`."""
     arrays = {name: value.astype(np.float32) if value.dtype == np.float16 else value for name, value in tensors.items()}
     values = {name: torch.from_numpy(np.array(value)) for name, value in arrays.items()}
     cloud = Cloud(
@@ -80,7 +81,7 @@ def scene_from_tensors(tensors: Mapping[str, np.ndarray], metadata: Mapping[str,
 
 @torch.no_grad()
 def write_splats(path: Path, scene: GaussianScene, time: float) -> None:
-    """Write the Gaussians as they are at `time` 0..1 as PLY, without the exposure."""
+    """Write the Gaussians, moved to `time` 0..1, as PLY, without exposure gains."""
     means, quats, sh_dc = scene.at(time)
     values = scene.gaussians
     sh = torch.cat([sh_dc, values["sh_rest"]], dim=1)

@@ -1,4 +1,4 @@
-"""Binary PLY as splat viewers read it (the layout of Kerbl et al. 2023), and nothing else in it.
+"""Binary PLY of Gaussian splats in the layout of Kerbl et al. 2023, which viewers read; no other PLY is read.
 
 Fields in order: x y z, f_dc_0..2, f_rest_* (channel-major: all coefficients of red, then green, then blue), opacity
 (logit), scale_0..2 (natural logarithm), rot_0..3 (wxyz). All float32, little-endian.
@@ -31,7 +31,7 @@ def read_ply(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray
     """Read means, quats, log_scales, logits and sh as `write_ply` takes them, float32.
 
     Raises:
-        InputError: if the file is no splat PLY of this layout or is cut short.
+        InputError: if the file has another layout or is truncated.
     """
     content = path.read_bytes()
     head, mark, body = content.partition(b"end_header\n")

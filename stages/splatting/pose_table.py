@@ -1,4 +1,4 @@
-"""Small corrections of the estimated poses, trained with the scene."""
+"""Small corrections of the estimated poses, optimised with the scene."""
 
 import numpy as np
 import torch
@@ -6,11 +6,11 @@ from torch import Tensor
 
 
 class PoseTable(torch.nn.Module):
-    """A twist per training frame, linear in between, so that held-out frames and new views take part.
+    """A twist per training frame, interpolated linearly over time: held-out frames and new views are corrected too.
 
     Attributes:
         knots: [F] ascending times in 0..1. twists: [F, 6], translation in units of `length` and rotation in radians.
-        length: scene units, the median depth: the correction does not depend on the scene's unit.
+        length: the median depth in scene units; it makes the twists independent of the scene unit.
     """
 
     knots: Tensor
@@ -34,5 +34,5 @@ class PoseTable(torch.nn.Module):
         return torch.linalg.matrix_exp(torch.cat([generator, generator.new_zeros(1, 4)]))
 
     def size(self) -> Tensor:
-        """Mean square of the twists: what keeps frames without evidence where they were estimated."""
+        """Mean square of the twists: a penalty that keeps poses at their estimates where the images do not decide."""
         return self.twists.square().mean()

@@ -1,10 +1,10 @@
-"""Numba kernels of the EWA projection of 3-D Gaussians to splats (Zwicker et al. 2001), and the adjoint.
+"""Numba kernels of the EWA projection of 3-D Gaussians to splats (Zwicker et al. 2001), and of its gradient.
 
 With W = J R (J the Jacobian of the pinhole projection at the mean, R the rotation of cam_from_world) and
 u, v = the rows of W R_q diag(scales), the 2-D covariance is [[u.u + e, u.v], [u.v, v.v + e]], e = BLUR. Its
-determinant is |u x v|^2 + e (u.u + v.v) + e^2 (Lagrange's identity): a sum of positive terms, where a d - b^2 would
-cancel for needles. The splat's factor (see raster_bins) follows in closed form. What concerns one Gaussian is
-computed in float64; memory is float32.
+determinant is |u x v|^2 + e (u.u + v.v) + e^2 (Lagrange's identity). This is a sum of positive terms, whereas the usual
+difference of products loses all digits to cancellation for very elongated splats. The splat's factor (see raster_bins)
+follows in closed form. Arithmetic is float64, arrays are float32.
 """
 
 import numpy as np
@@ -28,9 +28,9 @@ BLOCK = 1024
 BLUR = 0.3
 """Variance in px^2 added to every splat, as in 3DGS and gsplat ("classic" antialiasing)."""
 MARGIN = 0.3
-"""J is evaluated inside the field of view widened by this share: beyond, the linearisation explodes (as in gsplat)."""
+"""J is evaluated inside the field of view widened by this share, as in gsplat: farther out it grows without limit."""
 Limits = tuple[float, float, float, float]
-"""Tuples stay in registers; small arrays inside the loops would cost more than the arithmetic."""
+"""Small values are tuples, which stay in registers; allocating arrays in the loops would cost more than arithmetic."""
 
 
 @njit(**FAST)
@@ -45,7 +45,7 @@ def _cross(a: Vector, b: Vector) -> Vector:
 
 @njit(**FAST)
 def _each(a: Vector, b: Vector) -> Vector:
-    """Entry by entry."""
+    """Element-wise product."""
     return a[0] * b[0], a[1] * b[1], a[2] * b[2]
 
 
@@ -78,7 +78,10 @@ def _unit_quat(quats: np.ndarray, i: int) -> tuple[Quaternion, float]:
 
 
 def _limits(K: np.ndarray, width: int, height: int) -> Limits:
-    """Range of x/z and of y/z where J is evaluated; pixel centres at integers: the image spans -0.5 .. width - 0.5."""
+    """Ranges (left, right, top, bottom) of x/z and y/z in which J is evaluated.
+
+    Pixel centres are at integers, so the image spans -0.5 .. width - 0.5.
+    """
     left, right = -0.5 - MARGIN * width / 2, width - 0.5 + MARGIN * width / 2
     top, bottom = -0.5 - MARGIN * height / 2, height - 0.5 + MARGIN * height / 2
     fx, fy, cx, cy = float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2])
@@ -108,7 +111,7 @@ def _jacobian(p: Vector, K: np.ndarray, limits: Limits, viewmat: np.ndarray) -> 
 
 @njit(**FAST)
 def _covariance(u: Vector, v: Vector) -> tuple[float, float, float, Vector]:
-    """Off-diagonal, vertical variance and determinant of the 2-D covariance, and u x v."""
+    """Off-diagonal entry, variance along y and determinant of the 2-D covariance, and u x v."""
     normal = _cross(u, v)
     det = _dot(normal, normal) + BLUR * (_dot(u, u) + _dot(v, v)) + BLUR * BLUR
     return _dot(u, v), _dot(v, v) + BLUR, det, normal
@@ -116,12 +119,19 @@ def _covariance(u: Vector, v: Vector) -> tuple[float, float, float, Vector]:
 
 def project(means: np.ndarray, quats: np.ndarray, scales: np.ndarray, viewmat: np.ndarray, K: np.ndarray, width: int,
             height: int, near_plane: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
-    """Centres [N, 2] px, factors [N, 3], depths [N]; depth 0 (and centre, factor 0) marks what is not in front."""
+    """Splats of N Gaussians in one camera: centres [N, 2] px, factors [N, 3] 1 / px, z-depths [N] scene units.
+
+    All three are 0 for Gaussians that are not in front of the near plane.
+
+    Args:
+        means: [N, 3] scene units. quats: [N, 4] wxyz. scales: [N, 3] scene units. All float32.
+        viewmat: cam_from_world [4, 4]. K: [3, 3] px. Both float64. near_plane: scene units.
+    """
     N = len(means)
     centres, factors = np.zeros((N, 2), np.float32), np.zeros((N, 3), np.float32)
     depths = np.zeros(N, np.float32)
-    given = means, quats, scales, viewmat, K, _limits(K, width, height), near_plane
-    spread(_project, N, *given, centres, factors, depths)
+    inputs = means, quats, scales, viewmat, K, _limits(K, width, height), near_plane
+    spread(_project, N, *inputs, centres, factors, depths)
     return centres, factors, depths
 
 
@@ -145,7 +155,7 @@ def _project(first: int, last: int, means: np.ndarray, quats: np.ndarray, scales
 
 @njit(**FAST)
 def _axes_adjoint(u: Vector, v: Vector, f: Vector, g: Vector) -> tuple[Vector, Vector]:
-    """Gradients of u and v from those of the factor f, through (b, c, det)."""
+    """Gradients of u and v from the gradient g of the factor f, through (b, c, det)."""
     _, c, det, normal = _covariance(u, v)
     g_b = -g[1] / np.sqrt(2 * c * det)
     g_c = (g[0] * f[0] - g[1] * f[1] - g[2] * f[2]) / (2 * c)
@@ -159,7 +169,7 @@ def _axes_adjoint(u: Vector, v: Vector, f: Vector, g: Vector) -> tuple[Vector, V
 def _camera_adjoint(mean: Vector, p: Vector, K: np.ndarray, limits: Limits, viewmat: np.ndarray,
                     g_W: tuple[Vector, Vector], g_centre: tuple[float, float], g_depth: float,
                     g_view: np.ndarray) -> Vector:  # fmt: skip
-    """Gradient of p from those of W, the centre and the depth; that of the camera is added to g_view [4, 4]."""
+    """Gradient of the camera-space mean p from those of W, centre and depth; adds that of viewmat to g_view [4, 4]."""
     g0, g1 = g_centre[0] * K[0, 0] / p[2], g_centre[1] * K[1, 1] / p[2]
     g2 = g_depth - (g0 * p[0] + g1 * p[1]) / p[2]
     for r in range(2):
@@ -186,13 +196,19 @@ def project_adjoint(means: np.ndarray, quats: np.ndarray, scales: np.ndarray, vi
                     width: int, height: int, factors: np.ndarray, depths: np.ndarray, g_centres: np.ndarray,
                     g_factors: np.ndarray, g_depths: np.ndarray
                     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
-    """Gradients of means [N, 3], quats [N, 4], scales [N, 3] and viewmat [4, 4]."""
+    """Gradients of means [N, 3], quats [N, 4], scales [N, 3] and viewmat [4, 4] from those of what `project` returned.
+
+    Args:
+        factors: [N, 3] and depths: [N], as `project` returned them.
+        g_centres: [N, 2]. g_factors: [N, 3]. g_depths: [N].
+    """
     N = len(means)
     g_means, g_quats = np.zeros((N, 3), np.float32), np.zeros((N, 4), np.float32)
     g_scales = np.zeros((N, 3), np.float32)
     g_views = np.zeros(((N + BLOCK - 1) // BLOCK, 4, 4))
-    given = means, quats, scales, viewmat, K, _limits(K, width, height), factors, depths, g_centres, g_factors, g_depths
-    spread(_project_adjoint, len(g_views), *given, g_means, g_quats, g_scales, g_views)
+    camera, gradients = (viewmat, K, _limits(K, width, height)), (g_centres, g_factors, g_depths)
+    inputs = means, quats, scales, *camera, factors, depths, *gradients
+    spread(_project_adjoint, len(g_views), *inputs, g_means, g_quats, g_scales, g_views)
     return g_means, g_quats, g_scales, g_views.sum(axis=0)
 
 

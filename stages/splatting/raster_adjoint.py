@@ -1,11 +1,13 @@
 """Numba kernels of the rasteriser's backward pass: gradients of every splat, summed in a fixed order.
 
-The forward pass is replayed front to back with the running remainder S = g . (what still lies behind), which starts
-at g . (final pixel). So no list of contributors is stored and nothing is divided by a vanishing transmittance:
+Let g be the gradient of the loss L by a pixel. The backward pass repeats the compositing front to back and updates
+S = g . (contribution of all that is behind the present splat), which starts at g . (final pixel). So no list of
+contributing splats is stored, and no division by a transmittance near zero occurs:
 dL/dalpha = T (g . colour) - S / (1 - alpha), with alpha <= MAX_ALPHA.
 
-With q = f0 dx + f1 dy, p = f2 dy and D = dL/ds, the splat's gradients follow from the moments of D: the sums of
-D, D q, D p, D q^2, D q p and D p^2. Both q and p are bounded where the splat is drawn, however long it is.
+With q = f0 dx + f1 dy, p = f2 dy, s = q^2 + p^2 and D = dL/ds, the gradients of a splat follow from the moments of D
+over its pixels: the sums of D, D q, D p, D q^2, D q p and D p^2. Both q and p are bounded where the splat is drawn,
+however elongated it is.
 """
 
 from typing import Any
@@ -34,7 +36,10 @@ TWO = np.float32(2)
 
 @njit(inline="always", **FAST)
 def _adjoint_entry(splat: np.ndarray, mask: int, x0: int, y0: int, state: np.ndarray) -> Any:
-    """Sums over one tile: six moments of D, then the gradients of the four channels; advances the state."""
+    """Sums over one tile for one splat: six moments of D, then the gradients of its colour (3) and depth.
+
+    Updates T and S in `state` from before the splat to after it.
+    """
     T, S = state[0], state[1]
     opacity, r, g, b, z, limit = splat[5], splat[6], splat[7], splat[8], splat[9], splat[LIMIT]
     q0, p0 = block_corner(splat, x0, y0)
@@ -66,7 +71,7 @@ def _adjoint_entry(splat: np.ndarray, mask: int, x0: int, y0: int, state: np.nda
 @njit(**FAST)
 def _adjoint_tile(entries: np.ndarray, splats: np.ndarray, x0: int, y0: int, state: np.ndarray,
                   sums: np.ndarray) -> None:  # fmt: skip
-    """Fill the slots of one tile in `sums`; `state` [6, TILE * TILE]: T, remainder S, g of the four channels."""
+    """Fill the rows of one tile's entries in `sums`; `state` [6, TILE * TILE]: T, S, and g of colour (3) and depth."""
     alive = blocks_alive(state[0])
     for k in range(len(entries)):
         splat, mask = splats[entries[k, RANK]], entries[k, MASK] & alive
@@ -79,7 +84,13 @@ def _adjoint_tile(entries: np.ndarray, splats: np.ndarray, x0: int, y0: int, sta
 def composite_adjoint(splats: np.ndarray, starts: np.ndarray, entries: np.ndarray, colour: np.ndarray,
                       depth: np.ndarray, transmittance: np.ndarray, g_colour: np.ndarray, g_depth: np.ndarray,
                       g_alpha: np.ndarray) -> np.ndarray:  # fmt: skip
-    """Sums [entries, LANES] over the pixels of each tile, from what `composite` gave and its gradients."""
+    """Sums [entries, LANES] over the pixels of each tile, as `_adjoint_entry` returns them; rows in the order of SLOT.
+
+    Args:
+        splats, starts, entries: as for `composite`, which returned colour, depth and transmittance.
+        g_colour: [H, W, 3], g_depth: [H, W], g_alpha: [H, W], gradients of the loss by the images; alpha is
+            1 - transmittance.
+    """
     sums = np.empty((len(entries), LANES), np.float32)
     images = colour, depth, transmittance, g_colour, g_depth, g_alpha
     spread(_composite_adjoint, len(starts) - 1, splats, starts, entries, *images, sums)
@@ -112,7 +123,12 @@ Gradients = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
 def splat_gradients(order: np.ndarray, splats: np.ndarray, slots: np.ndarray, sums: np.ndarray, N: int) -> Gradients:
-    """Gradients of centres [N, 2], factors [N, 3], opacities [N], colours [N, 3] and depths [N]; zero if not drawn."""
+    """Gradients of centres [N, 2], factors [N, 3], opacities [N], colours [N, 3] and depths [N]; zero if not drawn.
+
+    Args:
+        order: [V] indices of the Gaussians drawn, as for `raster_bins.gather`, which made `splats`.
+        slots: as in `Bins`. sums: of `composite_adjoint`.
+    """
     centres, factors, opacities = np.zeros((N, 2), np.float32), np.zeros((N, 3), np.float32), np.zeros(N, np.float32)
     colours, depths = np.zeros((N, 3), np.float32), np.zeros(N, np.float32)
     spread(_splat_gradients, len(order), order, splats, slots, sums, centres, factors, opacities, colours, depths)

@@ -1,12 +1,12 @@
-"""Numba kernels that list for every tile which splats reach which of its blocks, front to back.
+"""Numba kernels that list, for every tile, the splats that reach its blocks, front to back.
 
 A splat is a row of WIDTH floats: centre (px), factor, opacity, colour, depth and more. The factor (f0, f1, f2) is the
 Cholesky factor of half the inverse 2-D covariance, so that the exponent is a sum of squares: with (dx, dy) = centre -
-pixel, s = (f0 dx + f1 dy)^2 + (f2 dy)^2 and alpha = opacity exp(-s). The usual A dx^2 + 2 B dx dy + C dy^2 cancels for
-needle-shaped splats; this form cannot, at the same cost.
+pixel, s = (f0 dx + f1 dy)^2 + (f2 dy)^2 and alpha = opacity exp(-s). The usual form A dx^2 + 2 B dx dy + C dy^2 suffers
+from cancellation for very elongated splats; the sum of squares does not, at the same cost.
 
-Blocks are the unit of work: 4 x 4 pixels fill one vector, and small splats leave a third of the lanes idle, where rows
-of 16 pixels would leave more than half.
+The unit of work is a block: its 4 x 4 pixels fill one vector. Small splats leave fewer lanes idle in square blocks than
+in rows of 16 pixels.
 """
 
 import math
@@ -23,27 +23,27 @@ BLOCKS = 4
 """Blocks along the side of a tile: its 16 blocks are the bits of an entry's mask."""
 TILE = BLOCK * BLOCKS
 CHUNKS = 8
-"""Splats are binned in this many parts: fixed, so the lists do not depend on the thread count."""
+"""Number of parts in which splats are binned. It is fixed, so the lists do not depend on the thread count."""
 LIMIT, TOP, BOTTOM, WIDTH = 10, 11, 12, 16
 """Columns of a splat after x, y, f0, f1, f2, opacity, red, green, blue, depth: the exponent at which alpha is
-MIN_ALPHA, first and last pixel row within reach; then padding up to WIDTH."""
+MIN_ALPHA, the first and the last pixel row that it reaches; then padding up to WIDTH."""
 MIN_ALPHA = 1 / 255
-"""Smaller contributions are dropped, as in 3DGS and gsplat."""
+"""Contributions with a smaller alpha are dropped, as in 3DGS and gsplat."""
 MARGIN = np.float32(1e-3)
-"""Added to the exponent's limit where blocks are chosen, against rounding; the pixels themselves keep to the limit."""
+"""Added to the limit of the exponent when blocks are chosen, against rounding; pixels are tested without it."""
 RANK, MASK, SLOT = 0, 1, 2
-"""Columns of an entry: the splat's rank in drawing order, which blocks of the tile it reaches, its row of gradients."""
+"""Columns of an entry: the splat's rank in drawing order, the bits of the blocks that it reaches, its gradient row."""
 
 FAST = {"cache": True, "nogil": True, "fastmath": True, "error_model": "numpy"}
 ONE, ZERO = np.float32(1), np.float32(0)
 
 
 class Bins(NamedTuple):
-    """What is drawn where.
+    """The splats that each tile draws, as n entries (pairs of a tile and a splat).
 
     Attributes:
-        starts: [tiles + 1] where each tile's entries begin. entries: [n, 3] int32, see RANK, MASK and SLOT.
-        slots: [V + 1] where the gradients of each splat's entries begin: a permutation of the entries by splat.
+        starts: [tiles + 1] index of the first entry of each tile. entries: [n, 3] int32, see RANK, MASK and SLOT.
+        slots: [V + 1] index of the first row of each splat in the gradients, which are ordered by splat.
     """
 
     starts: np.ndarray
@@ -53,7 +53,12 @@ class Bins(NamedTuple):
 
 def gather(order: np.ndarray, height: int, centres: np.ndarray, factors: np.ndarray, opacities: np.ndarray,
            colours: np.ndarray, depths: np.ndarray) -> np.ndarray:  # fmt: skip
-    """Splats [V, WIDTH] in the order [V] of drawing, for an image of this height."""
+    """Splats [V, WIDTH] in drawing order, for an image of this height.
+
+    Args:
+        order: [V] indices of the Gaussians to draw, nearest first.
+        centres: [N, 2] px. factors: [N, 3]. opacities: [N] in 0..1. colours: [N, 3]. depths: [N] scene units.
+    """
     splats = np.empty((len(order), WIDTH), np.float32)
     spread(_gather, len(order), order, centres, factors, opacities, colours, depths, height, splats)
     return splats
@@ -85,15 +90,15 @@ def _set_reach(splat: np.ndarray, height: int) -> None:
 
 
 def bin_tiles(splats: np.ndarray, width: int, height: int) -> Bins:
-    """List the splats [V, WIDTH] of every tile, front to back; tiles row by row over the image.
+    """List the splats [V, WIDTH] of every tile, front to back; tiles are numbered row by row over the image.
 
-    A counting sort by tile over CHUNKS runs of ranks, whose pairs of tile and mask are found first.
+    The pairs of tile and mask are found for CHUNKS runs of ranks, then moved to their tiles by a counting sort.
     """
     V, tiles = len(splats), ((width + TILE - 1) // TILE) * ((height + TILE - 1) // TILE)
     room, used = np.zeros(CHUNKS + 1, np.int64), np.zeros(CHUNKS + 1, np.int64)
     spread(_room, CHUNKS, splats, width, room)
     room = np.cumsum(room)
-    pairs = np.empty((room[-1], 2), np.int32)  # too long by far where needles lie askew, but then never touched
+    pairs = np.empty((room[-1], 2), np.int32)  # far too long if splats are oblique needles; the rest is not touched
     counts, slots = np.zeros((CHUNKS, tiles), np.int64), np.zeros(V + 1, np.int64)
     spread(_visit, CHUNKS, splats, width, pairs, room, counts, slots, used)
     used = np.cumsum(used)
@@ -107,7 +112,7 @@ def bin_tiles(splats: np.ndarray, width: int, height: int) -> Bins:
 @njit(**FAST)
 def _sort(first: int, last: int, pairs: np.ndarray, room: np.ndarray, used: np.ndarray, slots: np.ndarray,
           cursors: np.ndarray, entries: np.ndarray) -> None:  # fmt: skip
-    """Move the pairs of some chunks to where their tiles' entries are."""
+    """Move the pairs of some chunks to the entries of their tiles."""
     V = len(slots) - 1
     for chunk in range(first, last):
         n, ahead = used[chunk], room[chunk] - used[chunk]
@@ -122,7 +127,7 @@ def _sort(first: int, last: int, pairs: np.ndarray, room: np.ndarray, used: np.n
 
 @njit(**FAST)
 def _room(begin: int, end: int, splats: np.ndarray, width: int, room: np.ndarray) -> None:
-    """No fewer than the tiles that the splats of each chunk reach: those of their bounding boxes."""
+    """Upper bound of the number of tiles that the splats of each chunk reach, from their bounding boxes."""
     V = len(splats)
     for chunk in range(begin, end):
         for rank in range(chunk * V // CHUNKS, (chunk + 1) * V // CHUNKS):
@@ -137,7 +142,7 @@ def _room(begin: int, end: int, splats: np.ndarray, width: int, room: np.ndarray
 @njit(**FAST)
 def _visit(begin: int, end: int, splats: np.ndarray, width: int, pairs: np.ndarray, room: np.ndarray,
            counts: np.ndarray, slots: np.ndarray, used: np.ndarray) -> None:  # fmt: skip
-    """Write the tile and the mask of all tiles that a chunk's splats reach; count them by chunk, tile and splat."""
+    """Write tile and mask of all pairs of a chunk; count the pairs by chunk and tile, by splat, and by chunk."""
     columns, V = (width + TILE - 1) // TILE, len(splats)
     strips = np.empty((BLOCKS, 2), np.int64)
     for chunk in range(begin, end):
@@ -158,10 +163,12 @@ def _visit(begin: int, end: int, splats: np.ndarray, width: int, pairs: np.ndarr
 
 @njit(inline="always", **FAST)
 def _strip_ranges(splat: np.ndarray, y0: int, width: int, strips: np.ndarray) -> tuple[int, int]:
-    """First and last block column [BLOCKS, 2] that the ellipse reaches in each strip of blocks below pixel row y0.
+    """First and last block column that the ellipse reaches in each strip of blocks from pixel row y0 on.
+
+    Fills `strips` [BLOCKS, 2] and returns the range over all strips. In an empty range the first exceeds the last.
 
     The ellipse is |f0 dx + f1 dy| <= sqrt(limit - (f2 dy)^2); its right edge is concave in dy with the maximum at
-    dy = (f1 / f2) sqrt(limit / (f1^2 + f2^2)) and its left edge is the mirror image. Returns the range over all strips.
+    dy = (f1 / f2) sqrt(limit / (f1^2 + f2^2)) and its left edge is the mirror image.
     """
     f0, f1, f2, limit = splat[2], splat[3], splat[4], splat[LIMIT] + MARGIN
     summit = f1 / f2 * math.sqrt(limit / (f1 * f1 + f2 * f2))
@@ -183,7 +190,7 @@ def _strip_ranges(splat: np.ndarray, y0: int, width: int, strips: np.ndarray) ->
 
 @njit(inline="always", **FAST)
 def _mask(strips: np.ndarray, first: int) -> Any:
-    """The bits of the blocks of a tile, strip by strip, whose first block column is `first`."""
+    """The bits of the blocks that are reached in a tile whose first block column is `first`, strip by strip."""
     mask = 0
     for strip in range(BLOCKS):
         a, b = max(strips[strip, 0] - first, 0), min(strips[strip, 1] - first, BLOCKS - 1)

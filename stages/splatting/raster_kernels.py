@@ -1,7 +1,7 @@
-"""Numba kernels that composite binned splats front to back over tiles. Deterministic: no atomics.
+"""Numba kernels that composite binned splats front to back, tile by tile. They are deterministic: no atomics.
 
-The state of a tile is kept block by block, 16 pixels of a block next to each other, so that a block is one vector;
-see `raster_bins` for splats and blocks.
+The state of a tile is stored block by block. The 16 pixels of a block are contiguous and form one vector; `raster_bins`
+defines splats, tiles and blocks.
 """
 
 from typing import Any
@@ -17,7 +17,7 @@ MAX_ALPHA = np.float32(0.999)
 MIN_TRANSMITTANCE = np.float32(1e-4)
 """Alpha is at most MAX_ALPHA and a pixel is done at MIN_TRANSMITTANCE, as in 3DGS and gsplat."""
 MAX_EXPONENT = 5.6
-"""Opacity exp(-MAX_EXPONENT) < MIN_ALPHA: larger exponents need no exponential."""
+"""exp(-MAX_EXPONENT) < MIN_ALPHA: splats are not drawn at larger exponents, whatever their opacity."""
 EXP = tuple(
     np.polynomial.Chebyshev.interpolate(lambda s: np.exp(-s / 8), 5, domain=[0, MAX_EXPONENT])
     .convert(kind=np.polynomial.Polynomial)
@@ -25,16 +25,16 @@ EXP = tuple(
 )
 """Coefficients of a polynomial for exp(-s / 8)."""
 CHECK = 16
-"""Blocks whose pixels are all done are looked for after every so many splats."""
+"""Number of splats after which finished blocks are looked for."""
 AHEAD = 6
-"""Splats are fetched so many entries before they are drawn."""
+"""Number of entries by which a splat is prefetched before it is drawn."""
 LANE_X = (np.arange(LANES) % BLOCK).astype(np.float32)
 LANE_Y = (np.arange(LANES) // BLOCK).astype(np.float32)
 
 
 @njit(inline="always", **FAST)
 def exp_minus(s: Any) -> Any:
-    """exp(-s) for s in 0..MAX_EXPONENT within 2e-6 relative; anything beyond."""
+    """exp(-s) for s in 0..MAX_EXPONENT, with a relative error up to 2e-6; not valid beyond."""
     p = EXP[0] + s * (EXP[1] + s * (EXP[2] + s * (EXP[3] + s * (EXP[4] + s * EXP[5]))))
     p = p * p
     p = p * p
@@ -43,7 +43,7 @@ def exp_minus(s: Any) -> Any:
 
 @njit(inline="always", **FAST)
 def block_corner(splat: np.ndarray, x0: int, y0: int) -> tuple[Any, Any]:
-    """f0 dx + f1 dy and f2 dy at the pixels of the first block of the tile at x0, y0."""
+    """f0 dx + f1 dy and f2 dy at the pixels of the first block of the tile whose first pixel is (x0, y0)."""
     dx = splat[0] - np.float32(x0) - load(LANE_X, 0)
     dy = splat[1] - np.float32(y0) - load(LANE_Y, 0)
     return splat[2] * dx + splat[3] * dy, splat[4] * dy
@@ -51,20 +51,20 @@ def block_corner(splat: np.ndarray, x0: int, y0: int) -> tuple[Any, Any]:
 
 @njit(inline="always", **FAST)
 def block_offset(splat: np.ndarray, block: int) -> tuple[Any, Any]:
-    """What the same pixels of another block of the tile have less of both."""
+    """How much smaller both values of `block_corner` are at the pixels of another block of the tile."""
     x, y = np.float32(BLOCK * (block % BLOCKS)), np.float32(BLOCK * (block // BLOCKS))
     return splat[2] * x + splat[3] * y, splat[4] * y
 
 
 @njit(inline="always", **FAST)
 def place(y: int, x: int) -> int:
-    """Where the state of a tile keeps its pixel (y, x)."""
+    """Index of the tile's pixel (y, x) in its state."""
     return LANES * (y // BLOCK * BLOCKS + x // BLOCK) + y % BLOCK * BLOCK + x % BLOCK
 
 
 @njit(**FAST)
 def blocks_alive(T: np.ndarray) -> int:
-    """The bits of the blocks with a pixel that is not done, given the transmittance [TILE * TILE]."""
+    """The bits of the blocks with a pixel above MIN_TRANSMITTANCE, from the transmittance [TILE * TILE]."""
     alive = 0
     for block in range(BLOCKS * BLOCKS):
         if largest(load(T, LANES * block)) > MIN_TRANSMITTANCE:
@@ -74,7 +74,7 @@ def blocks_alive(T: np.ndarray) -> int:
 
 @njit(**FAST)
 def _composite_tile(entries: np.ndarray, splats: np.ndarray, x0: int, y0: int, state: np.ndarray) -> None:
-    """Draw the listed splats into `state` [5, TILE * TILE]: transmittance, red, green, blue, depth."""
+    """Composite the listed splats into `state` [5, TILE * TILE]: transmittance, red, green, blue, depth."""
     T, red, green, blue, depth = state[0], state[1], state[2], state[3], state[4]
     alive = blocks_alive(T)
     for k in range(len(entries)):
@@ -105,7 +105,11 @@ def _composite_tile(entries: np.ndarray, splats: np.ndarray, x0: int, y0: int, s
 
 def composite(splats: np.ndarray, starts: np.ndarray, entries: np.ndarray, background: np.ndarray, height: int,
               width: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
-    """Colour [H, W, 3] over `background` [3], accumulated depth [H, W] and transmittance [H, W]."""
+    """Colour [H, W, 3] over `background` [3], accumulated depth [H, W] (scene units) and transmittance [H, W].
+
+    Args:
+        splats: [V, WIDTH] of `raster_bins.gather`. starts, entries: of `raster_bins.bin_tiles`.
+    """
     colour, depth = np.empty((height, width, 3), np.float32), np.empty((height, width), np.float32)
     transmittance = np.empty((height, width), np.float32)
     spread(_composite, len(starts) - 1, splats, starts, entries, background, colour, depth, transmittance)
@@ -122,7 +126,7 @@ def _composite(first: int, last: int, splats: np.ndarray, starts: np.ndarray, en
     for tile in range(first, last):
         y0, x0 = tile // columns * TILE, tile % columns * TILE
         rows, row_length = min(TILE, height - y0), min(TILE, width - x0)
-        state[:] = 0  # outside the image no transmittance: nothing is drawn
+        state[:] = 0  # zero transmittance outside the image: nothing is drawn there
         for y in range(rows):
             for x in range(row_length):
                 state[0, place(y, x)] = ONE

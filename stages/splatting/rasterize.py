@@ -1,4 +1,4 @@
-"""Differentiable rendering of 3-D Gaussians in gsplat's vocabulary: numba on the CPU, gsplat on CUDA."""
+"""Differentiable rendering of 3-D Gaussians with the arguments of gsplat: numba on the CPU, gsplat on CUDA."""
 
 from typing import Any, NamedTuple
 
@@ -11,7 +11,7 @@ from stages.splatting import projection_kernels, raster_adjoint, raster_bins, ra
 
 
 class Rendering(NamedTuple):
-    """What `rasterize` returns for C cameras.
+    """Images of C cameras, as `rasterize` returns them.
 
     Attributes:
         colour: [C, H, W, 3], composited over the background; 0..1 if colours are.
@@ -49,8 +49,8 @@ def rasterize(
         near_plane: Gaussians whose mean is nearer (scene units) are not drawn.
         backgrounds: [C, 3], black if None.
 
-    The tensors' device chooses the backend. Alpha below 1/255 is dropped, alpha is at most 0.999, and a pixel is done
-    at transmittance 1e-4 (Kerbl et al. 2023).
+    The device of the tensors selects the backend. As in Kerbl et al. 2023, contributions with alpha below 1/255 are
+    dropped, alpha is at most 0.999, and compositing of a pixel ends at transmittance 1e-4.
     """
     if backgrounds is None:
         backgrounds = means.new_zeros(len(viewmats), 3)
@@ -64,9 +64,10 @@ def rasterize(
 
 
 def choose_device(device: str) -> torch.device:
-    """The device of an option "auto", "cpu" or "cuda"; auto takes CUDA if it and gsplat are there.
+    """The device of an option "auto", "cpu" or "cuda"; auto takes CUDA if it and gsplat are available.
 
-    Convolutions on CUDA then keep float32: ten bits cannot tell the sums apart whose differences are SSIM's variances.
+    TF32 convolutions are switched off: with 10 bits of mantissa, the variances in SSIM, which are differences of nearly
+    equal sums, are lost to rounding.
 
     Raises:
         InputError: if CUDA is asked for and missing.
@@ -82,11 +83,12 @@ def choose_device(device: str) -> torch.device:
 
 
 def backend_name(device: torch.device) -> str:
-    """The rasteriser that runs on `device`, for the log."""
+    """Name of the rasteriser that runs on `device`, for the log."""
     return "gsplat on CUDA" if device.type == "cuda" else "numba on the CPU"
 
 
 def _views(means: Tensor, viewmat: Tensor) -> Tensor:
+    """Vectors [N, 3] from the camera centre to the means."""
     return means - (-viewmat[:3, :3].T @ viewmat[:3, 3]).to(means.dtype)
 
 
@@ -128,7 +130,7 @@ def _render_cuda(
         return background.expand(height, width, 3), empty, empty, means.new_zeros(1, 0, 2)
     gsplat_K = K.to(means.dtype, copy=True)
     gsplat_K[:2, 2] += 0.5  # gsplat puts pixel centres at half-integers
-    viewmats = viewmat.to(means.dtype)[None]  # it reads all tensors as of the dtype of the means
+    viewmats = viewmat.to(means.dtype)[None]  # gsplat takes all tensors to have the dtype of the means
     image, alpha, info = rasterization(
         means, quats, scales, opacities, colours, viewmats, gsplat_K[None], width, height,
         near_plane=near_plane, backgrounds=background[None],
@@ -142,33 +144,48 @@ def _float32(tensor: Tensor) -> np.ndarray:
 
 
 class _Project(torch.autograd.Function):
-    """Gaussians to splats: centres [1, N, 2], factors [N, 3], depths [N] (0 where not in front of the near plane)."""
+    """Projection of 3-D Gaussians to splats by `projection_kernels`, differentiable in all but K."""
 
     @staticmethod
     def forward(ctx: Any, means: Tensor, quats: Tensor, scales: Tensor, viewmat: Tensor, K: Tensor, width: int,
                 height: int, near_plane: float) -> tuple[Tensor, Tensor, Tensor]:  # fmt: skip
+        """Centres [1, N, 2] px, factors [N, 3] and z-depths [N] of the splats; depth 0 marks those that are not drawn.
+
+        Args are those of `rasterize`, for one camera: viewmat [4, 4], K [3, 3].
+        """
         gaussians = (_float32(means), _float32(quats), _float32(scales))
         camera = (viewmat.detach().double().numpy(), K.detach().double().numpy(), width, height)
-        given = (*gaussians, *camera, near_plane)
-        centres, factors, depths = projection_kernels.project(*given)
+        inputs = (*gaussians, *camera, near_plane)
+        centres, factors, depths = projection_kernels.project(*inputs)
         ctx.saved = (*gaussians, *camera, factors, depths)
         return torch.from_numpy(centres[None]), torch.from_numpy(factors), torch.from_numpy(depths)
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
+        """Gradients of means [N, 3], quats [N, 4], scales [N, 3] and viewmat [4, 4] from those of the splats.
+
+        Args:
+            gradients: of centres [1, N, 2], factors [N, 3] and depths [N].
+        """
         g_centres, g_factors, g_depths = map(_float32, gradients)
-        given = (*ctx.saved, g_centres[0], g_factors, g_depths)
-        *g_gaussians, g_viewmat = projection_kernels.project_adjoint(*given)
+        inputs = (*ctx.saved, g_centres[0], g_factors, g_depths)
+        *g_gaussians, g_viewmat = projection_kernels.project_adjoint(*inputs)
         g_view = torch.from_numpy(g_viewmat.astype(np.float32)) if ctx.needs_input_grad[3] else None
         return (*map(torch.from_numpy, g_gaussians), g_view, None, None, None, None)
 
 
 class _Composite(torch.autograd.Function):
-    """Splats to colour [H, W, 3] over the background, accumulated depth [H, W] and alpha [H, W]."""
+    """Compositing of splats by `raster_kernels`, differentiable in all splats and the background."""
 
     @staticmethod
     def forward(ctx: Any, centres: Tensor, factors: Tensor, opacities: Tensor, colours: Tensor, depths: Tensor,
                 background: Tensor, width: int, height: int) -> tuple[Tensor, Tensor, Tensor]:  # fmt: skip
+        """Colour [H, W, 3] over the background, accumulated depth [H, W] (scene units) and alpha [H, W].
+
+        Args:
+            centres: [1, N, 2] px, factors: [N, 3], depths: [N] from `_Project`.
+            opacities: [N] in 0..1. colours: [N, 3]. background: [3].
+        """
         ctx.set_materialize_grads(False)
         order = drawing_order(_float32(depths))
         arrays = [_float32(tensor) for tensor in (centres[0], factors, opacities, colours, depths)]
@@ -181,6 +198,11 @@ class _Composite(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor | None) -> tuple[Tensor | None, ...]:
+        """Gradients of centres, factors, opacities, colours, depths and background, in the shapes of the inputs.
+
+        Args:
+            gradients: of colour [H, W, 3], depth [H, W] and alpha [H, W]; None for an image that the loss does not use.
+        """
         order, splats, bins, images, N = ctx.saved
         g_images = [
             np.zeros_like(image) if gradient is None else _float32(gradient)
@@ -198,8 +220,8 @@ class _Composite(torch.autograd.Function):
 def drawing_order(depths: np.ndarray) -> np.ndarray:
     """Indices [V] of the Gaussians with depth [N] > 0, nearest first, equal depths by index.
 
-    The bits of positive floats order like the floats: sorting (depth, index) packed into one integer is stable and
-    several times faster than a stable argsort.
+    The bits of positive floats have the order of the floats. Sorting depth and index packed into one integer is
+    therefore stable, and it is faster than a stable argsort.
     """
     bits = depths.astype(np.float32).view(np.uint32).astype(np.uint64)
     keys = np.sort((bits << np.uint64(32)) | np.arange(len(depths), dtype=np.uint64))

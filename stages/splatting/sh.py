@@ -50,7 +50,7 @@ def sh_to_colour(sh: Tensor, views: Tensor, degree: int) -> Tensor:
     """Colours [N, 3] >= 0 of coefficients [N, (degree + 1)^2, 3]: max(0, 0.5 + sum_k basis_k sh_k).
 
     Args:
-        views: [N, 3] from the camera to each Gaussian, any length but zero.
+        views: [N, 3], vectors from the camera to each Gaussian, of any length but zero.
     """
     if degree == 0:
         return (0.5 + C0 * sh.unbind(1)[0]).relu()
@@ -59,5 +59,5 @@ def sh_to_colour(sh: Tensor, views: Tensor, degree: int) -> Tensor:
 
 
 def colour_to_sh(colour: Tensor) -> Tensor:
-    """Constant coefficient [N, 3] that shows `colour` [N, 3] from every direction."""
+    """Constant coefficient [N, 3] whose colour is `colour` [N, 3] from every direction."""
     return (colour - 0.5) / C0
