@@ -39,9 +39,9 @@ def main(
 ) -> str:
     """Train the 4D Gaussian scene on all frames but the held-out ones.
 
-    Gaussians start from the depth of several frames and are labelled static or dynamic once, by a vote of the masks.
-    Static Gaussians never move. Where the poses failed, the scene is a static one before a camera at rest, and log and
-    metadata say so. A killed training resumes from the checkpoint beside the model.
+    Gaussians are initialised from the depth of several frames and labelled static or dynamic once, by a vote of the
+    masks. Static Gaussians never move. If the poses failed, the scene is trained as static before a camera at rest; log
+    and metadata say so. A killed training resumes from the checkpoint beside the model.
     """
     from stages.gaussians.checkpoint import Checkpoint
     from stages.gaussians.figure import training_figure
@@ -85,7 +85,7 @@ def _write_models(
 
 
 def _write_half(path: Path, scene: "GaussianScene", seen: "TrainingFrames", settings: dict[str, Any]) -> None:
-    """The scene in half precision, with the PSNR of training frames and what of it the precision costs."""
+    """Write the scene in half precision; its metadata hold the PSNR of training frames and the loss against float32."""
     from stages.gaussians.optimise import training_psnr
     from stages.splatting.model_files import halved, scene_from_tensors, scene_tensors
 
@@ -101,7 +101,7 @@ def _write_half(path: Path, scene: "GaussianScene", seen: "TrainingFrames", sett
 def _with_motion(
     seen: "TrainingFrames", needs: dict[str, Any], sequence: Path, points: Path, deformation: Path
 ) -> tuple["TrainingFrames", "Deformation | None", int]:
-    """The observations with the movers' depth, the motion (None: nothing moves), and the row of the canonical frame."""
+    """The training frames with depth of the movers, the motion (None: static), and the index of the canonical frame."""
     from stages.deformation.point_files import load_deformation
     from stages.gaussians.inputs import canonical_row
     from stages.gaussians.training_frames import with_movers
@@ -126,7 +126,7 @@ def _new_scene(
     needs: dict[str, Any],
     options: GaussiansOptions,
 ) -> "GaussianScene":
-    """The untrained scene with what scene.json calls for."""
+    """The untrained scene with the effects that scene.json decides on."""
     import torch
 
     from stages.gaussians.lifting import cloud_within, near_plane_of
@@ -149,7 +149,7 @@ def _new_scene(
 def _tables_over_time(
     seen: "TrainingFrames", motion: "Deformation | None", needs: dict[str, Any], options: GaussiansOptions
 ) -> tuple["ColourTable | None", "Exposure | None", "PoseTable | None"]:
-    """Colours of the control points, exposure and corrections of poses, each None unless it is needed."""
+    """Colours of the control points, exposure and pose corrections; None for each that is not modelled."""
     import torch
 
     from stages.splatting.colours import ColourTable

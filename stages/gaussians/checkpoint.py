@@ -1,4 +1,4 @@
-"""Checkpoints of the training: a killed run goes on where it was and ends with the same result, bit for bit."""
+"""Checkpoints of the training: a killed run resumes from the last one and ends with the same result, bit for bit."""
 
 import hashlib
 import time
@@ -18,7 +18,7 @@ INTERVAL_S = 20.0
 
 
 class Checkpoint:
-    """A hidden file beside the model, of use only to a run with the same inputs, options and code."""
+    """A hidden file beside the model. Only a run with the same inputs, options and code resumes from it."""
 
     def __init__(self, model: Path, inputs: list[Path], options: GaussiansOptions) -> None:
         self.path = model.with_name(f".{model.stem}.checkpoint.safetensors")
@@ -26,18 +26,18 @@ class Checkpoint:
         self.saved_s = time.perf_counter()
 
     def resume(self, trainer: Trainer) -> None:
-        """Bring a fresh trainer to the saved step, if there is a checkpoint of the same run."""
+        """Set a new trainer to the saved step, if there is a checkpoint of the same run."""
         if not self.path.exists():
             return
         metadata = read_metadata(self.path)
         if metadata["origin"] != self.origin:
-            logger.info("the checkpoint is of other inputs, options or code: training starts afresh")
+            logger.info("the checkpoint has other inputs, options or code: training starts at step 0")
             return
         restore(trainer, read_model(self.path), int(metadata["n_static"]))
         logger.info("resumed at step %d of %d", trainer.step, trainer.options.steps)
 
     def save_sometimes(self, trainer: Trainer) -> None:
-        """Save if the last time was a while ago."""
+        """Save if the last checkpoint is older than INTERVAL_S."""
         if time.perf_counter() - self.saved_s > INTERVAL_S:
             write_model(self.path, capture(trainer), {"origin": self.origin, "n_static": trainer.scene.n_static})
             self.saved_s = time.perf_counter()
@@ -48,7 +48,7 @@ class Checkpoint:
 
 
 def capture(trainer: Trainer) -> dict[str, np.ndarray]:
-    """Everything that changes during training, as arrays."""
+    """The state of the training as named arrays: parameters, Adam's moments, gradient record, history."""
     tensors = {f"scene.{name}": value for name, value in trainer.scene.state_dict().items()}
     for group in trainer.optimiser.param_groups:
         for k, parameter in enumerate(group["params"]):
@@ -60,7 +60,11 @@ def capture(trainer: Trainer) -> dict[str, np.ndarray]:
 
 
 def restore(trainer: Trainer, arrays: dict[str, np.ndarray], n_static: int) -> None:
-    """Put a trainer of the same run into the state of `capture`."""
+    """Set a trainer of the same run to the state that `capture` returned.
+
+    Args:
+        n_static: number of static Gaussians, which come first.
+    """
     scene, device = trainer.scene, trainer.device
     state = {name: torch.from_numpy(np.array(value)).to(device) for name, value in arrays.items()}
     scene_state = {name.removeprefix("scene."): value for name, value in state.items() if name.startswith("scene.")}

@@ -1,4 +1,4 @@
-"""Density control: Gaussians that the image still pulls at are split, transparent ones removed, under a hard cap."""
+"""Density control: Gaussians with a large image gradient are split, transparent ones pruned, up to a hard cap."""
 
 from dataclasses import dataclass
 
@@ -9,19 +9,19 @@ from stages.shared import quaternions
 from stages.splatting.gaussian_model import Cloud
 
 MIN_OPACITY = 0.01
-"""Below this opacity a Gaussian changes no pixel visibly."""
+"""Gaussians below this opacity are pruned: they change no pixel visibly."""
 GROWTH = 0.05
 """At most this share of the Gaussians is split at a time."""
 MIN_GRADIENT = 1.5
-"""Only Gaussians whose mean image gradient is this many times the average are split."""
+"""Gaussians are split if their mean image gradient exceeds this multiple of the average over all Gaussians."""
 
 
 @dataclass
 class GradientRecord:
-    """Mean length of the loss's gradient by the projected mean, over the steps in which a Gaussian was drawn.
+    """Mean length of the gradient of the loss by the projected mean, over the steps in which a Gaussian was drawn.
 
     Attributes:
-        total: [N] sum of lengths per pixel. views: [N] number of steps with a gradient.
+        total: [N] sum of the lengths, loss per px. views: [N] number of steps with a gradient.
     """
 
     total: Tensor
@@ -29,32 +29,32 @@ class GradientRecord:
 
     @classmethod
     def empty(cls, N: int, device: torch.device) -> "GradientRecord":
-        """A record of no step."""
+        """A record of N Gaussians without any step."""
         return cls(torch.zeros(N, device=device), torch.zeros(N, device=device))
 
     def add(self, gradient: Tensor) -> None:
-        """Count one step's gradient [1, N, 2]."""
+        """Add the gradient [1, N, 2] of one step."""
         length = gradient[0].norm(dim=-1)
         self.total += length
         self.views += length > 0
 
     @property
     def mean(self) -> Tensor:
-        """[N], 0 for what was never drawn."""
+        """Mean length [N]; zero for Gaussians that were never drawn."""
         return self.total / self.views.clamp_min(1)
 
 
 def densify(cloud: Cloud, gradient: Tensor, max_gaussians: int) -> tuple[Cloud, Tensor]:
-    """Prune, then split along the longest axis while there is room.
+    """Prune transparent Gaussians, then split those with the largest gradients along their longest axis.
 
-    Both halves lie one standard deviation of the parent's halved axis from its centre and cover it together: the axis
-    is halved, the others keep 0.85, the opacity 0.8 of the parent's. No random numbers.
+    The halves are half a standard deviation of the parent to either side of its centre. Their longest axis is 0.5 times
+    that of the parent, the other axes 0.85 times and the opacity 0.8 times. No random numbers are used.
 
     Args:
-        gradient: [N] mean gradient length of each Gaussian.
+        gradient: [N] mean gradient length of each Gaussian. max_gaussians: hard cap.
 
     Returns:
-        The new cloud, static first, and for each of its rows the parent's row [M], -1 for a split half.
+        The new cloud of M Gaussians, static first, and the row [M] of each in the old cloud, -1 for halves.
     """
     alive = torch.nonzero(cloud.logits.sigmoid() > MIN_OPACITY)[:, 0]
     room = max(0, min(int(GROWTH * len(alive)), max_gaussians - len(alive)))
@@ -78,7 +78,7 @@ def select(cloud: Cloud, rows: Tensor) -> Cloud:
 
 
 def _halve(cloud: Cloud, start: int, count: int) -> None:
-    """Turn rows start..start + count and the `count` after them into the two halves of what both hold."""
+    """Turn the `count` rows from `start` on, and their copies in the next `count` rows, into the two halves of each."""
     for side, begin in ((1.0, start), (-1.0, start + count)):
         rows = slice(begin, begin + count)
         axis = cloud.log_scales[rows].argmax(dim=-1, keepdim=True)

@@ -13,6 +13,7 @@ from stages.shared.images import to_uint8
 
 WIDTH_PX = 1200
 GAIN = 4
+"""Factor on the differences shown."""
 
 
 @torch.no_grad()
@@ -35,7 +36,7 @@ def _curve(trainer: Trainer) -> np.ndarray:
     from matplotlib import pyplot
 
     history = trainer.history
-    # The mean over one round of frames: the single values differ by frame.
+    # Mean over as many steps as there are training frames, since PSNR differs between frames.
     round_of = min(len(trainer.targets), len(history.step))
     psnr = np.convolve(history.psnr, np.full(round_of, 1 / round_of), mode="valid")
     dpi = 100

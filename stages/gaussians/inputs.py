@@ -1,4 +1,4 @@
-"""Read what the training needs from the artifacts of the other stages."""
+"""Training inputs, read from the artifacts of the other stages."""
 
 from pathlib import Path
 
@@ -14,11 +14,13 @@ from stages.shared.sequences import read_sequence
 from stages.shared.split import SplitOptions, frame_times, held_out
 
 MIN_OBSERVED = 2
-"""What changes over time is interpolated between at least so many training frames."""
+"""Least number of training frames: tables over time are interpolated between them."""
 
 
 def read_observations(sequence: Path, masks: Path, poses: Path, depth: Path, split: SplitOptions) -> TrainingFrames:
-    """The frames of `training_indices`; no file of any other is opened. Masks left out (`masks_used`) are empty.
+    """The training frames (`training_indices`) with masks, depth and cameras. Held-out images and masks stay unread.
+
+    Masks of frames where `Cameras.masks_used` is false are empty.
 
     Raises:
         InputError: if a mask is missing or has another size than the frames.
@@ -41,9 +43,10 @@ def read_observations(sequence: Path, masks: Path, poses: Path, depth: Path, spl
 
 
 def training_indices(cameras: Cameras, split: SplitOptions) -> np.ndarray:
-    """Indices of the frames to train on: those neither held out nor without matches of their own, and the log says so.
+    """Indices of the frames to train on: neither held out nor "unobserved" (without matches).
 
-    The pose of a frame without matches is bridged from its neighbours': a wrong view would blur what the others show.
+    The pose of an unobserved frame is interpolated from its neighbours; training on a wrong pose would blur the scene.
+    Such frames are kept, with a warning, if fewer than MIN_OBSERVED others are left.
     """
     training = ~held_out(len(cameras.numbers), split)
     unobserved = training & (cameras.status == "unobserved")
@@ -60,7 +63,7 @@ def training_indices(cameras: Cameras, split: SplitOptions) -> np.ndarray:
 
 
 def canonical_row(seen: TrainingFrames, sequence: Path, deformation: Path) -> int:
-    """Which of the training frames is the canonical one of the control points."""
+    """Index, among the training frames, of the canonical frame of the control points."""
     numbers = read_sequence(sequence).numbers
     time = frame_times(len(numbers))[numbers.index(read_metadata(deformation)["canonical_frame"])]
     return int(np.abs(seen.times - time).argmin())

@@ -1,4 +1,4 @@
-"""The first Gaussians: pixels of several training frames lifted by their depth, labelled static or dynamic once."""
+"""Initialisation of the Gaussians: pixels of several training frames lifted by depth, labelled static or dynamic."""
 
 from dataclasses import dataclass
 
@@ -15,20 +15,23 @@ from stages.splatting.gaussian_model import Cloud
 from stages.splatting.rasterize import rasterize
 
 LIFTED_FRAMES = 8
-"""Frames that add what the ones before them do not show."""
+"""Frames that are lifted after the canonical one; each adds what the frames before it do not show."""
 DEPTH_TOLERANCE = 0.06
-"""Relative difference of depth below which two points are the same surface."""
+"""Relative difference of depth up to which two points count as the same surface."""
 SCALE_SHARE = 0.5
 """Initial standard deviation as a share of the distance between neighbouring Gaussians."""
 OPACITY = 0.8
 OUTLINE = 0.006
-"""Width of a mask's uncertain outline as a share of the frame's: 3 of 512 px. With 1 px a rim of movers is burnt into
-the static scene: 0.3 dB less of held-out frames on two sequences."""
+"""Width of the uncertain band along a mask's outline, as a share of the frame's width: 3 of 512 px. With a narrower one
+static Gaussians keep the colours of the movers' rim, which lowers held-out PSNR."""
 
 
 @dataclass(frozen=True)
 class Points:
-    """n lifted pixels: positions [n, 3], colours [n, 3] 0..1, footprints [n] (scene units), frames [n] of origin."""
+    """n lifted pixels: positions [n, 3], colours [n, 3] 0..1, footprints [n] (scene units), frames [n] of origin.
+
+    A footprint is the distance between neighbouring lifted pixels at the depth of the point.
+    """
 
     positions: np.ndarray
     colours: np.ndarray
@@ -45,7 +48,7 @@ def join(parts: list[Points]) -> Points:
 
 
 def lift(seen: TrainingFrames, f: int, keep: np.ndarray, stride_px: int) -> Points:
-    """Points of the pixels of frame f on the stride grid where keep [H, W] holds."""
+    """Points lifted from every `stride_px`-th pixel of frame f, each way, where keep [H, W] bool is true."""
     grid = np.zeros(keep.shape, bool)
     grid[stride_px // 2 :: stride_px, stride_px // 2 :: stride_px] = True
     v, u = np.nonzero(keep & grid)
@@ -55,14 +58,19 @@ def lift(seen: TrainingFrames, f: int, keep: np.ndarray, stride_px: int) -> Poin
 
 
 def frame_order(F: int, first: int) -> list[int]:
-    """At most LIFTED_FRAMES of F frames: `first`, then those spread over the clip, the ends early."""
+    """Indices of the frames to lift: `first`, then at most LIFTED_FRAMES spread over all F, with both ends first."""
     spread = np.unique(np.linspace(0, F - 1, min(LIFTED_FRAMES, F)).round().astype(int)).tolist()
     ends_first = spread[:1] + spread[-1:] + spread[1:-1]
     return list(dict.fromkeys([first, *ends_first]))
 
 
 def lift_static(seen: TrainingFrames, order: list[int], stride_px: int, static: np.ndarray) -> Points:
-    """Union over frames: each adds its `static` pixels [F, H, W] that the points so far leave open."""
+    """Lifted points of several frames: each adds those of its `static` pixels [F, H, W] that no point covers yet.
+
+    Args:
+        order: indices of the frames, the first of which contributes all its static pixels.
+        stride_px: distance between lifted pixels, px.
+    """
     parts: list[Points] = []
     for f in order:
         uncovered = static[f] if not parts else static[f] & ~_covered(seen, f, join(parts).positions, stride_px)
@@ -71,7 +79,7 @@ def lift_static(seen: TrainingFrames, order: list[int], stride_px: int, static: 
 
 
 def _covered(seen: TrainingFrames, f: int, positions: np.ndarray, stride_px: int) -> np.ndarray:
-    """Pixels [H, W] of frame f with a point within the stride that lies at or before the depth there."""
+    """Pixels [H, W] of frame f that have a point within the stride, at or in front of the surface there."""
     height, width = seen.depths.shape[1:]
     u, v, z, inside = _pixels(seen, f, positions)
     nearest = np.full((height, width), np.inf, np.float32)
@@ -84,7 +92,7 @@ def _covered(seen: TrainingFrames, f: int, positions: np.ndarray, stride_px: int
 def _pixels(
     seen: TrainingFrames, f: int, positions: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Nearest pixel u, v (0 outside) and depth of points [n, 3] in frame f, and whether they are in the image."""
+    """Nearest pixel u, v [n] (0 if outside) and z-depth [n] of points [n, 3] in frame f, and whether it is inside."""
     height, width = seen.depths.shape[1:]
     xyz = positions @ seen.cam_from_world[f, :3, :3].T + seen.cam_from_world[f, :3, 3]
     front = xyz[:, 2] > 0
@@ -96,25 +104,28 @@ def _pixels(
 
 
 def dynamic_share(seen: TrainingFrames, tracks: np.ndarray, masks: np.ndarray) -> np.ndarray:
-    """Share [n] of the frames in which a point is seen (in the image, not behind the depth there) that mask it.
+    """Share [n] of the frames in which a point is visible whose mask covers it; 0 for points that are never visible.
+
+    A point is visible if it projects into the image and is not behind the depth there.
 
     Args:
-        tracks: [F, n, 3] positions over time; [1, n, 3] for points at rest. Never seen: share 0.
-        masks: [F, H, W].
+        tracks: [F, n, 3] positions over time; [1, n, 3] for points at rest.
+        masks: [F, H, W] bool.
     """
     return _share(seen, tracks, masks, at_surface=False)
 
 
 def static_share(seen: TrainingFrames, positions: np.ndarray, masks: np.ndarray) -> np.ndarray:
-    """Share [n] of the frames in which a point at rest [n, 3] is seen that leave it unmasked, on the surface there.
+    """Share [n] of the frames in which a point at rest [n, 3] is visible that show it unmasked and on the surface.
 
-    A point of a mover that stood still would hang in the air before what other frames show.
+    The surface test excludes points of movers: left at rest, they would float in front of the surface that other frames
+    show.
     """
     return _share(seen, positions[None], ~masks, at_surface=True)
 
 
 def _share(seen: TrainingFrames, tracks: np.ndarray, votes: np.ndarray, at_surface: bool) -> np.ndarray:
-    """Share [n] of the frames that see a point on its track [F or 1, n, 3] that vote [F, H, W] for it where it is."""
+    """Share [n] of the frames in which a point on its track [F or 1, n, 3] is visible where votes [F, H, W] is true."""
     count, views = np.zeros(tracks.shape[1]), np.zeros(tracks.shape[1])
     for f in range(len(seen.depths)):
         u, v, z, inside = _pixels(seen, f, tracks[f % len(tracks)])
@@ -128,7 +139,11 @@ def _share(seen: TrainingFrames, tracks: np.ndarray, votes: np.ndarray, at_surfa
 def lift_dynamic(
     seen: TrainingFrames, order: list[int], stride_px: int, deformation: Deformation, K: int
 ) -> tuple[Points, np.ndarray]:
-    """Masked pixels that the dynamic points so far leave open, frame by frame, and their canonical positions [n, 3]."""
+    """Lifted points of masked pixels that no dynamic point covers yet, and their canonical positions [n, 3].
+
+    Args:
+        order: indices of the frames. stride_px: distance between lifted pixels, px. K: control points per Gaussian.
+    """
     parts: list[Points] = []
     canonical: list[np.ndarray] = []
     for f in order:
@@ -146,7 +161,7 @@ def lift_dynamic(
 def _dynamic_alpha(
     seen: TrainingFrames, f: int, points: Points, canonical: np.ndarray, deformation: Deformation, K: int
 ) -> np.ndarray:
-    """Alpha [H, W] of the dynamic points alone in frame f."""
+    """Rendered alpha [H, W] of the dynamic points alone in frame f."""
     height, width = seen.depths.shape[1:]
     cloud = make_cloud(points, canonical, np.ones(len(canonical), bool), sh_degree=0)
     means = skin(cloud.means, float(seen.times[f]), deformation, K)
@@ -158,12 +173,16 @@ def _dynamic_alpha(
 
 
 def near_plane_of(seen: TrainingFrames) -> float:
-    """A hundredth of the median depth: nothing so near is drawn."""
+    """Near plane in scene units: a hundredth of the median depth."""
     return 0.01 * float(np.median(seen.depths))
 
 
 def make_cloud(points: Points, positions: np.ndarray, dynamic: np.ndarray, sh_degree: int) -> Cloud:
-    """Round Gaussians of the points at `positions` [n, 3], static ones first."""
+    """Isotropic Gaussians of the points at `positions` [n, 3], static ones first.
+
+    Args:
+        dynamic: [n] bool.
+    """
     order = np.argsort(dynamic, kind="stable")
     footprints = torch.as_tensor(points.footprints[order], dtype=torch.float32)
     n = len(order)
@@ -189,7 +208,10 @@ def cloud_within(
     sh_degree: int,
     max_gaussians: int,
 ) -> tuple[Cloud, int]:
-    """`initial_cloud` at the finest stride from `stride_px` on that stays within the cap, and that stride."""
+    """`initial_cloud` at the smallest stride from `stride_px` on that gives at most `max_gaussians`, and that stride.
+
+    All other arguments are those of `initial_cloud`.
+    """
     while True:
         cloud = initial_cloud(seen, deformation, canonical, stride_px, K, sh_degree)
         if len(cloud.means) <= max_gaussians:
@@ -202,18 +224,20 @@ def initial_cloud(
 ) -> Cloud:
     """Gaussians of the whole scene; without a deformation every pixel is static.
 
-    Each candidate is voted static or dynamic over all frames in which it is seen: a static pixel that the masks of
-    other frames claim joins the dynamic ones; a masked pixel stays where it was lifted if more frames show it there,
-    unmasked, than mask it on its way. Where motion is off, masks miss it on its way too, but no frame shows it at rest.
+    Each candidate is labelled by a vote over all frames in which it is visible. An unmasked pixel becomes dynamic if
+    more than half of these frames mask it. A masked pixel becomes static, at the place where it was lifted, if more
+    frames show it there unmasked than mask it along its motion. If the motion is wrong, few masks cover it on its way,
+    but then no frame shows it at rest either, and it stays dynamic.
 
     Args:
         canonical: index (into the F training frames) of the canonical frame.
+        stride_px: distance between lifted pixels, px. K: control points per Gaussian.
     """
     order = frame_order(len(seen.images), canonical)
     if deformation is None:
         points = lift_static(seen, order, stride_px, np.ones(seen.masks.shape, bool))
         return make_cloud(points, points.positions, np.zeros(len(points.frames), bool), sh_degree)
-    # Pixels on the outline mix both colours, and masks and depth are off by some more: no static point starts there.
+    # Pixels on the outline mix two colours, and masks and depth are inexact there: no static point starts from them.
     size = 2 * max(1, round(OUTLINE * seen.masks.shape[2])) + 1
     kernel = np.ones((size, size), np.uint8)
     widened = np.stack([cv2.dilate(mask.astype(np.uint8), kernel) > 0 for mask in seen.masks])

@@ -25,28 +25,32 @@ LEARNING_RATES = {
     "sh_dc": 0.1,
     "sh_rest": 0.005,
 }
-"""Adam's step per parameter: footprints, logarithms, radians / 2, logits, SH coefficients."""
+"""Adam's learning rate per parameter, in footprints, logarithms, radians / 2, logits and SH coefficients."""
 MOTION_RATE = 1e-4
-"""Five times as much lets control points that few pixels hold wander, and blurs fast movers by 4 dB; none: -1 dB."""
+"""Of rotations and translations of the control points. At several times this rate, control points that few pixels
+constrain drift and blur fast movers; without any, PSNR of movers is lower too (`gaussians.detach` measures that)."""
 COLOUR_RATE = 5e-2
-"""Of the control points' colours over time, SH coefficients."""
+"""Of the colours of the control points over time, SH coefficients."""
 RADIUS_RATE = 2e-3
+"""Of the logarithms of the kernel radii."""
 EXPOSURE_RATE = 2e-2
+"""Of the logarithms of the gains."""
 POSE_RATE = 2e-5
+"""Of the twists: median depths and radians."""
 POSE_WEIGHT = 100.0
-"""Of the mean squared correction of the poses: a pixel (2e-3 rad) in every frame costs what 0.0004 of L1 does."""
+"""Of the mean squared pose correction in the loss: one pixel (2e-3 rad) in every frame costs as much as 4e-4 of L1."""
 FINAL_RATE = 0.05
-"""All rates decay exponentially to this share."""
+"""All learning rates decay exponentially to this share of their initial value."""
 DENSIFY_EVERY = 100
 DENSIFY_UNTIL = 0.6
-"""Densification ends at this share of the steps, so that the last Gaussians have time to settle."""
+"""Densification ends at this share of the steps, so that the last Gaussians have time to converge."""
 CHECKED_FRAMES = 4
-"""Training frames over which a file is compared with another."""
+"""Number of training frames over which `training_psnr` compares models."""
 
 
 @dataclass
 class History:
-    """One entry per step, as the columns of `convergence.parquet`."""
+    """One entry per step, as in `convergence.parquet`; PSNR in dB of the step's frame, seconds since the start."""
 
     step: list[int] = field(default_factory=list)
     loss: list[float] = field(default_factory=list)
@@ -56,12 +60,17 @@ class History:
 
 
 def mean_by_rows(image: Tensor) -> Tensor:
-    """Mean of an image [H, W, C], row by row: a sum over all of it torch would split by the number of its threads."""
+    """Mean of an image [H, W, C], by rows: how torch splits a sum over all of it depends on its number of threads."""
     return image.mean(dim=(1, 2)).mean()
 
 
 class Trainer:
-    """The scene with its optimiser; `step` runs from 0 to options.steps and everything else follows from it."""
+    """The scene with its optimiser and losses.
+
+    Frames, learning rates and densification are functions of the seed and of `step`, 0..options.steps, so that a run
+    can resume. With `options.detach` the photometric loss has no gradient to the motion of the control points and their
+    kernel radii, the optimiser holds neither, and ARAP is left out.
+    """
 
     def __init__(
         self, scene: GaussianScene, seen: TrainingFrames, options: GaussiansOptions, arap_weight: float
@@ -92,7 +101,7 @@ class Trainer:
         self.scene.bind()
 
     def _train_step(self) -> tuple[float, float]:
-        """One step on the frame whose turn it is; returns the loss and the PSNR (dB) of that frame before the step."""
+        """One step on one training frame; returns the loss and the PSNR (dB) of that frame before the step."""
         f = self._frame_of_step()
         self._set_rates()
         target = self.targets[f]
@@ -115,7 +124,7 @@ class Trainer:
         return float(loss.detach()), psnr_db(float(mean_by_rows(difference.detach().square())))
 
     def _frame_of_step(self) -> int:
-        """Frames in random order, each once per round; a function of seed and step alone, so that runs can resume."""
+        """Index of the frame of this step: each frame once per epoch, in random order by seed and epoch."""
         epoch, turn = divmod(self.step, len(self.targets))
         return int(np.random.default_rng([self.options.seed, epoch]).permutation(len(self.targets))[turn])
 
@@ -124,7 +133,7 @@ class Trainer:
         return torch.tensor([self.times[f], self.times[other]], dtype=torch.float32, device=self.device)
 
     def new_optimiser(self) -> torch.optim.Adam:
-        """Adam over the scene's present parameters, without moments; the groups carry their base `rate`."""
+        """Adam over the present parameters of the scene, without moments; each group has its initial `rate`."""
         groups = [
             {"params": [self.scene.gaussians[name]], "rate": rate, "name": name}
             for name, rate in LEARNING_RATES.items()
@@ -151,7 +160,7 @@ class Trainer:
         return self.options.densify and early and self.step % DENSIFY_EVERY == 0
 
     def _densify(self) -> None:
-        """Replace the Gaussians, and carry the optimiser's moments over to those that stay."""
+        """Densify the Gaussians; those that stay keep their moments in the optimiser."""
         cloud, parents = densify(self.scene.cloud(), self.record.mean, self.options.max_gaussians)
         old = {name: self.optimiser.state[self.scene.gaussians[name]] for name in LEARNING_RATES}
         motion = {p: state for p, state in self.optimiser.state.items() if p not in set(self.scene.gaussians.values())}
@@ -168,7 +177,7 @@ class Trainer:
 
 @torch.no_grad()
 def training_psnr(scene: GaussianScene, seen: TrainingFrames) -> float:
-    """Mean PSNR (dB) over at most CHECKED_FRAMES training frames, as a file's check against another file."""
+    """Mean PSNR (dB) over at most CHECKED_FRAMES training frames, to compare the model with a copy of itself."""
     device, values = scene.background.device, []
     for f in spread(len(seen.images), CHECKED_FRAMES):
         viewmat, K = (torch.as_tensor(matrix, device=device) for matrix in (seen.cam_from_world[f], seen.Ks[f]))

@@ -1,4 +1,4 @@
-"""Skinning of bare points by the control points, and its inverse: where a point seen at some time lies at rest."""
+"""Skinning of points by the control points, and its inverse: the canonical position of a point at some time."""
 
 import numpy as np
 import torch
@@ -8,7 +8,7 @@ from stages.deformation.lbs import blend, inverse_blend, lbs_weights, neighbours
 from stages.deformation.motion_models import Deformation
 
 MAX_ERROR = 0.5
-"""The inverse is accepted if skinning takes it this close to the point, in median kernel radii."""
+"""Largest error of an accepted inverse after skinning it forward again, in median kernel radii."""
 
 
 def skin(means: Tensor, time: float, deformation: Deformation, K: int) -> Tensor:
@@ -23,7 +23,7 @@ def skin(means: Tensor, time: float, deformation: Deformation, K: int) -> Tensor
 def to_canonical(
     positions: np.ndarray, times: np.ndarray, deformation: Deformation, K: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Canonical positions [n, 3] that skinning carries to `positions` [n, 3] at `times` [n], and which [n] exist.
+    """Canonical positions [n, 3] that skinning maps to `positions` [n, 3] at `times` [n], and which were found [n].
 
     Args:
         K: control points per Gaussian.

@@ -15,7 +15,7 @@ WINDOW = ssim_kernels.window()
 
 
 class Target:
-    """An image [H, W, C] (0..1) with its blurred moments, to be compared with many renderings."""
+    """An image [H, W, C] in 0..1 with its blurred moments [2 C, H, W], computed once for all comparisons with it."""
 
     def __init__(self, image: Tensor) -> None:
         self.image = image.contiguous()
@@ -32,10 +32,11 @@ def ssim(image: Tensor, target: Target) -> Tensor:
 
 
 class _Ssim(torch.autograd.Function):
-    """The gradient costs little more than the value, so the forward pass computes both."""
+    """Mean SSIM by the numba kernels. The forward pass also computes the gradient, which costs little more."""
 
     @staticmethod
     def forward(ctx: Any, image: Tensor, target: Tensor, target_moments: Tensor) -> Tensor:
+        """Mean SSIM (float32 scalar) of image and target [H, W, C], given the target's moments [2 C, H, W]."""
         x, y = image.detach().contiguous().numpy(), target.numpy()
         moments = ssim_kernels.blur(ssim_kernels.products(x, y), WINDOW)
         sums, derivative = ssim_kernels.similarity(moments, target_moments.numpy())
@@ -46,11 +47,12 @@ class _Ssim(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
+        """Gradient of the image [H, W, C] from that of the mean SSIM (scalar); none for the target."""
         return ctx.gradient * gradients[0], None, None
 
 
 def ssim_torch(image: Tensor, target: Target) -> Tensor:
-    """`ssim` by torch convolutions: for CUDA, and the oracle of the kernels."""
+    """`ssim` by torch convolutions, for CUDA; tests compare the kernels with it."""
     x, y = image.movedim(-1, 0), target.image.movedim(-1, 0)
     mx, xx, xy = _convolve(torch.cat([x, x * x, x * y])).chunk(3)
     my, yy = target.moments.chunk(2)
@@ -61,7 +63,7 @@ def ssim_torch(image: Tensor, target: Target) -> Tensor:
 
 
 def _convolve(planes: Tensor) -> Tensor:
-    """Planes [P, H, W] blurred with zero padding."""
+    """Planes [P, H, W] blurred by the window, with zero padding."""
     window = torch.from_numpy(WINDOW).to(planes)
     rows = torch.nn.functional.conv2d(planes[:, None], window.view(1, 1, 1, -1), padding=(0, ssim_kernels.RADIUS))
     return torch.nn.functional.conv2d(rows, window.view(1, 1, -1, 1), padding=(ssim_kernels.RADIUS, 0))[:, 0]

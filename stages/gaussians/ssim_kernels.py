@@ -24,7 +24,7 @@ def window() -> np.ndarray:
 
 
 def blur(planes: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Separable blur of planes [P, H, W] with zero padding: vertical into a padded row, then horizontal."""
+    """Separable blur of planes [P, H, W] by weights [11], zero padding: vertically into a row, then horizontally."""
     blurred = np.empty_like(planes)
     strips = (planes.shape[1] + STRIP - 1) // STRIP
     spread(_blur, len(planes) * strips, planes, weights, strips, blurred)
@@ -51,7 +51,7 @@ def _blur(first: int, last: int, planes: np.ndarray, w: np.ndarray, strips: int,
 
 
 def products(image: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """Planes [3 C, H, W]: image, image^2 and image x target."""
+    """Planes [3 C, H, W] of image and target [H, W, C]: image, image^2, image x target."""
     H, W, C = image.shape
     planes = np.empty((3 * C, H, W), np.float32)
     spread(_products, H, image, target, planes)
@@ -108,7 +108,12 @@ def _similarity(
 
 
 def assemble(image: np.ndarray, target: np.ndarray, blurred: np.ndarray, scale: float) -> np.ndarray:
-    """Gradient [H, W, C] of scale x sum of SSIM, from the blurred derivative by the moments (the blur is symmetric)."""
+    """Gradient [H, W, C] of scale x sum of SSIM by the image.
+
+    Args:
+        image, target: [H, W, C].
+        blurred: [3 C, H, W], the derivative by the moments, blurred: a symmetric blur is its own adjoint.
+    """
     gradient = np.empty_like(image)
     spread(_assemble, len(image), image, target, blurred, np.float32(scale), gradient)
     return gradient

@@ -1,4 +1,4 @@
-"""What Gaussians are trained on: the training frames with their masks, dense depth and cameras."""
+"""The training frames with their masks, dense depth and cameras."""
 
 from dataclasses import dataclass, replace
 
@@ -10,13 +10,13 @@ from stages.deformation.motion_models import Deformation
 from stages.shared.cameras import frame_from_grid, grid_from_frame, project, unproject
 
 COLOUR_STD = 0.06
-"""Difference of colour (0..1) across which depth is not carried over."""
+"""Standard deviation of the colour weights (colours in 0..1): depth is not interpolated across larger differences."""
 UNLIKE_WEIGHT = 1e-4
-"""Weight of a grid pixel of any other colour, so that a pixel unlike all four gets their bilinear mean."""
+"""Added to the colour weights: a pixel whose colour differs from all four grid pixels gets their bilinear mean."""
 REACH = 6.0
-"""A point farther than this many kernel radii from every control point is no part of what they move."""
+"""Points farther than this many kernel radii from their nearest control point are treated as static."""
 FARTHEST = 1e3
-"""Depth is at most this many times the median depth: sky has inverse depth 0."""
+"""Limit of depth, as a multiple of the median depth: the inverse depth of the sky is 0."""
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,8 @@ class TrainingFrames:
 
     Attributes:
         images: [F, H, W, 3] float32 in 0..1. masks: [F, H, W] bool, true on moving parts.
-        depths: [F, H, W] float32, z-depth in scene units. guessed: [F, H, W] bool, depth was not triangulated.
+        depths: [F, H, W] float32, z-depth in scene units.
+        guessed: [F, H, W] bool, true where the depth was not triangulated but filled in.
         cam_from_world: [F, 4, 4]. Ks: [F, 3, 3] px. times: [F] in 0..1.
     """
 
@@ -39,11 +40,11 @@ class TrainingFrames:
 
 
 def dense_depth(inverse_depth: np.ndarray, image: np.ndarray, stride_px: float) -> np.ndarray:
-    """Full-size z-depth [H, W] from inverse depth [h, w] on the pose stage's grid, with edges where the frame has them.
+    """Full-size z-depth [H, W] from inverse depth [h, w] on the grid of `ba`, with its edges at those of the frame.
 
-    Joint bilateral upsampling (Kopf et al. 2007) over the four surrounding grid pixels: bilinear weights times likeness
-    of colour. Inverse depth is linear across planes in the image. Against rendered truth it leaves a third to a fifth
-    of the pixels wrong that a guided filter does.
+    Joint bilateral upsampling (Kopf et al. 2007) over the four surrounding grid pixels: bilinear weights times colour
+    similarity. Inverse depth is interpolated because it is linear in the image across a plane. Fewer pixels are wrong
+    than with a guided filter.
 
     Args:
         image: [H, W, 3] float32 in 0..1.
@@ -65,7 +66,7 @@ def dense_depth(inverse_depth: np.ndarray, image: np.ndarray, stride_px: float) 
 
 
 def nearest_on_frame(grid: np.ndarray, stride_px: float, height: int, width: int) -> np.ndarray:
-    """Values [F, h, w] on the pose stage's grid, for every pixel of the frames: [F, height, width]."""
+    """Values [F, h, w] on the grid of `ba`, looked up at every pixel of the frames: [F, height, width]."""
     rows, columns = (
         np.minimum(grid_from_frame(np.arange(size), stride_px) + 0.5, grid_size - 1).astype(int)
         for size, grid_size in zip((height, width), grid.shape[1:], strict=True)
@@ -74,7 +75,7 @@ def nearest_on_frame(grid: np.ndarray, stride_px: float, height: int, width: int
 
 
 def _grid_centres(size: int, grid_size: int, stride_px: float) -> np.ndarray:
-    """The pixel [grid_size] of `size` that is nearest to the centre of each grid pixel, the later one of two."""
+    """Index [grid_size] of the pixel in 0..size - 1 nearest to the centre of each grid pixel; at a tie the higher."""
     at = frame_from_grid(np.arange(grid_size), stride_px)
     return np.minimum((at + 0.5).astype(int), size - 1)
 
@@ -87,11 +88,12 @@ def _grid_neighbours(size: int, grid_size: int, stride_px: float) -> tuple[np.nd
 
 
 def with_movers(seen: TrainingFrames, deformation: Deformation) -> TrainingFrames:
-    """Give masked pixels the depth of the control points that carry them, and unmask those that none can carry.
+    """Give masked pixels the depth of nearby control points, and unmask pixels that are too far from all of them.
 
-    The pose stage cannot triangulate what moves and guesses its depth from the background; the control points know
-    better, and Gaussians must lie where the control points that carry them are. A masked pixel farther than REACH
-    kernel radii from all of them (a false mask, or the whole image masked) counts as static: else it would be a hole.
+    `ba` cannot triangulate moving pixels and fills their depth from the static background. The control points have
+    depth of their own, and Gaussians must lie close to the control points that move them. A masked pixel farther than
+    REACH kernel radii from its nearest control point (a false mask, or a mask over the whole image) counts as static;
+    otherwise no Gaussian would cover it.
     """
     depths, masks = seen.depths.copy(), seen.masks.copy()
     radii = deformation.log_radii.detach().exp().double().numpy()
@@ -111,7 +113,10 @@ def with_movers(seen: TrainingFrames, deformation: Deformation) -> TrainingFrame
 
 
 def _depth_from_points(pixels: np.ndarray, points: np.ndarray, pose: np.ndarray, K: np.ndarray) -> np.ndarray:
-    """Depth [n] of pixels [n, 2] from the four points [P, 3] nearest in the image; infinite if none is in front."""
+    """Depth [n] of pixels [n, 2], the weighted harmonic mean over the four of the points [P, 3] nearest in the image.
+
+    It is infinite if no point is in front of the camera.
+    """
     z = points @ pose[2, :3] + pose[2, 3]
     front = points[z > 0]
     if len(front) == 0:
