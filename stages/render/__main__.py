@@ -19,13 +19,13 @@ def main(
     sequence: Annotated[Path, In("sequence.json of the input check")],
     poses: Annotated[Path, In("ba/poses.parquet")],
     model: Annotated[Path, In("gaussians/model.safetensors")],
-    output: Annotated[Path, Out("folder of renders: train, test, novel, right; and splats, if export_frames says so")],
+    output: Annotated[Path, Out("folder of renders: train, test, novel, right; and splats of export_frames")],
     video: Annotated[Path, Out("fly-through as GIF")],
     options: RenderOptions,
 ) -> str:
-    """Render every frame at its estimated pose and time, a fly-through, and the right eye where its truth is known.
+    """Render every frame at its estimated pose and time, a fly-through, and the right eye if its true camera is known.
 
-    During the fly-through time runs from 0 to 1 while the camera circles around the estimated path.
+    In the fly-through the camera circles around the estimated path while time runs from 0 to 1.
     """
     from stages.render.shots import load_scene, planned_shots, take
     from stages.render.video import write_gif

@@ -16,23 +16,23 @@ class RenderOptions(SplitOptions):
         0.03,
         ge=0,
         le=1,
-        description="how far the fly-through leaves the estimated path, as a share of the median depth",
+        description="distance of the fly-through from the estimated path, as a share of the median depth",
     )
     export_frames: Literal["all"] | tuple[int, ...] = Field(
-        (), description="numbers of the frames whose splats, as they are then, are written as PLY; or all"
+        (), description="numbers of the frames whose splats, moved to that time, are written as PLY; or all"
     )
     device: Literal["auto", "cpu", "cuda"] = Field("auto", description="where to render")
 
     def exports(self, number: int) -> bool:
-        """Whether the splats of a frame are asked for."""
+        """Whether the splats of the frame with this number are written."""
         return self.export_frames == "all" or number in self.export_frames
 
 
 class ViewOptions(Options):
-    """Any time and camera."""
+    """Renders at any time from any camera."""
 
-    at_time: float | None = Field(None, ge=0, le=1, description="moment of all images, 0..1 over the sequence")
+    at_time: float | None = Field(None, ge=0, le=1, description="time of all images, 0..1 over the sequence")
     width_px: int | None = Field(None, ge=1, description="width of the images; default: that of the frames")
     height_px: int | None = Field(None, ge=1, description="height of the images; default: that of the frames")
-    splats: bool = Field(False, description="write the splats of each moment as PLY beside the image")
+    splats: bool = Field(False, description="write the splats at the time of each image as PLY beside it")
     device: Literal["auto", "cpu", "cuda"] = Field("auto", description="where to render")

@@ -1,4 +1,4 @@
-"""What to render: moments and cameras, and the function that renders them."""
+"""The views to render, by time and camera, and their rendering."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,7 +24,12 @@ from stages.splatting.rasterize import backend_name, choose_device
 
 @dataclass(frozen=True)
 class Shot:
-    """One image to render: into which folder, under which number, when (0..1) and from which camera."""
+    """One image to render.
+
+    Attributes:
+        split: its folder, "train", "test", "novel" or "right". number: the number in its file name. time: 0..1.
+        cam_from_world: [4, 4]. K: [3, 3] px.
+    """
 
     split: str
     number: int
@@ -34,7 +39,11 @@ class Shot:
 
 
 def planned_shots(content: Sequence, cameras: Cameras, distance: float, options: RenderOptions) -> list[Shot]:
-    """Every frame at its pose, the fly-through around a point at `distance` (scene units), and the true right eye."""
+    """All views of the stage: every frame at its pose, the fly-through, and the right eye.
+
+    Args:
+        distance: of the point that the fly-through looks at, scene units.
+    """
     T = len(content.frames)
     times, is_test = frame_times(T), held_out(T, options)
     shots = [
@@ -51,7 +60,11 @@ def planned_shots(content: Sequence, cameras: Cameras, distance: float, options:
 
 
 def right_cameras(content: Sequence, cam_from_world: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Frames [n] with a true right eye and its cameras [n, 4, 4] in our world; none without truth or scale."""
+    """Indices [n] of the frames with ground truth of the right eye, and its cameras [n, 4, 4] in the estimated world.
+
+    Args:
+        cam_from_world: estimated [T, 4, 4]. Where the estimated path does not determine a scale, none are returned.
+    """
     both = set(content.truth.get("camdata_right", {})) & set(content.truth.get("clean_right", {}))
     rows = np.array([k for k, number in enumerate(content.numbers) if number in both], int)
     if len(rows) == 0 or not content.has_truth("camdata_left"):
@@ -61,15 +74,15 @@ def right_cameras(content: Sequence, cam_from_world: np.ndarray) -> tuple[np.nda
     try:
         return rows, right_eye(cam_from_world, left, right, rows)
     except DegenerateError as error:
-        logger.warning("no right-eye views: the baseline has no scale in our world (%s)", error)
+        logger.warning("no right-eye views: the scale of the estimated world is unknown (%s)", error)
         return rows[:0], np.zeros((0, 4, 4))
 
 
 def load_scene(model: Path, device: str) -> GaussianScene:
-    """The trained scene of a model file, whole or halved, on an option's device "auto", "cpu" or "cuda".
+    """The trained scene of a model file in full or half precision, on the device "auto", "cpu" or "cuda".
 
     Raises:
-        InputError: if the file is no model of a scene.
+        InputError: if the file is not the model of a scene.
     """
     chosen = choose_device(device)
     logger.info("rendering by %s", backend_name(chosen))
@@ -79,6 +92,6 @@ def load_scene(model: Path, device: str) -> GaussianScene:
 
 @torch.no_grad()
 def take(scene: GaussianScene, shot: Shot, width: int, height: int) -> np.ndarray:
-    """The shot as [height, width, 3] uint8."""
+    """The rendered view, [height, width, 3] uint8."""
     viewmat, K = (torch.as_tensor(matrix, device=scene.background.device) for matrix in (shot.cam_from_world, shot.K))
     return to_uint8(scene.render(float(shot.time), viewmat, K, width, height).colour[0].cpu().numpy())

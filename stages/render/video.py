@@ -15,7 +15,10 @@ COLOURS = 96
 
 
 def write_gif(path: Path, images: Sequence[np.ndarray], seconds: float) -> None:
-    """Write images [H, W, 3] uint8 as a GIF of `seconds`, as wide as fits in MAX_BYTES (the narrowest in any case)."""
+    """Write images [H, W, 3] uint8 as a GIF that lasts `seconds`.
+
+    Its width is the first of WIDTHS_PX at which the file has at most MAX_BYTES, or else the last one.
+    """
     for width in WIDTHS_PX:
         content = _encode(images, min(width, images[0].shape[1]), 1000 * seconds / len(images))
         if len(content) <= MAX_BYTES:
@@ -27,7 +30,7 @@ def write_gif(path: Path, images: Sequence[np.ndarray], seconds: float) -> None:
 def _encode(images: Sequence[np.ndarray], width: int, milliseconds: float) -> bytes:
     height = round(images[0].shape[0] * width / images[0].shape[1])
     small = [Image.fromarray(image).resize((width, height), Image.Resampling.LANCZOS) for image in images]
-    # One palette for all frames: the colours of the whole clip, without flicker.
+    # One palette for all frames avoids flicker.
     strip = np.concatenate([np.asarray(image)[::4, ::4] for image in small])
     palette = Image.fromarray(strip).quantize(COLOURS)
     frames = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in small]

@@ -14,14 +14,14 @@ from stages.shared.errors import complete
 
 def main(
     model: Annotated[Path, In("gaussians/model.safetensors, or model_half.safetensors")],
-    cameras: Annotated[Path, In("table laid out as ba/poses.parquet; a column `time` (0..1) may give each its moment")],
+    cameras: Annotated[Path, In("table laid out as ba/poses.parquet; a column `time` (0..1) is optional")],
     output: Annotated[Path, Out("folder of frame_0001.png ..., one per row of the table, numbered as its frames")],
     options: ViewOptions,
 ) -> None:
-    """Render one image per camera of a table, and on demand the splats of each moment as PLY.
+    """Render one image per camera of a table and, with --splats, write the splats at its time as PLY.
 
-    The moment is --at-time if given, else the table's `time`; else the rows are spread over 0..1. Poses are
-    camera-from-world in the units of the scene; intrinsics are in pixels of the image to render.
+    The time of an image is --at-time if set, else the column `time` of the table; without both, the rows are spread
+    evenly over 0..1. Poses are camera-from-world in scene units; intrinsics are in pixels of the image to render.
     """
     from stages.render.shots import Shot, load_scene, take
     from stages.shared.artifacts import atomic_folder

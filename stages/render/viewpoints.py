@@ -1,4 +1,4 @@
-"""Cameras to render from: between the estimated ones, around them, and the true right eye put into our world."""
+"""Cameras to render from: a path around the estimated cameras, and the right eye in the estimated world."""
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -9,19 +9,19 @@ from stages.shared.alignment import umeyama
 
 
 def novel_path(cam_from_world: np.ndarray, times: np.ndarray, radius: float, distance: float) -> np.ndarray:
-    """Cameras [n, 4, 4] at `times` [n] in 0..1 that circle once around the smooth estimated path, looking at one point.
+    """Cameras [n, 4, 4] at `times` [n] in 0..1 that circle once around the interpolated estimated path.
 
     Args:
-        cam_from_world: [T, 4, 4], evenly spread over 0..1.
-        radius: of the circle across the view, scene units; half of it vertically.
-        distance: of the point on the optical axis that stays in place, scene units.
+        cam_from_world: estimated [T, 4, 4], evenly spread over 0..1.
+        radius: of the circle, scene units; horizontally it leads to both sides of the path, vertically to one.
+        distance: of the point on the optical axis of the path at which the cameras keep looking, scene units.
     """
     world_from_cam = lie.inverse(cam_from_world)
     knots = np.linspace(0, 1, len(cam_from_world))
     centres = CubicSpline(knots, world_from_cam[:, :3, 3], bc_type="natural")(times)
     rotations = Slerp(knots, Rotation.from_matrix(world_from_cam[:, :3, :3]))(times).as_matrix()
     angle = 2 * np.pi * times
-    # Starts and ends on the path, so that a looping video jumps only by the path itself.
+    # The circle starts and ends on the path, so a looping video jumps only by the length of the path.
     shift = np.stack([radius * np.sin(angle), 0.5 * radius * (1 - np.cos(angle)), np.zeros_like(angle)], axis=-1)
     turn = np.stack([np.arctan2(shift[:, 1], distance), -np.arctan2(shift[:, 0], distance), np.zeros_like(angle)], -1)
     offset = lie.from_parts(lie.exp_so3(turn), shift)
@@ -31,7 +31,7 @@ def novel_path(cam_from_world: np.ndarray, times: np.ndarray, radius: float, dis
 def right_eye(
     cam_from_world: np.ndarray, true_left: np.ndarray, true_right: np.ndarray, rows: np.ndarray
 ) -> np.ndarray:
-    """Right-eye cameras [n, 4, 4] in our world: the true relative pose, its baseline in our scale.
+    """Right-eye cameras [n, 4, 4] in the estimated world: the true relative pose, its baseline in the estimated scale.
 
     Args:
         cam_from_world: estimated [T, 4, 4]. true_left: [T, 4, 4]. true_right: [n, 4, 4] of the frames `rows` [n].
