@@ -7,20 +7,20 @@ from pydantic import BeforeValidator, Field
 from stages.shared.options import Options
 
 Factor = Annotated[Literal[1, 2, 4], BeforeValidator(lambda value: int(value) if str(value).isdigit() else value)]
-"""Flags and Snakemake's --config hand numbers over as text, which pydantic takes for no choice among numbers."""
+"""Flags and Snakemake's --config pass numbers as text, which pydantic does not accept for a literal number."""
 
 
 class ColmapOptions(Options):
-    """pycolmap on the same frames, the baseline of the pose table."""
+    """COLMAP (pycolmap) on the same frames: the baseline of the pose table."""
 
     mappers: tuple[Literal["global", "incremental"], ...] = Field(
         ("global",), min_length=1, description="COLMAP's global (GLOMAP) and incremental mapping"
     )
     upsample: tuple[Factor, ...] = Field(
-        (1,), min_length=1, description="run on frames enlarged by these factors; 2 helps small frames, costs 3 times"
+        (1,), min_length=1, description="factors by which frames are enlarged; 2 helps on small frames"
     )
     upsample_masked: tuple[Factor, ...] = Field(
-        (), description="the same with features on dynamic pixels left out, by our masks; none of it if empty"
+        (), description="the same for runs with our masks (no features on dynamic pixels); no such run if empty"
     )
     matching: Literal["sequential", "exhaustive"] = Field(
         "sequential", description="match every frame with the next `window` frames, or with all"

@@ -12,5 +12,5 @@ class InspectOptions(Options):
     """Which frames are used."""
 
     max_frames: Literal["all"] | Annotated[int, Field(ge=MIN_FRAMES)] = Field(
-        "all", description="use only so many frames, from the first on"
+        "all", description="number of frames to use, from the first on; or all"
     )
