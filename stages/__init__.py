@@ -1,4 +1,4 @@
-"""motionsplat: one folder per stage; stages meet only in the files they read and write."""
+"""motionsplat: one folder per stage; stages exchange files only."""
 
 import os
 import sys
@@ -6,14 +6,14 @@ import time
 from pathlib import Path
 
 START_S = time.perf_counter()
-"""When this process began its stage; the reported seconds include the imports."""
+"""Start of this process; reported seconds include the imports."""
 KERNEL_TYPES = 2
-"""Raise it when a named tuple that kernels take is renamed or moved. Numba reads the index of its compiled code,
-with these types in it, before it compares the age of the source: an index that holds an old name is an error."""
+"""Raise this number when a named tuple that kernels take is renamed or moved. Numba reads the index of its compiled
+code, which contains these types, before it compares the age of the source: an unknown name in it is an error."""
 
-# Read once, when libgomp and OpenBLAS load, hence before numpy or torch:
-# spinning OpenMP threads cost 2-20x when two jobs share two cores, and a multi-threaded BLAS
-# below our own threads costs 5-10x. Snakemake sets OMP_NUM_THREADS from `threads:`.
+# libgomp and OpenBLAS read these once, when they load, hence before numpy or torch. Spinning OpenMP threads slow down
+# jobs that share cores several times, as does a multi-threaded BLAS below our own threads. Snakemake sets
+# OMP_NUM_THREADS from `threads:`.
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 os.environ["OPENBLAS_NUM_THREADS"] = "1"
 os.environ.setdefault("OMP_NUM_THREADS", str(os.cpu_count() or 1))
@@ -21,5 +21,5 @@ os.environ.setdefault("NUMBA_CACHE_DIR", str(Path(sys.prefix) / f"numba_cache_{K
 
 
 def kernels_compiled() -> bool:
-    """Whether this machine keeps compiled kernels already: a run that finds none compiles them, once."""
+    """Whether compiled kernels are cached on this machine; otherwise the first run compiles them."""
     return next(Path(os.environ["NUMBA_CACHE_DIR"]).glob("*/*.nbc"), None) is not None

@@ -245,7 +245,7 @@ def test_an_output_folder_that_is_a_file(frames: Path) -> None:
     blocker.write_text("in the way")
     result = run_check(frames / "clip", blocker / "sequence.json")
     assert result.returncode == 2
-    assert re.search(r"blocker: expected a folder that can be made, found .*; choose another", result.stderr)
+    assert re.search(r"blocker: expected a folder that can be created, found .*; choose another", result.stderr)
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")

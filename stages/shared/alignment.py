@@ -3,20 +3,20 @@
 import numpy as np
 
 RANK_TOLERANCE = 1e-8
-"""A direction counts if it spreads over more than this share of the widest one, and over more than rounding."""
+"""Points extend in a direction if they spread over more than this share of the widest one, and beyond rounding."""
 
 
 class DegenerateError(ValueError):
     """The points do not determine a similarity.
 
     Attributes:
-        which: "source", "target", or "both" where each has extent but they have too little in common.
-        shape: "point" (all points coincide) or "line" (the turn about the line is free).
+        which: "source", "target", or "both" if each set determines a plane but their covariance has rank one.
+        shape: "point" (all points coincide) or "line" (the rotation about the line is undetermined).
     """
 
     def __init__(self, which: str, shape: str) -> None:
         self.which, self.shape = which, shape
-        super().__init__(f"no unique similarity: {which} points agree on no more than a {shape}")
+        super().__init__(f"no unique similarity: {which} points determine no more than a {shape}")
 
 
 def umeyama(source: np.ndarray, target: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
@@ -31,7 +31,7 @@ def umeyama(source: np.ndarray, target: np.ndarray) -> tuple[float, np.ndarray, 
 
     Raises:
         ValueError: for shapes other than two equal [T, 3], or values that are not finite.
-        DegenerateError: if either set, or what they share, has extent in fewer than two directions.
+        DegenerateError: if either set, or the covariance of both, extends in fewer than two directions.
     """
     source, target = np.asarray(source, float), np.asarray(target, float)
     if source.shape != target.shape or source.ndim != 2 or source.shape[1] != 3:
@@ -44,7 +44,7 @@ def umeyama(source: np.ndarray, target: np.ndarray) -> tuple[float, np.ndarray, 
             raise DegenerateError(which, shape)
     mean_s, mean_t = source.mean(axis=0), target.mean(axis=0)
     centred_s, centred_t = source - mean_s, target - mean_t
-    # Unit spread before the product keeps the covariance far from under- and overflow in tiny and huge scenes.
+    # Dividing by the spreads first avoids under- and overflow of the covariance in tiny and huge scenes.
     spread_s, spread_t = np.sqrt((centred_s**2).sum()), np.sqrt((centred_t**2).sum())
     U, d, Vt = np.linalg.svd((centred_t / spread_t).T @ (centred_s / spread_s))  # eq. 38
     if d[1] <= np.finfo(float).eps:
@@ -56,7 +56,7 @@ def umeyama(source: np.ndarray, target: np.ndarray) -> tuple[float, np.ndarray, 
 
 
 def extent(points: np.ndarray) -> str:
-    """ "point", "line" or "volume" (also a plane): how many directions the points [T, 3] spread in, up to rounding."""
+    """ "point", "line" or "volume" (including a plane): the space in which points [T, 3] extend, up to rounding."""
     centred = np.pad(points - points.mean(axis=0), ((0, 3), (0, 0)))  # zero rows: three values also for T < 3
     widest, second, _ = np.linalg.svd(centred, compute_uv=False)
     rounding = RANK_TOLERANCE * max(widest, 1e-6 * float(np.abs(points).max()))

@@ -1,4 +1,4 @@
-"""Every file that stages exchange: one reader and one writer per kind, atomic, with metadata, never pickle.
+"""The files that stages exchange: one reader and one atomic writer per kind, with metadata, never pickle.
 
 Tables are Parquet; dense per-row tensors are Arrow IPC with fixed-shape-tensor columns (memory-mapped on reading);
 models are safetensors; the rest is JSON, and images (`stages.shared.images`). `metadata` carries units and options; the
@@ -23,12 +23,12 @@ from stages.shared.finite import is_finite
 
 FORMAT_VERSION = 1
 SNAKEMAKE_STAMP = ".snakemake_timestamp"
-"""What Snakemake leaves in a folder that is a job's output."""
+"""File that Snakemake writes into a folder that is the output of a job."""
 
 
 @contextlib.contextmanager
 def atomic(path: Path) -> Iterator[Path]:
-    """A temporary name beside the file `path` that takes its place only if the block succeeds.
+    """A temporary path beside the file `path`, which it replaces only if the block succeeds.
 
     Raises:
         InputError: if `path` is a folder.
@@ -41,13 +41,13 @@ def atomic(path: Path) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def atomic_folder(path: Path, writes: Iterable[str]) -> Iterator[Path]:
-    """Like `atomic`, for a folder that is made empty and takes the place of an earlier one, files and all.
+    """Like `atomic`, for a folder: it is created empty and replaces an earlier folder with all its files.
 
     Args:
         writes: patterns of the files that the caller writes, relative to the folder, as in "test/frame_*.png".
 
     Raises:
-        InputError: if the earlier folder holds any other file, which would be lost.
+        InputError: if the earlier folder holds files that match no pattern: they would be lost.
     """
     _refuse_foreign(path, writes)
     with _replacing(path) as partial:
@@ -62,7 +62,7 @@ def _refuse_foreign(path: Path, writes: Iterable[str]) -> None:
     own = {file for pattern in (*writes, SNAKEMAKE_STAMP) for file in path.glob(pattern)}
     for file in path.rglob("*"):
         if file not in own and (file.is_symlink() or not file.is_dir()):
-            expected = "a folder that is new, empty or full of nothing but earlier output"
+            expected = "a folder that is new, is empty or holds earlier output alone"
             raise InputError(path, expected, f"'{file.relative_to(path)}' in it", advice)
 
 
@@ -73,7 +73,7 @@ def _replacing(path: Path) -> Iterator[Path]:
     _remove(partial)
     try:
         yield partial
-        if path.is_dir():  # moved aside first: a kill while it is deleted leaves no half of it under its name
+        if path.is_dir():  # moved aside first: a kill during the deletion must not leave half of it under its name
             _remove(old)
             path.replace(old)
         partial.replace(path)
@@ -108,7 +108,7 @@ def read_dense(path: Path) -> dict[str, np.ndarray]:
     """Memory-map an Arrow IPC file: read-only arrays [n] and [n, ...] without a copy.
 
     Raises:
-        InputError: if it is no such file, or holds NaN or infinity.
+        InputError: if it is not an Arrow IPC file, or holds NaN or infinity.
     """
     table = _checked(path, "an Arrow IPC file", lambda: pa.ipc.open_file(pa.memory_map(str(path))).read_all())
     columns = {name: _to_numpy(table[name]) for name in table.column_names}
@@ -117,10 +117,10 @@ def read_dense(path: Path) -> dict[str, np.ndarray]:
 
 
 def refuse_infinite(path: Path, columns: Mapping[str, np.ndarray]) -> None:
-    """Refuse what was read from a file if any of it is not finite: kernels would make garbage of it.
+    """Refuse columns of a file with values that are not finite: kernels assume finite numbers.
 
     Raises:
-        InputError: names the file and the column.
+        InputError: names the file and the first such column.
     """
     for name, values in columns.items():
         if not is_finite(values):
@@ -154,7 +154,7 @@ def read_model(path: Path) -> dict[str, np.ndarray]:
     """Read the arrays of a safetensors file.
 
     Raises:
-        InputError: if it is no such file, or holds NaN or infinity.
+        InputError: if it is not a safetensors file, or holds NaN or infinity.
     """
     from safetensors.numpy import load_file
 
@@ -171,7 +171,7 @@ def _model_metadata(path: Path) -> dict[bytes, bytes]:
 
 
 def write_json(path: Path, content: Mapping[str, Any]) -> None:
-    """Write a JSON object, with `format_version` in front."""
+    """Write a JSON object, with `format_version` as its first key."""
     with atomic(path) as partial:
         partial.write_text(json.dumps({"format_version": FORMAT_VERSION, **content}, indent=2) + "\n")
 
@@ -203,7 +203,7 @@ def _encode(metadata: Mapping[str, Any] | None) -> dict[bytes, bytes]:
 
 
 def _column(values: Any) -> pa.Array:
-    """Arrays of numbers and lists of text without `pa.array`, which imports pandas for a third of a second."""
+    """An Arrow array of a column. Numbers and lists of text avoid `pa.array`, which imports pandas: a slow start."""
     if isinstance(values, np.ndarray) and values.dtype.kind in "biuf":
         flat = _numbers(values.ravel())
         return pa.FixedSizeListArray.from_arrays(flat, values.shape[1]) if values.ndim == 2 else flat
@@ -224,7 +224,7 @@ def _tensor_column(values: np.ndarray) -> pa.Array:
 
 
 def _numbers(values: np.ndarray) -> pa.Array:
-    """Numbers or booleans [n], without a copy if they lie in a row."""
+    """Numbers or booleans [n] as an Arrow array, without a copy if they are contiguous."""
     values = np.ascontiguousarray(values)
     kind = pa.uint8() if values.dtype == bool else pa.from_numpy_dtype(values.dtype)
     array = pa.Array.from_buffers(kind, len(values), [None, pa.py_buffer(values)])

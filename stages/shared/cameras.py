@@ -11,7 +11,7 @@ from stages.shared.artifacts import atomic, read_table, refuse_infinite, write_t
 from stages.shared.errors import complete
 
 WITHOUT_POSE = ("failed", "unobserved")
-"""Status of frames whose pose is no estimate."""
+"""Status of frames whose pose was not estimated from matches."""
 Posed = tuple[np.ndarray, np.ndarray]
 """One camera: cam_from_world [4, 4] and K [3, 3]."""
 
@@ -24,9 +24,9 @@ class Cameras:
         cam_from_world: [T, 4, 4] float64.
         Ks: [T, 3, 3] float64, in pixels of the full-size frame.
         numbers: [T] frame numbers as in the file names.
-        covariance: [T, 6, 6] of the left twist [translation, rotation] per pose, zero where none is known.
-        status: [T] "estimated", or why not ("rotation-only", "failed", ...).
-        masks_trusted: [T] bool, of which frames the adjustment believed the masks.
+        covariance: [T, 6, 6] of the left twist [translation (scene units), rotation (rad)], zero where unknown.
+        status: [T] "estimated", or what else the pose is ("rotation-only", "failed", "unobserved", ...).
+        masks_trusted: [T] bool, whether the adjustment used the mask of each frame.
     """
 
     cam_from_world: np.ndarray
@@ -43,10 +43,10 @@ class Cameras:
 
     @property
     def masks_used(self) -> np.ndarray:
-        """Of which frames [T] the masks say what moves: of the trusted ones if these are the most, otherwise of all.
+        """Whether later stages use the mask of each frame, [T]: if most masks are trusted, only those, otherwise all.
 
-        A mask over nearly all of a single frame is wrong, and the others tell what moves. Where few are left to tell,
-        all are kept: a static part modelled as moving costs little, a moving one as static much.
+        A mask over nearly all of a single frame is wrong, and the other frames show what moves. If only few are
+        trusted, all are used: to model a static part as moving costs little accuracy, the reverse costs much.
         """
         most = self.masks_trusted.mean() > 0.5
         return self.masks_trusted if most else np.ones_like(self.masks_trusted)
@@ -60,7 +60,7 @@ def make_cameras(
     status: np.ndarray | None = None,
     masks_trusted: np.ndarray | None = None,
 ) -> Cameras:
-    """Cameras with zero covariance, status "estimated" and trusted masks unless given; Ks may be one [3, 3]."""
+    """Cameras; by default with zero covariance, status "estimated" and trusted masks. Ks may be a single [3, 3]."""
     T = len(cam_from_world)
     return Cameras(
         np.asarray(cam_from_world, float),
@@ -73,9 +73,9 @@ def make_cameras(
 
 
 def write_cameras(path: Path, cameras: Cameras, metadata: dict[str, Any] | None = None) -> None:
-    """Write `ba/poses.parquet`: frame, qw qx qy qz tx ty tz (cam_from_world), fx fy cx cy (px), and what else is known.
+    """Write `ba/poses.parquet`.
 
-    That is covariance, status and masks_trusted.
+    Columns: frame, qw qx qy qz tx ty tz (cam_from_world), fx fy cx cy (px), covariance, status, masks_trusted.
     """
     quats = lie.quat_from_matrix(cameras.cam_from_world[:, :3, :3])
     columns: dict[str, Any] = {"frame": cameras.numbers}
@@ -107,7 +107,7 @@ def read_cameras(path: Path) -> Cameras:
 
 
 def has_pose(cameras: Cameras) -> np.ndarray:
-    """Which frames [T] have an estimated pose, by their status."""
+    """Whether each frame [T] has an estimated pose, by its status."""
     return ~np.isin(cameras.status.astype(str), WITHOUT_POSE)
 
 
@@ -134,7 +134,7 @@ def centred_intrinsics(focal_px: float, width: int, height: int) -> np.ndarray:
 
 
 def scale_intrinsics(Ks: np.ndarray, factor: float) -> np.ndarray:
-    """Ks of the image resized by `factor`: its pixels are those of `grid_from_frame` at a stride of 1 / factor."""
+    """Ks of the image resized by `factor`; its pixels are related as by `grid_from_frame` at a stride of 1 / factor."""
     scaled = np.array(Ks, float)
     scaled[..., :2, :2] *= factor
     scaled[..., :2, 2] = frame_from_grid(scaled[..., :2, 2], factor)
@@ -155,10 +155,10 @@ def unproject(uv: np.ndarray, depth: np.ndarray, cam_from_world: np.ndarray, K: 
 
 
 def projection(source: Posed, target: Posed) -> tuple[np.ndarray, np.ndarray]:
-    """A [..., 3, 3] and b [..., 3]: what pixel p of `source` shows at inverse depth d, `target` sees at A p + d b.
+    """A [..., 3, 3] and b [..., 3]: pixel p of `source` at inverse depth d projects to A p + d b in `target`.
 
-    Homogeneous, with A = K_j R_ij K_i^-1 and b = K_j t_ij; without b the camera only turns. The cameras may be stacks
-    of them, cam_from_world [..., 4, 4] and K [..., 3, 3].
+    Pixels are homogeneous; A = K_j R_ij K_i^-1 and b = K_j t_ij. For a rotation about the centre b is zero. Cameras may
+    be stacked: cam_from_world [..., 4, 4] and K [..., 3, 3].
     """
     (cam_from_world, K), (other_from_world, other_K) = source, target
     relative = other_from_world @ lie.inverse(cam_from_world)
@@ -168,9 +168,9 @@ def projection(source: Posed, target: Posed) -> tuple[np.ndarray, np.ndarray]:
 def static_flow(
     uv: np.ndarray, inverse_depth: np.ndarray, A: np.ndarray, b: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Flow [..., 2] px that a static world shows at pixels uv [..., 2], and z-depth there over z-depth here [...].
+    """Flow [..., 2] px of a static scene at pixels uv [..., 2], and the ratio [...] of target to source z-depth.
 
-    Where the second is not positive, the point is not in front of the target and the flow means nothing.
+    If this ratio is not positive, the point is not in front of the target camera and its flow is meaningless.
 
     Args:
         inverse_depth: [...] 1 / z-depth of the pixels, zero at infinity. A: [3, 3] and b: [3] of `projection`.
@@ -187,17 +187,17 @@ def pixel_grid(height: int, width: int) -> np.ndarray:
 
 
 def frame_from_grid(uv: np.ndarray, stride_px: float) -> np.ndarray:
-    """Pixels of the frame, of any shape, of the pixels of a grid over it: the centre of pixel k is s k + (s - 1) / 2.
+    """Convert pixel coordinates of a grid over a frame (any shape) to those of the frame: k to s k + (s - 1) / 2.
 
-    Pixel centres are at integers, and the grid begins at the frame's edge, at -0.5 of both.
+    Pixel centres are at integers, and both the grid and the frame begin at -0.5.
 
     Args:
-        stride_px: s, frame pixels per grid pixel; no whole number where the flow grid is no whole part of the frame
-            (854 to 512 pixels: 1.67). The flow grid itself has a stride of 1 / scale.
+        stride_px: s, frame pixels per grid pixel. It need not be an integer: it is 1.67 for a frame of 854 px and a
+            grid of 512. The stride of the flow grid is 1 / scale.
     """
     return uv * stride_px + (stride_px - 1) / 2
 
 
 def grid_from_frame(uv: np.ndarray, stride_px: float) -> np.ndarray:
-    """Pixels of the grid of the pixels of the frame; inverse of `frame_from_grid`."""
+    """Convert pixel coordinates of a frame to those of a grid over it; the inverse of `frame_from_grid`."""
     return (uv - (stride_px - 1) / 2) / stride_px

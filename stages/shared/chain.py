@@ -1,9 +1,9 @@
-"""The chain of stages: each reads what those before it made. COLMAP, the baseline, stands beside it."""
+"""The order of the stages: each reads results of earlier ones. COLMAP, the baseline, is not part of this chain."""
 
 BEFORE = ("inspect", "flow")
 REPEATED = ("motion", "segment", "ba")
-"""What `rounds` repeat, each with the poses of the round before."""
+"""Stages that `rounds` repeat, each round with the poses of the round before."""
 AFTER = ("scene", "control", "gaussians", "render", "evaluate")
 STAGES = (*BEFORE, *REPEATED, *AFTER)
 MEASURED = ("inspect", "colmap", *STAGES[1:-1])
-"""Every stage up to the evaluation, which reports what they cost."""
+"""Stages whose cost the evaluation reports: all before it."""

@@ -13,7 +13,9 @@ from stages.shared.tables import Row
 COLOURS = {"truth": "#1a1a1a", "ours": "#c2410c"}
 OTHERS = ("#2563eb", "#0f766e", "#7c3aed", "#a16207", "#be185d", "#475569")
 MARKED_POINTS = 20
-LEGEND_CHARACTER_IN, LEGEND_MARGIN_IN = 0.068, 0.55  # width of a character of its text, and of the rest of an entry
+"""Lines with at most this many points are drawn with markers."""
+LEGEND_CHARACTER_IN, LEGEND_MARGIN_IN = 0.068, 0.55
+"""Widths in inches of one character in a legend, and of an entry without its text."""
 STYLE: Any = {
     "font.family": "sans-serif",
     "font.size": 10,
@@ -31,7 +33,7 @@ STYLE: Any = {
 
 
 def colour_of(method: str, methods: Sequence[str]) -> str:
-    """A fixed colour for truth and ours, one of six for the others by their order."""
+    """Colour of a method: fixed for truth and ours, for the others one of six in their order."""
     others = [name for name in methods if name not in COLOURS]
     return COLOURS.get(method) or OTHERS[others.index(method) % len(OTHERS)]
 
@@ -59,7 +61,7 @@ def draw_space(rows: Sequence[Row]) -> bytes:
 
 
 def paths_of(rows: Sequence[Row]) -> dict[str, np.ndarray]:
-    """Centres [k, 3] by method, in the order of the rows; of every COLMAP mapper its best variant, of ours the last."""
+    """Camera centres [k, 3] by method: truth, ours after the last round, and the best variant of each COLMAP mapper."""
     found: dict[str, list[Row]] = {}
     for row in rows:
         if not row["method"].startswith("ours, "):
@@ -73,7 +75,7 @@ def paths_of(rows: Sequence[Row]) -> dict[str, np.ndarray]:
 
 
 def _worth(path: Sequence[Row]) -> tuple[int, float]:
-    """More frames are better, then smaller errors where they are known."""
+    """Rank of a path: the number of its frames, then the negative sum of its errors, where known."""
     return len(path), -sum(row["error"] or 0.0 for row in path)
 
 
@@ -84,7 +86,12 @@ def draw_lines(
     log: bool = False,
     zero: bool = False,
 ) -> bytes:
-    """Lines (x, y) by name over a common axis, logarithmic or from zero if asked, as SVG."""
+    """Lines (x, y) by name over a common axis, as SVG.
+
+    Args:
+        labels: of the x and the y axis. methods: names that `colour_of` takes its colours from.
+        log, zero: whether the y axis is logarithmic, and whether it begins at zero.
+    """
     with figure((5.2, 3.1), "svg") as (fig, done):
         axes = fig.add_subplot()
         for name, (x, y) in series.items():
@@ -99,9 +106,9 @@ def draw_lines(
 
 
 def draw_runs(values: Sequence[float], runs: Sequence[tuple[str, float]], label: str) -> bytes:
-    """One line per unbroken run of equal (phase, kernel width) over the iterations, as SVG.
+    """One line per uninterrupted run of equal (phase, kernel width) over the iterations, as SVG.
 
-    Costs of different runs cannot be compared; the runs that refine the chosen solution stand out.
+    Costs of different runs are not comparable. Runs that refine the chosen solution are drawn in colour.
     """
     starts = [0, *(k for k in range(1, len(runs)) if runs[k] != runs[k - 1]), len(runs)]
     with figure((5.2, 3.1), "svg") as (fig, done):
@@ -114,7 +121,7 @@ def draw_runs(values: Sequence[float], runs: Sequence[tuple[str, float]], label:
 
 
 def add_legend(axes: Any, title: str = "") -> None:
-    """A legend above the figure, in as many columns as its names leave room for."""
+    """A legend above the figure, with as many columns as fit."""
     handles, names = axes.get_legend_handles_labels()
     fig = axes.get_figure()
     longest = max(map(len, names), default=0)
@@ -125,7 +132,7 @@ def add_legend(axes: Any, title: str = "") -> None:
 
 @contextmanager
 def figure(size: tuple[float, float], kind: str) -> Iterator[tuple[Any, io.BytesIO]]:
-    """An empty matplotlib figure (inches) and the buffer that holds it as `kind` when the block ends."""
+    """An empty matplotlib figure of `size` in inches, and the buffer that holds it as `kind` when the block ends."""
     import matplotlib as mpl
     from matplotlib.figure import Figure
 
@@ -161,7 +168,7 @@ def _line_style(method: str, methods: Sequence[str]) -> dict[str, Any]:
 
 
 def _equal_box(axes: Any, points: np.ndarray) -> None:
-    """The same scale on all three axes (x, z, -y: up is up)."""
+    """Set the same scale on all three axes (x, z, -y, so that up is drawn upwards)."""
     turned = points[:, [0, 2, 1]] * [1, 1, -1]
     middle, half = (turned.min(axis=0) + turned.max(axis=0)) / 2, max(np.ptp(turned, axis=0).max() / 2, 1e-9)
     limits = np.stack([middle - half, middle + half], axis=1)

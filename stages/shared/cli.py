@@ -30,7 +30,7 @@ class In:
 
 @dataclass(frozen=True)
 class Out:
-    """Marks a path parameter of `main` as an output; its folder is made, and must be writable."""
+    """Marks a path parameter of `main` as an output; its folder is created and must be writable."""
 
     help: str
 
@@ -49,8 +49,11 @@ def run(main: Callable[..., str | None], argv: Sequence[str] | None = None) -> N
     """Parse flags, call `main(paths..., options)`, write the time spent, and exit.
 
     Path parameters are annotated `Annotated[Path, In("...")]` or `Out("...")`; one parameter may be an
-    `Options` model. What `main` returns is its result in a few words: with its warnings it stands in the time file,
-    from where the terminal shows it. Exit codes: 0 done, 2 bad input (one line), 130 interrupted, 1 a bug of ours.
+    `Options` model. `main` returns its result in a few words. The time file holds them with the warnings, and the
+    terminal shows them from there. Exit codes: 0 done, 2 bad input (one line), 130 interrupted, 1 internal error.
+
+    Args:
+        argv: command line without the program's name; None: that of this process.
     """
     stage = _module_name(main).removeprefix("stages.")
     faulthandler.enable(2)  # a crash in compiled code leaves its stack in the log
@@ -64,8 +67,8 @@ def run(main: Callable[..., str | None], argv: Sequence[str] | None = None) -> N
         _check_paths(flags, paths)
         call: dict[str, Any] = dict(paths)
         if model is not None:
-            given = {name: value for name, value in arguments.items() if value is not None}
-            call["options"] = validate(model, given, stage)
+            chosen = {name: value for name, value in arguments.items() if value is not None}
+            call["options"] = validate(model, chosen, stage)
             log.logger.info("options: %s", call["options"].model_dump_json())
         summary = main(**call)
         log.logger.info("done: %s", summary)
@@ -153,16 +156,16 @@ def _check_paths(flags: list[_PathFlag], paths: dict[str, Any]) -> None:
 
 
 def ensure_writable_parent(path: Path) -> None:
-    """Create the folder that `path` will lie in.
+    """Create the parent folder of `path`.
 
     Raises:
-        InputError: if it cannot be made or written.
+        InputError: if it cannot be created or is not writable.
     """
     advice = "choose another output folder or change its permissions"
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(path.parent, "a folder that can be made", error.strerror or str(error), advice) from error
+        raise InputError(path.parent, "a folder that can be created", error.strerror or str(error), advice) from error
     if not os.access(path.parent, os.W_OK):
         raise InputError(path.parent, "a folder that can be written", "no write permission", advice)
 
@@ -201,16 +204,16 @@ def _size_bytes(path: Path) -> int:
 
 
 def _report_failure(stage: str, error: BaseException, log_file: Path | None) -> int:
-    """Say in one line what went wrong, keep the traceback in the log, and name the exit code."""
+    """Print the failure in one line, write the traceback to the log, and return the exit code."""
     log.logger.info("traceback:\n%s", traceback.format_exc())
     if isinstance(error, InputError):
         print(f"{stage}: {error}", file=sys.stderr)
         return 2
     if isinstance(error, KeyboardInterrupt):
-        print(f"{stage}: interrupted; nothing half-written was left", file=sys.stderr)
+        print(f"{stage}: interrupted; no incomplete output is left", file=sys.stderr)
         return 130
     if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
-        where = f"{error.filename}: " if error.filename else ""  # a write to an open file does not know its name
+        where = f"{error.filename}: " if error.filename else ""  # unknown for a write to an open file
         print(f"{stage}: {where}the disk is full; free some space and run again", file=sys.stderr)
         return 2
     if isinstance(error, SystemExit):

@@ -1,4 +1,4 @@
-"""Whether a job will run on a GPU, told without loading torch: plans ask this for every job."""
+"""Whether a job will run on a GPU, found without importing torch, since it is needed for every planned job."""
 
 import os
 from importlib.util import find_spec
@@ -8,10 +8,10 @@ DEVICES = Path("/dev")
 
 
 def takes_gpu(device: str) -> bool:
-    """Whether a stage with the option `device` ("auto", "cpu", "cuda") takes a GPU; "auto" as on this very machine.
+    """Whether a stage with the option `device` ("auto", "cpu", "cuda") takes a GPU; "auto" is decided on this machine.
 
-    As `splatting.rasterize.choose_device` decides, auto takes CUDA where it and gsplat are there. A machine that only
-    plans for others, such as the login node of a cluster, may have none: there `cuda` must be chosen.
+    As in `splatting.rasterize.choose_device`, auto takes CUDA if a GPU and gsplat are available. A machine that plans
+    jobs for others, such as the login node of a cluster, may have no GPU: `cuda` must be chosen there.
     """
     if device != "auto":
         return device == "cuda"

@@ -1,7 +1,7 @@
-"""What code a stage runs: a digest of the compiled form of every module it imports from this repository.
+"""A digest of the code that a stage runs: the compiled form of every module that it imports from this repository.
 
-Snakemake sees a stage only as a shell command; this digest is among the rule's params, so that a changed
-function reruns its users, while a comment, a docstring or the layout reruns nothing.
+Snakemake sees a stage only as a shell command. This digest is one of the rule's params, so a changed function reruns
+the stages that use it, while a change of comments, docstrings or layout reruns nothing.
 """
 
 import ast
@@ -20,7 +20,7 @@ def code_digest(module: str) -> str:
     """12 hex digits over `module` and all `stages.*` modules it imports, at any depth.
 
     Args:
-        module: of a stage, "stages.flow", whose script is its `__main__`; or any other, "stages.render.view".
+        module: a stage such as "stages.flow", whose script is its `__main__`, or a module such as "stages.render.view".
     """
     digest, script = hashlib.sha256(), f"{module}.__main__"
     for name in sorted(imported_modules(script if _path(script).exists() else module)):
@@ -29,7 +29,7 @@ def code_digest(module: str) -> str:
 
 
 def imported_modules(module: str) -> set[str]:
-    """`module` and the modules of this repository that it imports, directly or not, also inside functions."""
+    """`module` and all modules of this repository that it imports, at any depth and also inside functions."""
     found: set[str] = set()
     queue = [module]
     while queue:
@@ -65,7 +65,7 @@ def _imports(path: Path) -> list[str]:
 
 @functools.cache
 def _instructions(path: Path) -> str:
-    """What the file compiles to, line numbers aside. Docstrings and assertions do not change results: left out."""
+    """The compiled form of a file as text, without line numbers, docstrings and assertions."""
     return repr(_content(compile(_source(path), "", "exec", optimize=2)))
 
 
@@ -77,6 +77,6 @@ def _content(code: CodeType) -> tuple[object, ...]:
 
 
 def _constant(constant: object) -> object:
-    if isinstance(constant, frozenset):  # its order changes from run to run
+    if isinstance(constant, frozenset):  # its order differs between processes
         return sorted(map(repr, constant))
     return _content(constant) if isinstance(constant, CodeType) else constant

@@ -9,11 +9,15 @@ MASK_COLOUR = np.array([255, 60, 40])
 INSTANCE_COLOURS = np.array([MASK_COLOUR, (255, 187, 0), (44, 160, 44), (227, 119, 194), (23, 190, 207), (140, 86, 75)])
 """Of instances 1, 2, ..., over and over. Blue is left for what is true."""
 GAP_PX = 4
-"""Between the images of a contact sheet."""
+"""Distance between the images of a contact sheet."""
 
 
 def flow_to_rgb(flow: np.ndarray, max_px: float | None = None) -> np.ndarray:
-    """Colour code of flow [H, W, 2]: hue is direction, saturation is length up to `max_px` (or the 98th percentile)."""
+    """Colours [H, W, 3] uint8 of flow [H, W, 2] px: hue is direction, saturation is length.
+
+    Args:
+        max_px: length of full saturation; None: the 98th percentile.
+    """
     length = np.linalg.norm(flow, axis=-1)
     limit = max_px if max_px is not None else float(np.percentile(length, 98))
     angle = np.arctan2(flow[..., 1], flow[..., 0])

@@ -1,4 +1,4 @@
-"""The one exception that means: the input is wrong, not the program."""
+"""The exception for wrong input, as opposed to an error of the program."""
 
 import contextlib
 from collections.abc import Iterator
@@ -6,12 +6,12 @@ from pathlib import Path
 
 
 class InputError(Exception):
-    """Bad input, told in one line: what, expected, found, what to do. Ends a stage with exit code 2.
+    """Bad input, described in one line: subject, expected, found, advice. It ends a stage with exit code 2.
 
     Args:
-        subject: file, folder or option that is wrong.
-        expected: what would have been right, e.g. "a float32 tag 202021.25".
-        found: what is there instead.
+        subject: the file, folder or option that is wrong.
+        expected: a correct value, e.g. "a float32 tag 202021.25".
+        found: the value found.
         advice: the next step for the user.
     """
 
@@ -22,7 +22,11 @@ class InputError(Exception):
 
 @contextlib.contextmanager
 def complete(path: Path, expected: str, advice: str) -> Iterator[None]:
-    """While columns or keys of `path` are looked up: one that a file of foreign origin lacks is bad input, no bug."""
+    """Turn a missing key into an InputError while columns or keys of `path` are looked up.
+
+    Args:
+        expected, advice: as in InputError. The file may come from another program, so this is not a bug.
+    """
     try:
         yield
     except KeyError as missing:

@@ -1,4 +1,4 @@
-"""Numbers that are none: compiled kernels take their input for finite, and return garbage where it is not."""
+"""Checks for NaN and infinity: compiled kernels assume finite input and return garbage otherwise."""
 
 import numpy as np
 
@@ -6,11 +6,11 @@ HALF_EXPONENT = np.uint16(0x7C00)
 
 
 def is_finite(values: np.ndarray) -> bool:
-    """Whether an array [n, ...] holds neither NaN nor infinity; true of what is no floating point."""
+    """Whether an array [n, ...] holds neither NaN nor infinity; true for integers, booleans and text."""
     if values.dtype.kind != "f":
         return True
-    # Row by row, since a mask of the whole would cost more than the look; the bits of half precision tell five times
-    # as fast as its conversion to a number.
+    # Row by row: allocating a mask for the whole array would take longer than the test. For half precision the bits are
+    # tested, which is faster than converting each number.
     rows = values if values.ndim > 1 else values[None]
     if values.dtype == np.float16:
         return all(bool(((row.view(np.uint16) & HALF_EXPONENT) != HALF_EXPONENT).all()) for row in rows)
@@ -18,10 +18,10 @@ def is_finite(values: np.ndarray) -> bool:
 
 
 def require_finite(**arrays: np.ndarray) -> None:
-    """Check arrays before a kernel takes them.
+    """Check the arguments of a kernel.
 
     Raises:
-        ValueError: names the first that holds NaN or infinity.
+        ValueError: names the first array that holds NaN or infinity.
     """
     for name, values in arrays.items():
         if not is_finite(values):

@@ -18,7 +18,7 @@ cv2.setNumThreads(int(os.environ["OMP_NUM_THREADS"]))
 def read_rgb(path: Path) -> np.ndarray:
     """A frame as [H, W, 3] uint8 RGB.
 
-    Stated conversions: grey is repeated over the channels, alpha is dropped, 16 bits are divided by 257.
+    Grey frames are repeated over the channels, alpha is dropped, and 16-bit values are divided by 257.
 
     Raises:
         InputError: if the file cannot be decoded.
@@ -32,32 +32,33 @@ def read_rgb(path: Path) -> np.ndarray:
 
 
 def read_reduced(paths: Sequence[Path], size: tuple[int, int]) -> np.ndarray:
-    """Frames [T, h, w, 3] uint8 on a `reduced_size` (w, h), each pixel the mean of those that it covers.
+    """Frames [T, h, w, 3] uint8 RGB at a `reduced_size` (w, h); each pixel is the mean of the area that it covers.
 
     Raises:
-        InputError: as `read_rgb`.
+        InputError: if a file cannot be decoded.
     """
     return np.stack(threaded(lambda path: reduce(read_rgb(path), size), paths))
 
 
 def reduced_size(width: int, height: int, max_width: int) -> tuple[int, int]:
-    """Size (w, h) of a frame reduced to at most `max_width`, of which rows that it fills in part are no part."""
+    """Size (w, h) of a frame reduced to at most `max_width`, without a last row that it fills only in part."""
     w = min(width, max_width)
     return w, max(1, height * w // width)
 
 
 def reduce(image: np.ndarray, size: tuple[int, int], interpolation: int = cv2.INTER_AREA) -> np.ndarray:
-    """An image [H, W, ...] on its `reduced_size` (w, h), pixel u at (u + 0.5) W / w - 0.5 of it, v alike.
+    """An image [H, W, ...] reduced to its `reduced_size` (w, h).
 
-    Both axes have one scale, so that square pixels stay square: 854 x 480 px become 512 x 287, and the last 1.3 rows
-    are cut off. (Resized to 512 x 288, as OpenCV does, the lower edge would lie 0.4 px beside where the scale says.)
+    Pixel (u, v) lies at ((u + 0.5) s - 0.5, (v + 0.5) s - 0.5) of the image, with s = W / w for both axes, so that
+    square pixels stay square. 854 x 480 px become 512 x 287, and the last 1.3 rows are cut off. (OpenCV's 512 x 288
+    would have another scale vertically, with an error of 0.4 px at the lower edge.)
     """
     scale = size[0] / image.shape[1]
     return np.asarray(cv2.resize(image, None, fx=scale, fy=scale, interpolation=interpolation)[: size[1]])
 
 
 def enlarge(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """Values [h, w, ...] of a reduced frame, float, at the pixels of the whole one of size (W, H): linear between them.
+    """Float values [h, w, ...] of a reduced frame, interpolated linearly at the pixels of the whole frame (W, H).
 
     The inverse of `reduce`; rows that it cut off repeat the last one.
     """
@@ -67,7 +68,7 @@ def enlarge(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
 
 
 def numbered_frames(folder: Path) -> dict[int, Path]:
-    """The files frame_0001.png, ... of a folder by frame number, in order; none where there is no folder."""
+    """The files frame_0001.png, ... of a folder by frame number, in order; empty if the folder does not exist."""
     found = {int(path.stem.removeprefix("frame_")): path for path in folder.glob("frame_*.png")}
     return dict(sorted(found.items()))
 
@@ -94,8 +95,8 @@ def write_image(path: Path, image: np.ndarray) -> None:
 
 
 def write_figure(path: Path, image: np.ndarray) -> None:
-    """Write a picture for the report, [H, W, 3] uint8 RGB, as PNG with a palette: a quarter of the bytes."""
-    # 256 colours from an octree are nearer than 96 by median cut, in a fortieth of the time.
+    """Write a picture for the report, [H, W, 3] uint8 RGB, as PNG with a palette, which makes the file smaller."""
+    # 256 colours from an octree are closer to the image than 96 by median cut, and much faster to find.
     coloured = Image.fromarray(image).quantize(256, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
     with atomic(path) as partial:
         coloured.save(partial, "PNG")
@@ -110,5 +111,5 @@ def _decode(path: Path, mode: int) -> np.ndarray:
 
 
 def to_uint8(image: np.ndarray) -> np.ndarray:
-    """[..., 3] float 0..1 (clipped) to uint8."""
+    """Colours [..., 3] float in 0..1 (clipped) as uint8 in 0..255."""
     return np.round(np.clip(image, 0, 1) * 255).astype(np.uint8)

@@ -1,8 +1,8 @@
-"""Sixteen float32 or float64 lanes as one value inside numba kernels, like the vector types of C compilers.
+"""Vectors of sixteen float32 or float64 lanes as single values in numba kernels, like the vector types of C compilers.
 
-LLVM's own vectoriser works on one short loop at a time: it adds up the lanes of every accumulator at the end of each
-row of pixels. Values of these types stay in vector registers for as long as the kernel wants; where registers are
-narrower than 16 floats (AVX2, NEON), LLVM splits them. Arithmetic is `fastmath`, like that of the kernels.
+LLVM's own vectoriser works on one short loop at a time: it sums the lanes of every accumulator at the end of each row
+of pixels. Values of these types stay in vector registers across loops; where registers are narrower than 16 floats
+(AVX2, NEON), LLVM splits them. Arithmetic is `fastmath`, like that of the kernels.
 """
 
 import operator
@@ -28,7 +28,7 @@ class Floats(types.Type):
 
 
 class Bools(types.Type):
-    """LANES truth values, as the comparison of `Floats` gives them."""
+    """LANES booleans, the result of comparing `Floats`."""
 
 
 @register_model(Floats)
@@ -47,12 +47,12 @@ bools = Bools("bools")
 
 
 def _shuffle(builder: Any, a: Any, b: Any, lanes: list[int]) -> Any:
-    """The named lanes of a, then (from LANES on) of b."""
+    """A vector of the lanes with the indices `lanes`: 0..LANES - 1 are those of a, from LANES on those of b."""
     return builder.shuffle_vector(a, b, ir.Constant(ir.VectorType(ir.IntType(32), LANES), lanes))
 
 
 def _spread(builder: Any, value: Any, vector: Any) -> Any:
-    """A scalar in every lane of a vector type; lanes as they are."""
+    """A scalar repeated in every lane of a vector type; vectors are returned as they are."""
     if isinstance(value.type, ir.VectorType):
         return value
     if value.type != vector.element:
@@ -62,7 +62,7 @@ def _spread(builder: Any, value: Any, vector: Any) -> Any:
 
 
 def _define(function: Callable[..., Any], compares: bool, emit: Callable[..., Any]) -> None:
-    """Let a binary operator act on lanes, and on lanes and a scalar."""
+    """Define a binary operator on two vectors, and on a vector and a scalar."""
 
     @type_callable(function)
     def typing(_context: Any) -> Callable[..., Any]:
@@ -89,7 +89,7 @@ _define(operator.and_, True, lambda builder, a, b: builder.and_(a, b))
 
 @intrinsic
 def where(_context: Any, mask: Any, a: Any, b: Any) -> Any:
-    """Lanes of a where the mask holds, else of b; one of them may be a scalar."""
+    """Lanes of a where the mask is true, else of b; one of a and b may be a scalar."""
     lanes = a if isinstance(a, Floats) else b
 
     def emit(context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
@@ -101,9 +101,9 @@ def where(_context: Any, mask: Any, a: Any, b: Any) -> Any:
 
 @intrinsic
 def load(_context: Any, array: Any, start: Any) -> Any:
-    """LANES consecutive entries of a contiguous array, from `start` on in memory.
+    """LANES consecutive entries of a contiguous array, from the flat index `start` on.
 
-    Rather than of a row of it: every view of an array made in a loop may cost two locked counts of its references.
+    A flat index avoids views of rows: each view made in a loop may cost two atomic updates of a reference count.
     """
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -114,7 +114,7 @@ def load(_context: Any, array: Any, start: Any) -> Any:
 
 @intrinsic
 def store(_context: Any, array: Any, start: Any, value: Any) -> Any:
-    """Set LANES consecutive entries of a contiguous array, from `start` on in memory."""
+    """Set LANES consecutive entries of a contiguous array, from the flat index `start` on."""
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         builder.store(arguments[2], _address(context, builder, signature, arguments), align=4)
@@ -130,14 +130,14 @@ def _address(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
 
 
 def _reduction(name: str, *start: float) -> Any:
-    """An intrinsic that makes one scalar of all lanes."""
+    """An intrinsic that reduces all lanes to one scalar."""
 
     @intrinsic
     def reduce(_context: Any, value: Any) -> Any:
         def emit(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
             vector = arguments[0].type
             values = [*(ir.Constant(vector.element, number) for number in start), *arguments]
-            kind = ir.FunctionType(vector.element, [given.type for given in values])
+            kind = ir.FunctionType(vector.element, [operand.type for operand in values])
             full_name = f"llvm.vector.reduce.{name}.v{LANES}f{value.dtype.bitwidth}"
             function = cgutils.get_or_insert_function(builder.module, kind, full_name)
             return builder.call(function, values, fastmath=("fast",))
@@ -155,9 +155,9 @@ total = _reduction("fadd", 0.0)
 
 @intrinsic
 def totals(_context: Any, values: Any) -> Any:
-    """The sum of all lanes of each of up to LANES values, in one value: lane k holds that of values[k].
+    """The sums over all lanes of up to LANES vectors, as one vector: lane k holds the sum of values[k].
 
-    A tree of shuffles that halves the number of values at each level: a third of the work of one sum after the other.
+    A tree of shuffles halves the number of vectors at each level, which needs fewer operations than separate sums.
     """
 
     def emit(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
@@ -188,7 +188,7 @@ def trailing_zeros(_context: Any, value: Any) -> Any:
 
 @intrinsic
 def prefetch(_context: Any, array: Any, start: Any) -> Any:
-    """Ask for the cache line of one entry of a contiguous float32 array: rows read in no order arrive too late."""
+    """Prefetch the cache line of one entry of a contiguous float32 array, for rows that are read in random order."""
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         pointer = builder.bitcast(_address(context, builder, signature, arguments), ir.IntType(8).as_pointer())

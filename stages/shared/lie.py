@@ -1,4 +1,4 @@
-"""SO(3) and SE(3) in float64, stable at zero and at half a turn; tangent vectors are [translation, rotation]."""
+"""SO(3) and SE(3) in float64, numerically stable at angles 0 and pi; tangent vectors are [translation, rotation]."""
 
 import numpy as np
 
@@ -82,8 +82,8 @@ def from_parts(R: np.ndarray, t: np.ndarray) -> np.ndarray:
 def quat_from_matrix(R: np.ndarray) -> np.ndarray:
     """Unit quaternions wxyz [..., 4], w >= 0, of rotation matrices [..., 3, 3].
 
-    The symmetric matrix 4 q q^T - I is linear in R; its column of the largest component has no cancellation (Shepperd,
-    J. Guidance and Control 1978).
+    The matrix 4 q q^T - I is linear in R. The column of 4 q q^T with the largest component of q is free of cancellation
+    (Shepperd, J. Guidance and Control 1978).
     """
     R = np.asarray(R, float)
     xx, yy, zz = R[..., 0, 0], R[..., 1, 1], R[..., 2, 2]
@@ -100,12 +100,16 @@ def quat_from_matrix(R: np.ndarray) -> np.ndarray:
 
 
 def matrix_from_quat(quat: np.ndarray) -> np.ndarray:
-    """Rotation matrices [..., 3, 3] of quaternions wxyz [..., 4] (normalised here; zero raises ValueError)."""
+    """Rotation matrices [..., 3, 3] of quaternions wxyz [..., 4], which are normalised here.
+
+    Raises:
+        ValueError: for a quaternion of length zero.
+    """
     quat = np.asarray(quat, float)
     largest = np.abs(quat).max(axis=-1, keepdims=True)
     if (largest == 0).any():
         raise ValueError("a quaternion of length zero is no rotation")
-    quat = quat / largest  # the squares of tiny ones would vanish
+    quat = quat / largest  # the squares of tiny entries would underflow
     V = skew(quat[..., 1:])
     w, squared = quat[..., :1, None], (quat**2).sum(axis=-1)[..., None, None]
     return np.asarray(np.eye(3) + 2 / squared * (w * V + V @ V))

@@ -1,4 +1,4 @@
-"""Logging and progress: bars on a terminal, sparse lines in the log file, stdout left empty."""
+"""Logging and progress: bars on a terminal, ten lines per loop in the log file, nothing on stdout."""
 
 import logging
 import os
@@ -14,7 +14,7 @@ logger = logging.getLogger("motionsplat")
 
 
 class _Kept(logging.Handler):
-    """Keeps the warnings, for the time file."""
+    """A handler that collects the warnings for the time file."""
 
     def __init__(self) -> None:
         super().__init__(logging.WARNING)
@@ -25,7 +25,10 @@ class _Kept(logging.Handler):
 
 
 def setup(log: Path | None) -> None:
-    """Send everything to `log` (if given) and warnings to stderr, unless stderr is that log, as in the workflow."""
+    """Log everything to the file `log`, if any, and warnings to stderr, unless stderr is that file, as in the workflow.
+
+    An existing file is overwritten.
+    """
     logger.setLevel(logging.INFO)
     logger.propagate = False
     for old in logger.handlers[:]:
@@ -47,7 +50,7 @@ def setup(log: Path | None) -> None:
 
 
 def _is_stderr(log: Path) -> bool:
-    """Whether standard error goes to this file already."""
+    """Whether standard error is redirected to this file."""
     return sys.__stderr__ is not None and os.path.samestat(log.stat(), os.fstat(sys.__stderr__.fileno()))
 
 
@@ -57,7 +60,7 @@ def warnings() -> list[str]:
 
 
 def progress(items: Collection[ItemT], title: str) -> Iterator[ItemT]:
-    """Yield `items` with a bar on a terminal and a log line at every tenth of the way."""
+    """Yield `items`, with a progress bar on a terminal and a log line after every tenth of them."""
     total, last_tenth = len(items), 0
     bar = tqdm(items, desc=title, leave=False, disable=not sys.stderr.isatty())
     for done, item in enumerate(bar, start=1):

@@ -1,28 +1,28 @@
-"""How much memory a job asks for: a base, and a share of the pixels that its stage holds at the same time.
+"""Memory that a job asks for: a constant, plus bytes for each pixel that its stage holds at the same time.
 
-Coefficients are fitted to the peaks (`peak_mb`) in the time files of 35 library scenes (14 to 200 frames of 512 x 218
-px, preset fast), of a real clip (24 frames of 854 x 480 px, and the same enlarged to 1920 x 1080) and, for `flow` and
-`motion`, of 30 to 300 frames of 1920 x 1080 px. Those of `evaluate` and `colmap` rest on small frames alone. The bases
-of `motion` and `gaussians` leave room for a process that compiles its kernels. `simulate` and `report`, which read no
-sequence, have a constant.
+The coefficients are fitted to the peaks (`peak_mb`) in the time files of 35 library scenes (14 to 200 frames of
+512 x 218 px, preset fast), of a real clip (24 frames of 854 x 480 px, and the same enlarged to 1920 x 1080) and, for
+`flow` and `motion`, of 30 to 300 frames of 1920 x 1080 px. Those of `evaluate` and `colmap` are fitted to small frames
+alone. The constants of `motion` and `gaussians` include the compilation of their kernels. `simulate` and `report` read
+no sequence and have a constant alone.
 """
 
 from dataclasses import dataclass
 
 MARGIN = 1.15
-"""Of what is asked over what the fit says: peaks scatter by their content, mostly by a tenth."""
+"""Factor on the fitted memory: peaks vary with the content of the frames, mostly by up to a tenth."""
 RETRY = 1.5
-"""Growth of what is asked from one attempt of a job to its next."""
+"""Factor on the memory from one attempt of a job to the next."""
 
 
 @dataclass(frozen=True)
 class Held:
-    """How many pixels a job has to do with.
+    """Numbers of pixels that a job may hold.
 
     Attributes:
-        edges: of the flow of all edges: their number x the size of the flow grid.
-        frames: of all frames at full size.
-        frame: of one frame at full size.
+        edges: in the flow of all edges: number of edges x size of the flow grid.
+        frames: in all frames at full size.
+        frame: in one frame at full size.
     """
 
     edges: int = 0
@@ -32,7 +32,7 @@ class Held:
 
 @dataclass(frozen=True)
 class Need:
-    """What a stage holds: megabytes in any case, and bytes per pixel of each kind of `Held`."""
+    """Memory of a stage: constant megabytes, and bytes per pixel of each kind in `Held`."""
 
     base_mb: float
     per_edges: float = 0

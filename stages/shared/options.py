@@ -1,4 +1,4 @@
-"""Option models: the one source of a script's flags, its config section, its schema and its defaults."""
+"""Option models: the single source of a stage's flags, config section, schema and defaults."""
 
 import difflib
 import shlex
@@ -13,9 +13,9 @@ from stages.shared.errors import InputError
 
 
 class Options(BaseModel):
-    """Base of every option model: unknown keys are refused, values are immutable once checked.
+    """Base of every option model: unknown keys are refused, and values are immutable after validation.
 
-    A number written as text ("1e-3", which YAML 1.1 reads as a string) is accepted as that number.
+    A number written as text ("1e-3", which YAML 1.1 reads as a string) is accepted as a number.
     """
 
     model_config = ConfigDict(
@@ -25,7 +25,7 @@ class Options(BaseModel):
     @field_validator("*", mode="before")
     @classmethod
     def _no_surprises(cls, value: Any, info: ValidationInfo) -> Any:
-        """Refuse true/false for a number; take an empty section for one with defaults."""
+        """Refuse true and false for a number; read an empty section as one with default values."""
         annotation = cls.model_fields[str(info.field_name)].annotation
         if isinstance(value, bool) and annotation in (int, float):
             raise ValueError(f"a number of type {annotation.__name__}")
@@ -40,7 +40,7 @@ def validate(model: type[OptionsT], values: Mapping[str, Any], where: str) -> Op
     """Build `model` from `values`.
 
     Args:
-        where: what the user sees in front of the option's name, e.g. "config.yaml".
+        where: source of the values, named before the option in messages, e.g. "config.yaml".
 
     Raises:
         InputError: one line for the first wrong option, with the nearest name if it is unknown.
@@ -53,7 +53,7 @@ def validate(model: type[OptionsT], values: Mapping[str, Any], where: str) -> Op
 
 
 def to_flags(options: Options) -> str:
-    """Command-line flags that rebuild `options`, every field spelled out."""
+    """Command-line flags that rebuild `options`, with every field."""
     words: list[str] = []
     for name, value in options.model_dump(mode="json").items():
         flag = "--" + name.replace("_", "-")

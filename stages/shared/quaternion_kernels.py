@@ -1,4 +1,4 @@
-"""Quaternions wxyz as tuples in numba: arrays made inside the loops would cost more than the arithmetic."""
+"""Quaternions wxyz as tuples in numba: allocating arrays inside the loops would cost more than the arithmetic."""
 
 from typing import Any
 
@@ -6,8 +6,8 @@ import numpy as np
 from numba import njit
 
 FAST = {"cache": True, "nogil": True, "fastmath": {"contract", "nsz", "arcp"}, "error_model": "numpy"}
-"""Fused multiply-add and reciprocals; not the flags that assume away infinities and NaN."""
-ONE: Any = np.float32(1)  # an integer would turn what it is added to into float64
+"""Fused multiply-add and reciprocals are allowed; the flags that assume no infinities and no NaN are not set."""
+ONE: Any = np.float32(1)  # adding a Python integer to a float32 would give float64
 Quaternion = tuple[float, float, float, float]
 Vector = tuple[float, float, float]
 Rows = tuple[Vector, Vector, Vector]
@@ -44,7 +44,7 @@ def conjugate(q: Quaternion) -> Quaternion:
 
 @njit(inline="always", **FAST)
 def unit(q: Quaternion) -> tuple[Quaternion, float]:
-    """q / |q| and |q|, through the largest entry, whose square cannot underflow. Zero stays zero, of length one."""
+    """q / |q| and |q|. Dividing by the largest entry first avoids underflow. Zero stays zero and gets length one."""
     largest = max(abs(q[0]), abs(q[1]), abs(q[2]), abs(q[3]))
     if largest == 0:
         return q, largest + ONE
@@ -55,7 +55,7 @@ def unit(q: Quaternion) -> tuple[Quaternion, float]:
 
 @njit(inline="always", **FAST)
 def unit_adjoint(unit: Quaternion, length: float, g: Quaternion) -> Quaternion:
-    """The adjoint of u = q / |q|: (g - u <u, g>) / |q|."""
+    """Gradient of q from the gradient g of u = q / |q|: (g - u <u, g>) / |q|."""
     along = dot(unit, g)
     return (
         (g[0] - unit[0] * along) / length,
@@ -78,7 +78,7 @@ def rotation(quat: Quaternion) -> Rows:
 
 @njit(**FAST)
 def rotation_adjoint(quat: Quaternion, g: Rows) -> Quaternion:
-    """Gradient of the unit quaternion from that of its rotation matrix."""
+    """Gradient of the unit quaternion from the gradient g of its rotation matrix."""
     w, x, y, z = quat
     a, b, c = g[0][1] + g[1][0], g[0][2] + g[2][0], g[1][2] + g[2][1]
     d, e, f = g[2][1] - g[1][2], g[0][2] - g[2][0], g[1][0] - g[0][1]

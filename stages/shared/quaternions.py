@@ -1,4 +1,4 @@
-"""Quaternions wxyz as torch tensors [..., 4], differentiable and stable for tiny lengths."""
+"""Quaternions wxyz as torch tensors [..., 4], differentiable and numerically stable for tiny lengths."""
 
 import torch
 from torch import Tensor
@@ -7,8 +7,8 @@ from torch import Tensor
 def normalise(quats: Tensor) -> Tensor:
     """Unit quaternions [..., 4] of quaternions of any length whose largest entry is a normal float.
 
-    Dividing by the largest entry first keeps the squares from underflow, so 1e-30 * q gives what q gives.
-    A zero quaternion has no unit form: it stays zero, and its gradient passes through unchanged.
+    Dividing by the largest entry first avoids underflow of the squares, so 1e-30 * q and q have the same result.
+    A zero quaternion stays zero, and its gradient passes through unchanged.
     """
     largest = quats.detach().abs().amax(dim=-1, keepdim=True)
     scaled = quats / torch.where(largest > 0, largest, 1.0)
@@ -17,7 +17,7 @@ def normalise(quats: Tensor) -> Tensor:
 
 
 def multiply(left: Tensor, right: Tensor) -> Tensor:
-    """Hamilton product [..., 4]: the rotation `right`, then `left`."""
+    """Hamilton product [..., 4]: the rotation `right` followed by `left`."""
     a, b, c, d = left.unbind(-1)
     e, f, g, h = right.unbind(-1)
     return torch.stack(

@@ -1,4 +1,4 @@
-"""How far a match lies from an epipolar geometry, to first order (Sampson 1982; Hartley and Zisserman, 11.4.3)."""
+"""Sampson distance: first-order distance of a match from an epipolar geometry (Hartley and Zisserman, 11.4.3)."""
 
 import numpy as np
 from numba import njit
@@ -7,9 +7,10 @@ Terms = tuple[float, float, float, float, float, float]
 
 
 def sampson_distances(F: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Signed distances [...], in the unit and type of the matches x, y [..., 2], from y^T F x = 0.
+    """Signed Sampson distances [...] of matches x, y [..., 2] from y^T F x = 0, in the unit and dtype of the matches.
 
-    F [3, 3] is a fundamental matrix of matches in pixels, or an essential matrix of rays with z = 1.
+    Args:
+        F: [3, 3], a fundamental matrix for matches in pixels, or an essential matrix for rays with z = 1.
     """
     flat = _distances(np.ascontiguousarray(F), np.reshape(x, (-1, 2)), np.reshape(y, (-1, 2)))
     return np.asarray(flat.reshape(x.shape[:-1]))
@@ -26,9 +27,11 @@ def _distances(F: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 @njit(inline="always")
 def sampson_terms(F: np.ndarray, u: float, v: float, s: float, t: float) -> Terms:
-    """Of the match x = (u, v, 1), y = (s, t, 1): y^T F x, the length g by which it is divided, and what g is made of.
+    """Parts of the Sampson distance of the match x = (u, v, 1), y = (s, t, 1).
 
-    The last are the first two entries of F x and of F^T y: g is the length of these four.
+    Returns:
+        the numerator y^T F x; the denominator, which is the norm of the four remaining values; the first two entries of
+        F x; the first two of F^T y.
     """
     a, b = F[0, 0] * u + F[0, 1] * v + F[0, 2], F[1, 0] * u + F[1, 1] * v + F[1, 2]
     c = F[2, 0] * u + F[2, 1] * v + F[2, 2]

@@ -29,11 +29,12 @@ TRUTH_KINDS = {
 
 @dataclass(frozen=True)
 class Sequence:
-    """One video: frames in order and whatever truth lies beside them.
+    """One video: its frames in order and the ground truth found beside them.
 
     Attributes:
-        frames: T image files; `numbers` [T] are the numbers in their names.
+        frames: T image files. numbers: [T] the frame numbers in their names. width, height: px.
         truth: kind (a key of TRUTH_KINDS) -> frame number -> file.
+        warnings: conversions of the image files, as sentences.
     """
 
     name: str
@@ -77,7 +78,7 @@ def sequence_folders(dataset: Path, pass_name: str) -> dict[str, Path]:
 
 
 def folder_name(folder: Path) -> str:
-    """What a folder of frames is called: its own name, not that of the folder it may be a link to."""
+    """The name of a folder of frames; for a symbolic link, the name of the link."""
     return Path(os.path.abspath(folder)).name
 
 
@@ -85,7 +86,7 @@ def choose(wanted: str | Iterable[str], folders: dict[str, Path], dataset: Path)
     """The wanted sequences ("all" or names) of `folders`.
 
     Raises:
-        InputError: for an unknown name, with the nearest one.
+        InputError: for an unknown name, with the nearest known one.
     """
     if wanted == "all":
         return folders
@@ -98,7 +99,7 @@ def choose(wanted: str | Iterable[str], folders: dict[str, Path], dataset: Path)
 
 
 def list_sequence(name: str, folder: Path) -> Sequence:
-    """What the names of the frames and the header of the first one tell, without truth: no other file is touched.
+    """A sequence from the names of its frames and the header of the first one, without truth; no other file is read.
 
     Raises:
         InputError: for fewer than 3 frames, a gap in the numbering, or an unreadable first frame.
@@ -120,7 +121,7 @@ def list_sequence(name: str, folder: Path) -> Sequence:
 
 
 def check_sequence(name: str, folder: Path) -> Sequence:
-    """Check the frames by their names, headers and last bytes (no decoding) and list the truth beside them.
+    """Check the frames by their names, headers and last bytes, without decoding, and list the truth beside them.
 
     Raises:
         InputError: for fewer than 3 frames, a gap in the numbering, different sizes, or an unreadable file.
@@ -134,7 +135,7 @@ def check_headers(sequence: Sequence) -> set[str]:
     """Check headers and last bytes of all frames, without decoding, and return their Pillow modes.
 
     Raises:
-        InputError: for a size other than the first frame's, or an unreadable file.
+        InputError: for a size that differs from the first frame's, or an unreadable file.
     """
     modes = set()
     for path in sequence.frames:
@@ -192,7 +193,7 @@ def read_sequence(path: Path) -> Sequence:
 
 
 def _frame_files(folder: Path) -> list[Path]:
-    with os.scandir(folder) as entries:  # it knows files from folders without a look at each
+    with os.scandir(folder) as entries:  # it tells files from folders without a system call for each
         return sorted(folder / entry.name for entry in entries if _is_frame(entry))
 
 
@@ -208,7 +209,11 @@ def _number(path: Path) -> int:
 
 
 def _header(path: Path) -> tuple[tuple[int, int], str]:
-    """Size (width, height) and Pillow mode; refuses files that are no image or end too early."""
+    """Size (width, height) and Pillow mode of an image file.
+
+    Raises:
+        InputError: if the file is not an image or is truncated.
+    """
     try:
         with Image.open(path) as image:
             size, mode = image.size, image.mode

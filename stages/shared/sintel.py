@@ -1,4 +1,4 @@
-"""MPI-Sintel files: .flo, .dpt and .cam, little-endian, each led by the float32 tag 202021.25."""
+"""MPI-Sintel files: .flo, .dpt and .cam, little-endian, each beginning with the float32 tag 202021.25."""
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -13,7 +13,8 @@ TAG = np.float32(202021.25)
 CAM_BYTES = 4 + 9 * 8 + 12 * 8
 ADVICE = "check that the file is complete and of this format"
 SAME_CAMERA = 1e-3
-"""Intrinsics that differ by less than this share of the focal length are the same: a quarter of a pixel at 512 px."""
+"""Intrinsics count as equal if they differ by less than this share of the focal length. Such a difference of the focal
+length moves pixels at the border of a frame 512 px wide by a quarter of a pixel."""
 
 
 def read_flo(path: Path) -> np.ndarray:
@@ -52,10 +53,10 @@ def read_cams(paths: Iterable[Path]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def read_shared_intrinsics(paths: Sequence[Path]) -> np.ndarray:
-    """The one K [3, 3] with square pixels of n files.
+    """The K [3, 3] that n files share, with square pixels.
 
     Raises:
-        InputError: names the first file whose camera is another one, or has pixels that are not square.
+        InputError: names the first file whose intrinsics differ or whose pixels are not square.
     """
     Ks = read_cams(paths)[0]
     fx, cx, cy = Ks[0, 0, 0], *Ks[0, :2, 2]

@@ -1,4 +1,4 @@
-"""Which frames are held out from training, for every stage that trains or scores images."""
+"""The held-out frames, for every stage that trains on images or scores them."""
 
 import numpy as np
 from pydantic import Field
@@ -7,16 +7,16 @@ from stages.shared.options import Options
 
 
 class SplitOptions(Options):
-    """The held-out frames: 0-based first, first + every, ..."""
+    """The held-out frames: the 0-based indices first, first + every, first + 2 every, ..."""
 
     holdout_every: int = Field(8, ge=2, description="one frame in this many is held out from training")
     holdout_first: int = Field(4, ge=0, description="0-based index of the first held-out frame")
 
 
 def held_out(T: int, options: SplitOptions) -> np.ndarray:
-    """Mask [T], true for frames whose pictures, masks and edges no stage after the adjustment may read.
+    """Mask [T], true for held-out frames: no stage after the adjustment may read their images, masks and flow.
 
-    They do take part before: flow, masks, poses and depth are estimated from all frames.
+    Flow, masks, poses and depth are estimated from all frames, these included.
     """
     index = np.arange(T)
     late_enough = index >= options.holdout_first
@@ -24,5 +24,5 @@ def held_out(T: int, options: SplitOptions) -> np.ndarray:
 
 
 def frame_times(T: int) -> np.ndarray:
-    """Times [T] of all frames, 0..1."""
+    """Times [T] of all frames, evenly spread over 0..1."""
     return np.arange(T) / (T - 1)

@@ -1,4 +1,4 @@
-"""Tables of the report: rows in and out of Parquet and CSV, columns with label, unit and digits."""
+"""Tables of the report: columns with label, unit and digits; rows as Parquet, CSV and Markdown."""
 
 import base64
 import csv
@@ -16,7 +16,7 @@ from stages.shared.artifacts import atomic, read_table, write_table
 Row = dict[str, Any]
 MAX_DIGITS = 6
 WRAPPED = 20
-"""Texts of more characters may be broken into lines."""
+"""Texts with more characters than this may be broken into lines."""
 
 
 @dataclass(frozen=True)
@@ -25,11 +25,11 @@ class Column:
 
     Attributes:
         key: name in the rows and in the files.
-        label, unit: heading.
-        digits: after the point, more where the value needs them for two significant ones; None for text and counts.
-        bar: draw each value as a bar too.
-        long: sentences, shown small.
-        file_only: in the CSV and Parquet copies, not on the page.
+        label, unit: the heading.
+        digits: after the point, or more if a value needs them for two significant ones; None for text and counts.
+        bar: whether each value is also drawn as a bar.
+        long: whether the cells are sentences, shown in small type.
+        file_only: whether the column is in the CSV and Parquet copies alone, not on the page.
     """
 
     key: str
@@ -41,7 +41,7 @@ class Column:
     file_only: bool = False
 
     def show(self, row: Row) -> str:
-        """The cell as text; "n/a" for what is not known."""
+        """The cell as text; "n/a" for an unknown number."""
         value = row.get(self.key)
         if value is None or value == "":
             return "n/a" if self.digits is not None else ""
@@ -50,7 +50,7 @@ class Column:
         return decimal(value, self.digits)
 
     def style(self, rows: Sequence[Row]) -> str:
-        """The class of the cells in these rows."""
+        """The CSS class of the cells in these rows: "number", "long", "words" or "text"."""
         values = [row.get(self.key) for row in rows]
         if self.digits is not None or any(isinstance(value, int | float) for value in values):
             return "number"
@@ -59,19 +59,23 @@ class Column:
         return "words" if max((len(str(value)) for value in values), default=0) > WRAPPED else "text"
 
     def share(self, row: Row, highest: float) -> float | None:
-        """Length of the bar in percent of the highest; none for totals and unknown values."""
+        """Length of the bar in percent of the highest value; None for totals and unknown values."""
         value = row.get(self.key)
         return 100 * value / highest if value is not None and highest > 0 and not row.get("is_total") else None
 
     def sort_key(self, row: Row) -> str:
-        """What the page sorts by: the unrounded number, or the text."""
+        """The value by which the page sorts: the unrounded number, or the text."""
         value = row.get(self.key)
         return "" if value is None else str(value)
 
 
 @dataclass(frozen=True)
 class Table:
-    """A titled table; `note` states the protocol, `name` is the file name of its copies."""
+    """A table of the report.
+
+    Attributes:
+        name: file name of its copies. note: protocol, shown below the title.
+    """
 
     name: str
     title: str
@@ -81,7 +85,7 @@ class Table:
 
     @property
     def shown(self) -> tuple[Column, ...]:
-        """The columns of the page: those that say something, without the name of the only sequence."""
+        """The columns of the page: those with values, without the sequence's name if there is only one."""
         return tuple(column for column in self.columns if not column.file_only and self._says_something(column))
 
     def _says_something(self, column: Column) -> bool:
@@ -89,12 +93,12 @@ class Table:
         return len(values) > 1 if column.key == "sequence" else bool(values)
 
     def highest(self, column: Column) -> float:
-        """Greatest value of a column, totals aside."""
+        """Largest value of a column, without totals; 0 if all are unknown."""
         values = [row.get(column.key) for row in self.rows if not row.get("is_total")]
         return max((value for value in values if value is not None), default=0.0)
 
     def csv(self) -> str:
-        """All digits, a header of keys with units."""
+        """The table as CSV with all digits; the header holds keys with units."""
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow([f"{c.key} [{c.unit}]" if c.unit else c.key for c in self.columns])
@@ -102,7 +106,7 @@ class Table:
         return text.getvalue()
 
     def csv_uri(self) -> str:
-        """The CSV as a data URI, so that the page alone carries it."""
+        """The CSV as a data URI, which makes the page self-contained."""
         return f"data:text/csv;charset=utf-8;base64,{base64.b64encode(self.csv().encode()).decode()}"
 
     def markdown(self) -> str:
@@ -133,7 +137,7 @@ class Table:
 
 
 def decimal(value: float, digits: int) -> str:
-    """`value` with so many digits after the point, or as many, up to 6, as show two significant ones."""
+    """`value` with `digits` digits after the point, or more, up to 6, if two significant ones need them."""
     needed = 1 - math.floor(math.log10(abs(value))) if 0 < abs(value) < 1 else 0
     return f"{value:.{needed if digits < needed <= MAX_DIGITS else digits}f}"
 
@@ -144,7 +148,7 @@ def write_rows(path: Path, rows: Sequence[Row], columns: Sequence[str], about: M
 
 
 def read_rows(path: Path) -> list[Row]:
-    """Read rows; null becomes None (the table reader gives NaN, which no score here can be)."""
+    """Read rows; null becomes None. (The table reader returns NaN for it; no score is NaN.)"""
     table = read_table(path)
     return [{name: _plain(table[name][k]) for name in table} for k in range(len(next(iter(table.values()), [])))]
 

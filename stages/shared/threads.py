@@ -1,4 +1,4 @@
-"""Work on many items side by side: OpenCV, numpy and compiled kernels let go of the interpreter."""
+"""Work on many items in parallel threads: OpenCV, numpy and compiled kernels release the interpreter lock."""
 
 import functools
 import os
@@ -10,14 +10,14 @@ import cv2
 
 ResultT = TypeVar("ResultT")
 RUNS = 4
-"""Runs of items per thread: the threads that finish first take what is left."""
+"""Runs of items per thread: threads that finish early take the remaining runs."""
 
 
 def threaded(function: Callable[..., ResultT], *items: Iterable[Any]) -> list[ResultT]:
-    """What `map` gives, in its order, computed on all threads of the job.
+    """The results of `map`, in its order, computed on all threads of the job.
 
-    OpenCV itself runs on one thread meanwhile: its own threads would only compete, and a few of its functions round
-    differently with their number.
+    Meanwhile OpenCV itself runs single-threaded: its own threads would compete for the cores, and the rounding of a few
+    of its functions depends on their number.
     """
     before = cv2.getNumThreads()
     cv2.setNumThreads(1)
@@ -29,11 +29,10 @@ def threaded(function: Callable[..., ResultT], *items: Iterable[Any]) -> list[Re
 
 
 def spread(kernel: Callable[..., Any], count: int, *arguments: Any) -> None:
-    """Call `kernel(first, last, *arguments)` on runs of the items 0..count, side by side on all threads of the job.
+    """Call `kernel(first, last, *arguments)` on runs of the items 0..count - 1, in parallel on all threads of the job.
 
-    The kernel is compiled with `nogil`, and what it writes about an item depends on no other item. Numba's own
-    parallel loops take two to four times as long to compile: each passes through LLVM once as a function, once as
-    its wrapper and once as part of the caller.
+    The kernel is compiled with `nogil`, and its result for an item depends on no other item. Numba's own parallel loops
+    take much longer to compile: each passes through LLVM as a function, as its wrapper and as part of the caller.
     """
     threads = int(os.environ["OMP_NUM_THREADS"])
     parts = min(count, RUNS * threads)
@@ -43,13 +42,13 @@ def spread(kernel: Callable[..., Any], count: int, *arguments: Any) -> None:
     runs = iter([(part * count // parts, (part + 1) * count // parts) for part in range(parts)])
 
     def work() -> None:
-        for first, last in runs:  # an iterator over a list hands every entry to one thread
+        for first, last in runs:  # a list iterator yields every entry to one thread only
             kernel(first, last, *arguments)
 
     helpers = [_pool(threads - 1).submit(work) for _ in range(min(threads, parts) - 1)]
     work()
     for helper in helpers:
-        if not helper.cancel():  # one that has not begun finds nothing left to do
+        if not helper.cancel():  # a helper that has not started has nothing left to do
             helper.result()
 
 

@@ -1,4 +1,4 @@
-"""Torch on one thread, where more would round otherwise. Apart from `threads`, which stages without torch import."""
+"""Torch on one thread. This is not part of `threads`, which stages without torch import."""
 
 import contextlib
 from collections.abc import Iterator
@@ -8,9 +8,9 @@ import torch
 
 @contextlib.contextmanager
 def one_torch_thread() -> Iterator[None]:
-    """Torch on one thread, as block or decorator: with more, its sums and products round by their number.
+    """Run torch on one thread, as a block or a decorator: the rounding of its sums depends on the number of threads.
 
-    For tensors that are too small for more threads to pay; compiled kernels keep theirs.
+    For small tensors, which gain nothing from more threads. Compiled kernels keep their threads.
     """
     before = torch.get_num_threads()
     torch.set_num_threads(1)

@@ -1,4 +1,4 @@
-"""Inputs that a run took from ground truth instead of estimating them, and its masks, read from its artifacts."""
+"""Inputs of a run, read from its artifacts: its masks, and what it took from ground truth instead of estimating it."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -64,5 +64,5 @@ def mask_source(masks: Path) -> str:
 
 
 def truth_used_by(rows: Iterable[Row]) -> str:
-    """All inputs that rows of ours took from ground truth, in words; "" if they used the frames alone."""
+    """All inputs that our rows took from ground truth, in words; "" if they used the frames alone."""
     return "; ".join(dict.fromkeys(row["from_truth"] for row in rows if row.get("from_truth")))

@@ -1,4 +1,4 @@
-"""Looking images up along optical flow. Flow [h, w, 2] is (u, v) in pixels, pixel centres at integers."""
+"""Sampling images along optical flow and at pixels. Flow [h, w, 2] is (u, v) in pixels, pixel centres at integers."""
 
 import cv2
 import numpy as np
@@ -8,22 +8,26 @@ REMAP_ROWS = 30_000
 
 
 def matches(flow: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Columns and rows [h, w] float32 that flow [h, w, 2] leads to."""
+    """Pixel coordinates u and v [h, w] float32 to which flow [h, w, 2] leads."""
     h, w = flow.shape[:2]
     flow = flow.astype(np.float32, copy=False)
     return flow[..., 0] + np.arange(w, dtype=np.float32), flow[..., 1] + np.arange(h, dtype=np.float32)[:, None]
 
 
 def warp(image: np.ndarray, flow: np.ndarray) -> np.ndarray:
-    """The target's image [h, w] or [h, w, c] as the source sees it: bilinear, the border repeated outside."""
+    """The target's image [h, w] or [h, w, c] sampled along flow [h, w, 2] from the source.
+
+    Sampling is bilinear; outside the image the border is repeated.
+    """
     u, v = matches(flow)
     return np.asarray(cv2.remap(image, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
 
 
 def bilinear(image: np.ndarray, uv: np.ndarray) -> np.ndarray:
-    """Values [...] or [..., C] of an image [h, w] or [h, w, C] at its pixels uv [..., 2]; the border continues outside.
+    """Bilinear values [...] or [..., C] of an image [h, w] or [h, w, C] at pixels uv [..., 2].
 
-    OpenCV rounds the pixels to 1/32. float64 stays what it is, all else becomes float32.
+    Outside the image the border is repeated. OpenCV rounds the coordinates to 1/32 px. The result is float64 for a
+    float64 image, otherwise float32.
     """
     source = image if image.dtype == np.float64 else image.astype(np.float32, copy=False)
     if uv.size == 0:
@@ -40,7 +44,7 @@ def bilinear(image: np.ndarray, uv: np.ndarray) -> np.ndarray:
 
 
 def is_inside(flow: np.ndarray) -> np.ndarray:
-    """Whether flow [h, w, 2] leads to a place inside the target's image, [h, w] bool."""
+    """Whether flow [h, w, 2] ends inside the target's image, [h, w] bool."""
     h, w = flow.shape[:2]
     u, v = matches(flow)
     return np.asarray((u >= 0) & (u <= w - 1) & (v >= 0) & (v <= h - 1))
