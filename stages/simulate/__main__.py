@@ -1,4 +1,4 @@
-"""Draw a scene file as an MPI-Sintel style sequence with exact truth."""
+"""Render a scene file as an MPI-Sintel style sequence with exact ground truth."""
 
 import contextlib
 from pathlib import Path
@@ -40,9 +40,9 @@ FILES = ("frame_*.png", "frame_*.flo", "frame_*.dpt", "frame_*.cam")
 
 
 class RenderOptions(SimulateOptions):
-    """Options of this script alone."""
+    """Options of this script; `explain` is a flag only."""
 
-    explain: bool = Field(False, description="print what the scene simulates and the seconds of each effect")
+    explain: bool = Field(False, description="print the effects that the scene simulates and the seconds of each")
 
 
 def main(
@@ -50,10 +50,10 @@ def main(
     output: Annotated[Path, Out("folder that receives training/<kind>/<scene>/ and <scene>.json")],
     options: RenderOptions,
 ) -> str:
-    """Draw a scene: clean and final pass, flow, depth, cameras, occlusions, invalid, motion mask, right eye."""
+    """Render a scene: clean and final pass, flow, depth, cameras, occlusions, invalid, motion mask, right eye."""
     drawn, name = load_scene(scene), scene.stem
     manifest = output / f"{name}.json"
-    manifest.unlink(missing_ok=True)  # first: it says that the rest is complete
+    manifest.unlink(missing_ok=True)  # removed first, since it marks the sequence as complete
     stage = frames.set_stage(drawn, options.seed)
     with contextlib.ExitStack() as stack:
         folders = {kind: stack.enter_context(atomic_folder(output / "training" / kind / name, FILES)) for kind in KINDS}
@@ -85,10 +85,12 @@ def refuse_blocked_camera(stage: Stage, now: Moment, frame: int, scene: Path) ->
 
 
 def draw_frame(stage: Stage, frame: int, now: Moment, other: Moment, folders: dict[str, Path]) -> None:
-    """Draw and write one frame of every kind.
+    """Render and write one frame of every kind.
 
     Args:
-        other: the next frame; for the last one the frame before, which gives its motion mask but no flow.
+        frame: 0-based index. now: the scene and the camera at that frame.
+        other: those at the next frame; for the last frame at the one before, for the motion mask alone, without flow.
+        folders: of the frames, by kind.
     """
     scene, watch = stage.scene, stage.watch
     with watch.measure("clean"):
@@ -113,7 +115,7 @@ def draw_frame(stage: Stage, frame: int, now: Moment, other: Moment, folders: di
 
 
 def explanation(scene: Scene, name: str, seed: int, watch: Stopwatch) -> dict[str, object]:
-    """The manifest: what was simulated, what was not, and the seconds of each."""
+    """The manifest: the scene, the effects that were simulated and those that were not, and the seconds of each."""
     listed = scene.effects.listed
     return {
         "scene": name,
@@ -132,7 +134,7 @@ def explanation(scene: Scene, name: str, seed: int, watch: Stopwatch) -> dict[st
 
 
 def explain(content: dict[str, object]) -> str:
-    """The manifest as a table for people."""
+    """The manifest as a readable table."""
     seconds, calls, effects = content["seconds"], content["calls"], content["effects"]
     assert isinstance(seconds, dict)
     assert isinstance(calls, dict)

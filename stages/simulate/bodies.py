@@ -1,4 +1,4 @@
-"""From shapes in the scene file to bodies: a mesh, a material, and where its vertices are at any frame."""
+"""Bodies from the shapes of a scene file: a mesh, a texture, and the positions of the vertices at any frame."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -28,6 +28,7 @@ from stages.simulate.walker import walker
 Deform = Callable[[float, float], np.ndarray]
 """(seconds, clip time 0..1) -> vertices [V, 3] about the body's origin."""
 Ground = Callable[[float, float], float]
+"""(x, y) -> height of the ground, metres."""
 
 
 @dataclass(frozen=True)
@@ -35,11 +36,11 @@ class Body:
     """One textured mesh.
 
     Attributes:
-        rest: the mesh about its own origin; textures stick to these vertices.
-        texture, offset: what it looks like, and the shift [3] of its noise.
-        vertices: frame index (may be fractional) -> world positions [V, 3].
+        rest: the mesh about its own origin, metres; textures are functions of these positions.
+        texture, offset: the texture and the shift [3] of its noise.
+        vertices: frame index (may be fractional) -> world positions [V, 3], metres.
         moves: false if `vertices` is constant.
-        solid: its faces look outwards, so that one can be inside (or under) it.
+        solid: whether all faces look outwards, so that a point can be inside or under the body.
     """
 
     name: str
@@ -70,7 +71,7 @@ def build_bodies(scene: Scene, seed: int) -> list[Body]:
 
 
 def terrain_height(terrain: Terrain, seed: int, xy: np.ndarray) -> np.ndarray:
-    """Height [n] of a terrain at points [n, 2] about its origin."""
+    """Height [n] in metres of a terrain at points xy [n, 2] about its origin."""
     points = np.column_stack([xy / terrain.feature, np.full(len(xy), 0.37 + seed)])
     hills = terrain.relief * 0.6 * fractal_field(points, 0.04)
     away = np.clip(np.linalg.norm(xy, axis=1) / max(terrain.flat_radius, 1e-9) - 1, 0, 1)
@@ -110,7 +111,7 @@ def _copies(shape: Placed, rng: np.random.Generator) -> list[_Copy]:
 def _placed(
     copy: _Copy, frames: int, mesh: Mesh, change: Deform | None, ground: Ground, phase: float
 ) -> Callable[[float], np.ndarray]:
-    """World vertices at any frame: deformed, scaled, turned and moved along the path, then set on the ground."""
+    """World vertices at any frame: deformed, scaled, rotated, moved along the path and set on the ground."""
     keys = copy.shape.path
     path = curve([key.time for key in keys], [[*key.move, *key.turn_deg] for key in keys]) if keys else None
 
@@ -127,7 +128,7 @@ def _placed(
 
 
 def _parts(shape: Placed, seed: int) -> list[tuple[Mesh, Deform | None, Texture]]:
-    """Meshes of a shape with how each deforms."""
+    """The meshes of a shape, each with its deformation (None if rigid) and texture."""
     texture = shape.texture
     match shape:
         case Box():

@@ -1,7 +1,7 @@
-"""A bounding-volume tree over triangles and the two questions asked of it: nearest hit, and anything between.
+"""A bounding-volume hierarchy over triangles, which answers two queries: the nearest hit, and whether there is any hit.
 
-The tree is complete and implicit: node i has children 2i and 2i + 1, leaves hold LEAF triangles. Rays walk it without
-a stack, the nearer child first (the split axis and the sign of the ray's direction say which).
+The tree is complete and implicit: node i has children 2i and 2i + 1, and each leaf holds LEAF triangles. Rays traverse
+it without a stack and visit the nearer child first, which the split axis and the sign of the ray's direction decide.
 """
 
 from typing import NamedTuple
@@ -11,9 +11,9 @@ from numba import njit
 
 LEAF = 4
 FAST = {"nnan", "nsz", "contract"}
-"""No step makes a NaN: inf only meets numbers other than 0, see `_slope`, and a zero determinant returns early."""
+"""NaN does not occur: infinities are never multiplied by 0 (see `_slope`), and a zero determinant returns early."""
 EDGE = 1e-9
-"""Barycentric tolerance: neighbours overlap by this much, so that no ray slips between them."""
+"""Barycentric tolerance: neighbouring triangles overlap by this much, so that no ray passes between them."""
 
 
 class Tree(NamedTuple):
@@ -34,13 +34,13 @@ class Tree(NamedTuple):
 
 
 def build(corners: np.ndarray, faces: np.ndarray) -> Tree:
-    """A tree over triangles `corners` [n, 3, 3] that carry the indices `faces` [n].
+    """A tree over triangles `corners` [n, 3, 3] with indices `faces` [n].
 
-    n is a multiple of LEAF, or 0: each LEAF triangles in a row are neighbours and stay together. Each level halves
-    every node's leaves at the median of their centres along the longest axis.
+    n is a multiple of LEAF, or 0. Each group of LEAF consecutive triangles forms a leaf, so these should be neighbours.
+    Each level splits the leaves of every node at the median of their centres along the longest axis.
     """
     if len(faces) == 0:
-        nowhere = np.full((2, 3), np.inf)  # a slab test with inverted corners would pass: it orders them by the ray
+        nowhere = np.full((2, 3), np.inf)  # not inverted corners: the slab test orders the corners and would pass them
         return Tree(nowhere, nowhere, np.zeros(2, np.int8), np.zeros((0, 3, 3)), faces)
     centres = corners.reshape(-1, LEAF * 3, 3).mean(axis=1)
     levels = int(np.ceil(np.log2(len(centres))))
@@ -81,7 +81,7 @@ def _enters(
     iz: float,
     reach: float,
 ) -> bool:
-    """Whether the ray meets the node's box before `reach` (slab test)."""
+    """Whether the ray enters the node's box before `reach` (slab test)."""
     x0, x1 = (low[node, 0] - ox) * ix, (high[node, 0] - ox) * ix
     y0, y1 = (low[node, 1] - oy) * iy, (high[node, 1] - oy) * iy
     z0, z1 = (low[node, 2] - oz) * iz, (high[node, 2] - oz) * iz
@@ -94,7 +94,10 @@ def _enters(
 def _meets(
     corners: np.ndarray, k: int, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float
 ) -> tuple[float, float, float]:
-    """Ray parameter and barycentrics (t, u, v) of triangle k, t = -1 for a miss (Moeller and Trumbore 1997)."""
+    """Ray parameter t and barycentric coordinates u, v of the hit of triangle k, t = -1 for a miss.
+
+    Moeller and Trumbore 1997.
+    """
     ax, ay, az = corners[k, 0, 0], corners[k, 0, 1], corners[k, 0, 2]
     ex, ey, ez = corners[k, 1, 0] - ax, corners[k, 1, 1] - ay, corners[k, 1, 2] - az
     fx, fy, fz = corners[k, 2, 0] - ax, corners[k, 2, 1] - ay, corners[k, 2, 2] - az
@@ -116,7 +119,7 @@ def _meets(
 
 @njit(cache=True, error_model="numpy", inline="always", fastmath=FAST)
 def _slope(x: float) -> float:
-    """1 / x, large instead of infinite at 0 so that a slab test never forms 0 * inf."""
+    """1 / x, but large instead of infinite at 0, so that the slab test never multiplies 0 by infinity."""
     return 1.0 / x if abs(x) > 1e-200 else 1e200
 
 

@@ -1,4 +1,4 @@
-"""Shapes whose vertices move against each other. Each returns its mesh at rest and (seconds, clip time) -> vertices."""
+"""Deforming shapes. Each function returns the mesh at rest and a function (seconds, clip time 0..1) -> vertices."""
 
 from collections.abc import Callable
 
@@ -13,7 +13,7 @@ Deforming = tuple[Mesh, Callable[[float, float], np.ndarray]]
 
 
 def cloth(shape: Cloth) -> Deforming:
-    """Two travelling waves whose amplitude grows from the fixed top edge to the free end."""
+    """A hanging sheet with two travelling waves whose amplitude grows from the fixed top edge to the free end."""
     width, height = shape.size
     flat = meshes.grid(36, 28)
     x, down = (flat.vertices[:, 0] - 0.5) * width, flat.vertices[:, 1]
@@ -31,7 +31,7 @@ def cloth(shape: Cloth) -> Deforming:
 
 
 def breather(shape: Breather) -> Deforming:
-    """Smooth bulges along -y that rise and sink; the rim is at rest."""
+    """A panel with smooth bulges along -y that rise and sink; its rim is at rest."""
     width, height = shape.size
     flat = meshes.grid(48, 32)
     u, v = flat.vertices[:, 0], flat.vertices[:, 1]
@@ -49,7 +49,7 @@ def breather(shape: Breather) -> Deforming:
 
 
 def jelly(shape: Jelly) -> Deforming:
-    """Squash along z at constant volume, bending along x, and ripples around the waist."""
+    """An ellipsoid that is compressed along z at constant volume, bends along x, and ripples around its waist."""
     mesh = meshes.sphere(shape.radii)
     radii = np.array(shape.radii)
     unit = mesh.vertices / radii
@@ -69,7 +69,7 @@ def jelly(shape: Jelly) -> Deforming:
 
 
 def cluster(shape: Cluster) -> Deforming:
-    """Boxes that from `split_time` on drift away from the block's middle, each with its own slow spin."""
+    """A block of boxes that from `split_time` on drift away from its centre, each with its own slow rotation."""
     size, counts = np.array(shape.size), np.array(shape.pieces)
     piece = meshes.box(tuple(size / counts))
     steps = np.stack(np.meshgrid(*map(np.arange, counts), indexing="ij"), axis=-1).reshape(-1, 3)

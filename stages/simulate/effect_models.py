@@ -1,4 +1,4 @@
-"""Effects that the final pass can have. One that a scene does not list is not run and changes no pixel."""
+"""Parameters of the effects of the final pass. An effect that a scene does not list is not run and changes no pixel."""
 
 from typing import Any
 
@@ -9,10 +9,10 @@ from stages.simulate.shape_models import Colour
 
 
 class MotionBlur(Options):
-    """Average over the time the shutter is open, centred on the frame."""
+    """Average over the time during which the shutter is open, centred on the frame."""
 
     shutter: float = Field(gt=0, le=1, description="open time in frames; 0.5 is a film camera's 180 degrees")
-    samples: int = Field(8, ge=2, le=64, description="moments that are averaged")
+    samples: int = Field(8, ge=2, le=64, description="number of times that are averaged")
 
 
 class Defocus(Options):
@@ -23,7 +23,7 @@ class Defocus(Options):
 
 
 class Fog(Options):
-    """Homogeneous fog: radiance fades to `colour` as exp(-density * distance)."""
+    """Homogeneous fog: radiance tends to `colour` as exp(-density * distance)."""
 
     density: float = Field(gt=0, le=10, description="extinction, 1 / metre")
     colour: Colour = Field(description="linear RGB")
@@ -43,7 +43,7 @@ class Shadows(Options):
 
 
 class Exposure(Options):
-    """Exposure and white balance that drift over the clip as smooth random curves."""
+    """Exposure and white balance that change over the clip as smooth random curves."""
 
     stops: float = Field(ge=0, le=4, description="largest change of exposure, factors of two")
     white_balance: float = Field(ge=0, le=0.5, description="largest opposite change of the red and blue gains")
@@ -57,7 +57,7 @@ class Noise(Options):
 
 
 class Flicker(Options):
-    """Bands of brightness that roll through the frame, as a rolling shutter sees lamps on alternating current."""
+    """Bands of brightness that move through the frame, as with a rolling shutter under lamps on alternating current."""
 
     amplitude: float = Field(gt=0, le=0.9, description="relative change of brightness")
     rows: float = Field(gt=0, le=1e4, description="height of one band cycle, pixels")
@@ -86,10 +86,10 @@ class Effects(Options):
     @field_validator("*", mode="before")
     @classmethod
     def _has_parameters(cls, value: Any) -> Any:
-        """A listed effect without parameters is a mistake, not an absent effect."""
+        """Treat a listed effect without parameters as one with missing parameters, which is an error, not as absent."""
         return {} if value is None else value
 
     @property
     def listed(self) -> list[str]:
-        """Names of the effects that the scene calls for."""
+        """Names of the effects that the scene lists."""
         return [name for name in type(self).model_fields if getattr(self, name) is not None]

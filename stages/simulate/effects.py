@@ -1,7 +1,7 @@
-"""The effects of the final pass, one function each; `final` runs those that a scene lists, in this order.
+"""The effects of the final pass, one function each; `frames.final` runs those that a scene lists, in this order.
 
-Light: shadows, specular, fog act where rays meet surfaces; motion_blur averages whole pictures; the others act on
-one picture [H, W, 3] in linear RGB.
+shadows, specular and fog act on the radiance of surface points; motion blur averages whole images; the others act on
+one image [H, W, 3] in linear RGB.
 """
 
 import numpy as np
@@ -15,10 +15,11 @@ from stages.simulate.shading import Surface, sun_direction
 from stages.simulate.world import Snapshot
 
 SHADOW_SLACK_M = 2e-3
+"""Distance from a surface at which its shadow ray starts, so that the surface does not shadow itself."""
 
 
 def shadows(effect: Shadows, snapshot: Snapshot, lights: Lights, hits: Hits, surface: Surface) -> np.ndarray:
-    """Share of the sun [n] that arrives at what rays meet."""
+    """Share of the sun's light [n] that arrives at the surface points of n rays."""
     hidden = np.zeros(len(hits.face), bool)
     sun = sun_direction(lights)
     towards = np.flatnonzero((hits.face >= 0) & (surface.normal @ sun > 0))
@@ -28,7 +29,11 @@ def shadows(effect: Shadows, snapshot: Snapshot, lights: Lights, hits: Hits, sur
 
 
 def specular(effect: Specular, lights: Lights, hits: Hits, surface: Surface, centre: np.ndarray) -> np.ndarray:
-    """Highlight [n, 3] of the sun at full strength (Blinn 1977)."""
+    """Radiance [n, 3] of the unshadowed sun's highlights at n surface points (Blinn 1977).
+
+    Args:
+        centre: [3] of the camera.
+    """
     view = centre - hits.point
     view /= np.linalg.norm(view, axis=1, keepdims=True)
     half = view + sun_direction(lights)
@@ -38,13 +43,17 @@ def specular(effect: Specular, lights: Lights, hits: Hits, surface: Surface, cen
 
 
 def fog(effect: Fog, radiance: np.ndarray, hits: Hits, centre: np.ndarray) -> np.ndarray:
-    """Radiance [n, 3] through fog over the distance to the surface (Beer and Lambert)."""
+    """Radiance [n, 3] of n surface points after attenuation by fog on the way to the camera (Beer and Lambert).
+
+    Args:
+        radiance: [n, 3] without fog. centre: [3] of the camera.
+    """
     clear = np.exp(-effect.density * np.linalg.norm(hits.point - centre, axis=1))[:, None]
     return np.asarray(clear * radiance + (1 - clear) * np.array(effect.colour))
 
 
 def defocus(effect: Defocus, picture: np.ndarray, depth: np.ndarray) -> np.ndarray:
-    """Blur by the circle of confusion of each depth [H, W], radius aperture * |1 - focus / depth| pixels."""
+    """Blur by the circle of confusion at each depth [H, W] in metres: radius aperture_px * |1 - focus / depth| px."""
     radius = effect.aperture_px * np.abs(1 - effect.focus / depth)
     blurred = np.empty_like(picture)
     spread(_gather, len(picture), picture, depth, np.minimum(radius, 2 * effect.aperture_px), blurred)
@@ -52,21 +61,25 @@ def defocus(effect: Defocus, picture: np.ndarray, depth: np.ndarray) -> np.ndarr
 
 
 def vignette(effect: Vignette, picture: np.ndarray) -> np.ndarray:
-    """Light falls with the square of the distance from the centre."""
+    """Darken an image [H, W, 3] with the square of the distance from its centre."""
     height, width = picture.shape[:2]
     v, u = np.mgrid[-1 : 1 : height * 1j, -1 : 1 : width * 1j]
     return np.asarray(picture * (1 - effect.strength * (u**2 + v**2) / 2)[..., None])
 
 
 def flicker(effect: Flicker, picture: np.ndarray, frame: float) -> np.ndarray:
-    """Rows brighten and darken with their time of readout."""
+    """Vary the brightness of the rows of an image [H, W, 3] with their readout time.
+
+    Args:
+        frame: index of the frame.
+    """
     rows = np.arange(picture.shape[0]) / effect.rows
     phase = 2 * np.pi * (rows + effect.hz * frame / FRAMES_PER_SECOND)
     return np.asarray(picture * (1 + effect.amplitude * np.sin(phase))[:, None, None])
 
 
 def exposure(effect: Exposure, picture: np.ndarray, time: float, seed: int) -> np.ndarray:
-    """Gains at `time` 0..1: slow sines with random phases; stops and tint are zero on average over phases."""
+    """Apply gains at `time` 0..1 to an image [H, W, 3]: slow sines with random phases, zero on average over these."""
     phases = np.random.default_rng([seed, 4]).uniform(0, 2 * np.pi, 4)
     slow = np.sin(2 * np.pi * np.array([0.8, 0.5, 1.3, 0.9]) * time + phases)
     stops = effect.stops * (0.7 * slow[0] + 0.3 * slow[2])
@@ -75,7 +88,7 @@ def exposure(effect: Exposure, picture: np.ndarray, time: float, seed: int) -> n
 
 
 def noise(effect: Noise, picture: np.ndarray, frame: int, seed: int) -> np.ndarray:
-    """Shot noise (variance picture / photons, normal approximation) and read noise."""
+    """Add shot noise (normal, of variance picture / photons) and read noise to an image [H, W, 3]."""
     rng = np.random.default_rng([seed, 5, frame])
     deviation = np.sqrt(np.maximum(picture, 0) / effect.photons + effect.read**2)
     return np.asarray(picture + deviation * rng.standard_normal(picture.shape))
@@ -85,7 +98,11 @@ def noise(effect: Noise, picture: np.ndarray, frame: int, seed: int) -> np.ndarr
 def _gather(
     first: int, last: int, picture: np.ndarray, depth: np.ndarray, radius: np.ndarray, blurred: np.ndarray
 ) -> None:
-    """Each pixel averages those whose blur circle reaches it; one behind it counts only within its own circle."""
+    """Average, for each pixel, the pixels whose blur circle reaches it.
+
+    The circle of a pixel farther away is limited to that of the pixel itself, so that a blurred background does not
+    cover a sharp foreground.
+    """
     height, width = depth.shape
     reach = int(np.ceil(radius.max()))
     for y in range(first, last):

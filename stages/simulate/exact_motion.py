@@ -1,4 +1,4 @@
-"""Exact truth of one frame from the surface points that its pixels see."""
+"""Exact ground truth of the motion in one frame, from the surface points at its pixels."""
 
 from dataclasses import dataclass
 
@@ -10,21 +10,22 @@ from stages.simulate.raycast import Hits, blocked, follow
 from stages.simulate.world import Snapshot, World
 
 MOVED_PX = 0.01
-"""A pixel is in motion if its surface point moves by more than this, as seen at its depth."""
+"""A pixel is moving if its surface point moves by more than this, projected at the depth of the pixel."""
 SLACK = 1e-4
-"""Share of the way to a point, next to it, on which a surface does not count as occluding it."""
+"""Last share of the way from the camera to a point in which surfaces do not count as occluding it."""
 NEAR_M = 1e-3
+"""Points with less depth have no flow."""
 
 
 @dataclass(frozen=True)
 class Motion:
-    """How the surface points of n pixels move to another frame.
+    """Motion of the surface points of n pixels to another frame.
 
     Attributes:
         flow: [n, 2] pixels; zero where `invalid`.
-        occluded: [n] something else hides the point in the other frame (inside the picture or not).
-        invalid: [n] the point is behind the other camera: it has no flow.
-        moving: [n] the point itself moves in the world.
+        occluded: [n] bool, another surface hides the point in the other frame, inside the image or outside.
+        invalid: [n] bool, the point is behind the other camera and has no flow.
+        moving: [n] bool, the point moves in the world.
     """
 
     flow: np.ndarray
@@ -34,7 +35,12 @@ class Motion:
 
 
 def motion(hits: Hits, uv: np.ndarray, world: World, other: Snapshot, other_view: View, focal_px: float) -> Motion:
-    """Motion of what pixels [n, 2] see to another moment, seen from its camera."""
+    """Motion of the surface points at pixels uv [n, 2] from one frame to another.
+
+    Args:
+        hits: of the pixels. other, other_view: the scene and the camera of the other frame.
+        focal_px: focal length of the present camera.
+    """
     points = follow(hits, world, other)
     moved = np.linalg.norm(points - hits.point, axis=1)
     pixels, depth = cameras.project(points, other_view.cam_from_world, other_view.K)

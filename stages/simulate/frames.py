@@ -1,4 +1,4 @@
-"""Pictures of a scene: rays through pixel centres, more of them where surfaces meet, and the final pass."""
+"""Images of a scene: one ray per pixel, more at the borders of surfaces, and the effects of the final pass."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -17,8 +17,9 @@ from stages.simulate.world import Snapshot, World
 SUBPIXELS = np.array([[-0.125, -0.375], [0.375, -0.125], [-0.375, 0.125], [0.125, 0.375]])
 """Rotated-grid samples of a pixel, relative to its centre."""
 PLASTIC = (0.7548776662466927, 0.5698402909980532)
-"""Steps of the R2 sequence (Roberts 2018): successive points cover the pixel evenly."""
+"""Steps of the R2 sequence (Roberts 2018), whose successive points cover a pixel evenly."""
 OF_LIGHT = ("shadows", "specular", "fog")
+"""Effects that change the radiance of surface points."""
 
 
 class Moment(NamedTuple):
@@ -29,7 +30,11 @@ class Moment(NamedTuple):
 
 
 class Stage(NamedTuple):
-    """What every picture of a scene needs: the scene, its triangles, its left camera, its seed, and a clock."""
+    """The inputs of every image of a scene.
+
+    Attributes:
+        scene: the scene file. world: its triangles. view: frame index -> left camera. watch: measures the seconds.
+    """
 
     scene: Scene
     world: World
@@ -44,14 +49,14 @@ class Stage(NamedTuple):
 
 
 def set_stage(scene: Scene, seed: int) -> Stage:
-    """Build the scene."""
+    """Build the triangles and the camera path of a scene."""
     watch = Stopwatch()
     with watch.measure("scene"):
         return Stage(scene, World(scene, seed), camera_path(scene, seed), seed, watch)
 
 
 class Seen(NamedTuple):
-    """What a camera sees: surfaces at the pixel centres [H W], and at SUBPIXELS of the pixels `edges` [m]."""
+    """Surfaces that a camera sees at the centres of all H W pixels, and at the SUBPIXELS of the pixels `edges` [m]."""
 
     hits: Hits
     surface: Surface
@@ -61,7 +66,7 @@ class Seen(NamedTuple):
 
 
 def see(stage: Stage, moment: Moment) -> Seen:
-    """Cast the rays of a picture: one per pixel, and more where bodies meet."""
+    """Cast the rays of an image: one per pixel, and more at the borders of bodies."""
     height, width = stage.scene.height, stage.scene.width
     uv = pixel_grid(height, width).reshape(-1, 2)
     hits = cast(moment.snapshot, moment.view, uv)
@@ -71,7 +76,7 @@ def see(stage: Stage, moment: Moment) -> Seen:
 
 
 def develop(stage: Stage, moment: Moment, seen: Seen, with_effects: bool) -> np.ndarray:
-    """Radiance [H, W, 3] of what was seen; `with_effects` adds the listed ones that act on light."""
+    """Radiance [H, W, 3] of an image; `with_effects` adds those of the effects OF_LIGHT that the scene lists."""
     radiance = _radiance(stage, moment, seen.hits, seen.surface, with_effects)
     finer = _radiance(stage, moment, seen.finer_hits, seen.finer_surface, with_effects)
     radiance[seen.edges] = finer.reshape(-1, len(SUBPIXELS), 3).mean(axis=1)
@@ -79,7 +84,11 @@ def develop(stage: Stage, moment: Moment, seen: Seen, with_effects: bool) -> np.
 
 
 def final(stage: Stage, frame: int, moment: Moment, seen: Seen, clean: np.ndarray) -> np.ndarray:
-    """The final pass [H, W, 3]: `clean` with the effects that the scene lists, and no others."""
+    """The final pass [H, W, 3], linear radiance: the clean pass with the effects that the scene lists.
+
+    Args:
+        frame: 0-based index. seen: surfaces of this frame. clean: [H, W, 3] radiance without effects.
+    """
     listed, measure = stage.scene.effects, stage.watch.measure
     radiance = clean
     if listed.motion_blur:
@@ -107,13 +116,13 @@ def final(stage: Stage, frame: int, moment: Moment, seen: Seen, clean: np.ndarra
 
 
 def surface_at(stage: Stage, moment: Moment, hits: Hits) -> Surface:
-    """Texture and orientation where rays of the moment's camera meet something."""
+    """Texture and orientation at the surface points of rays of the moment's camera."""
     view = moment.view
     return surfaces(stage.world, moment.snapshot, stage.scene.lights, hits, view.centre, view.K[0, 0])
 
 
 def edge_pixels(hits: Hits, world: World, height: int, width: int) -> np.ndarray:
-    """Pixels [H, W] bool with a neighbour that sees another body or lies 5 % nearer or farther."""
+    """Pixels [H, W] bool with a neighbour on another body, or whose depth differs by more than 5 %."""
     body = np.where(hits.face >= 0, world.body[hits.face], -1).reshape(height, width)
     depth = np.log(hits.depth).reshape(height, width)
     edges = np.zeros((height, width), bool)
@@ -133,14 +142,14 @@ def pixel_offsets(count: int) -> np.ndarray:
 
 
 def to_srgb(radiance: np.ndarray) -> np.ndarray:
-    """8-bit sRGB of linear radiance, clipped to 0..1 (IEC 61966-2-1)."""
+    """8-bit sRGB values of linear radiance, clipped to 0..1, of any shape (IEC 61966-2-1)."""
     linear = np.clip(radiance, 0.0, 1.0)
     encoded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
     return np.asarray((encoded * 255 + 0.5).astype(np.uint8))
 
 
 def _motion_blur(stage: Stage, frame: int) -> np.ndarray:
-    """Mean over the time the shutter is open; each sample also looks through another point of the pixel."""
+    """Mean radiance over the open time of the shutter; each sample has another position within the pixel."""
     blur = stage.scene.effects.motion_blur
     assert blur is not None
     shape = (stage.scene.height, stage.scene.width, 3)
@@ -154,7 +163,7 @@ def _motion_blur(stage: Stage, frame: int) -> np.ndarray:
 
 
 def _radiance(stage: Stage, moment: Moment, hits: Hits, surface: Surface, with_effects: bool) -> np.ndarray:
-    """Radiance [n, 3] of what rays meet, with the effects of light if asked for."""
+    """Radiance [n, 3] of n surface points; `with_effects` adds those of the effects OF_LIGHT that the scene lists."""
     listed, lights, centre = stage.scene.effects, stage.scene.lights, moment.view.centre
     sunlight = np.ones(len(hits.face))
     if with_effects and listed.shadows:

@@ -1,4 +1,4 @@
-"""One picture of every scene: the contact sheet of the library."""
+"""The contact sheet of the scene library: one image per scene."""
 
 from pathlib import Path
 from typing import Annotated
@@ -22,7 +22,7 @@ class GalleryOptions(Options):
 
     columns: int = Field(3, ge=1, le=8, description="scenes per row")
     width_px: int = Field(1140, ge=200, le=4000, description="width of the sheet")
-    seed: int = Field(0, ge=0, description="as in `simulate`")
+    seed: int = Field(0, ge=0, description="seed of camera noise, textures and placement")
 
 
 def main(
@@ -30,13 +30,13 @@ def main(
     output: Annotated[Path, Out("contact sheet, e.g. docs/scenes.jpg")],
     options: GalleryOptions,
 ) -> None:
-    """Draw the final pass of the middle frame of every scene, with its name, split and description."""
+    """Render the final pass of the middle frame of every scene, with its name, split and description."""
     cells = [_cell(path, options.seed) for path in progress(sorted(scenes.glob("*.yaml")), "scenes")]
     write_image(output, contact_sheet(cells, options.columns, options.width_px))
 
 
 def _cell(path: Path, seed: int) -> np.ndarray:
-    """A 512 pixel wide picture of a scene over a caption."""
+    """An image of a scene, 512 px wide, above its caption."""
     scene = load_scene(path)
     scene = scene.model_copy(update={"height": round(scene.height * 512 / scene.width), "width": 512})
     stage, middle = frames.set_stage(scene, seed), scene.frames // 2

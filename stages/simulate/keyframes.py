@@ -1,4 +1,4 @@
-"""Smooth motion from keyframes, and the cameras of a scene. `frame` is a 0-based frame index and may be fractional."""
+"""Smooth motion from keyframes, and the cameras of a scene. `frame` is a 0-based frame index, possibly fractional."""
 
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
@@ -26,7 +26,7 @@ class View(NamedTuple):
 
 
 def curve(times: Sequence[float], values: Sequence[Sequence[float]]) -> Curve:
-    """A curve through keyframes that does not overshoot (monotone cubic); one keyframe is a constant."""
+    """A curve [d] over `times` [n] through `values` [n][d] without overshoot (monotone cubic); constant for n = 1."""
     if len(times) == 1:
         constant = np.asarray(values[0], float)
         return lambda _: constant
@@ -40,7 +40,7 @@ def rotation(turn_deg: Sequence[float] | np.ndarray) -> np.ndarray:
 
 
 def camera_path(scene: Scene, seed: int) -> Callable[[float], View]:
-    """The left camera at any frame."""
+    """The left camera as a function of the frame index."""
     keys = scene.camera.keys
     times = [key.time for key in keys]
     path = curve(times, [[*key.eye, *key.target, key.zoom] for key in keys])
@@ -73,7 +73,7 @@ def _look_at(eye: np.ndarray, target: np.ndarray) -> np.ndarray:
 
 
 def _handheld(shake: Handheld, seed: int) -> Callable[[float], tuple[np.ndarray, np.ndarray]]:
-    """Offset [3] in metres and rotation vector [3] in radians at a time in seconds; sines with random phases."""
+    """Offset [3] in metres and rotation vector [3] in radians over the time in seconds: sines with random phases."""
     rng = np.random.default_rng([seed, 1])
     hz = rng.uniform(0.2, 3.0, (8, 6))
     phase = rng.uniform(0, 2 * np.pi, (8, 6))

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 SEGMENTS = 24
-"""Of the outline of a cylinder."""
+"""Number of segments around a cylinder."""
 
 
 class Mesh(NamedTuple):
@@ -23,7 +23,7 @@ def join(meshes: list[Mesh]) -> Mesh:
 
 
 def grid(columns: int, rows: int) -> Mesh:
-    """The unit square in x and y, `columns` by `rows` cells, z = 0, facing +z; faces in a row are neighbours."""
+    """The unit square in the plane z = 0, `columns` x `rows` cells, facing +z; consecutive faces are neighbours."""
     x, y = np.meshgrid(np.linspace(0, 1, columns + 1), np.linspace(0, 1, rows + 1))
     vertices = np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1)
     corner = (np.arange(rows)[:, None] * (columns + 1) + np.arange(columns)).ravel()
@@ -32,7 +32,7 @@ def grid(columns: int, rows: int) -> Mesh:
 
 
 def box(size: tuple[float, float, float]) -> Mesh:
-    """A box with its origin at the middle of its bottom; each side is cut into cells of similar shape."""
+    """A box of `size` in metres, its origin at the centre of its bottom; each side is divided into cells."""
     sides = []
     for axis in range(3):
         u, v = (axis + 1) % 3, (axis + 2) % 3
@@ -55,7 +55,7 @@ def sphere(radii: tuple[float, float, float], segments: int = 40) -> Mesh:
 
 
 def cylinder(radius: float, height: float) -> Mesh:
-    """An upright cylinder with caps, its origin at the middle of its bottom."""
+    """An upright cylinder with caps, sizes in metres, its origin at the centre of its bottom."""
     side = grid(SEGMENTS, int(np.clip(height / (4 * radius), 1, 12)))
     angle = side.vertices[:, 0] * 2 * np.pi
     wall = np.stack([radius * np.cos(angle), radius * np.sin(angle), side.vertices[:, 1] * height], axis=1)
@@ -70,7 +70,7 @@ def cylinder(radius: float, height: float) -> Mesh:
 
 
 def _welded(mesh: Mesh) -> Mesh:
-    """The mesh with coincident vertices merged and collapsed triangles dropped, so that a seam shades smoothly."""
+    """The mesh with coincident vertices merged and degenerate triangles dropped, so that seams are shaded smoothly."""
     _, first, index = np.unique(mesh.vertices.round(9), axis=0, return_index=True, return_inverse=True)
     faces = index.ravel()[mesh.faces]
     proper = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])

@@ -1,4 +1,4 @@
-"""Rays into a snapshot: what a camera sees at given pixels, and what lies between two points."""
+"""Ray casting in a snapshot: surface points at pixels of a camera, and occlusion between two points."""
 
 from typing import NamedTuple
 
@@ -11,19 +11,19 @@ from stages.simulate.keyframes import View
 from stages.simulate.world import Snapshot, World
 
 DOME_M = 2000.0
-"""Radius of the sky, a sphere about the world's origin at rest: so every pixel has a depth and a flow."""
+"""Radius of the sky, a static sphere about the world's origin, which gives every pixel a depth and a flow."""
 SKY = -1
 FAR = 1e30
 
 
 class Hits(NamedTuple):
-    """What n rays meet.
+    """Surface points of n rays.
 
     Attributes:
         depth: [n] z-depth in metres.
-        face: [n] triangle, or SKY.
-        bary: [n, 2] weights of the triangle's second and third corner.
-        point: [n, 3] in the world.
+        face: [n] index of the triangle, or SKY.
+        bary: [n, 2] barycentric weights of the triangle's second and third corner.
+        point: [n, 3] in the world, metres.
     """
 
     depth: np.ndarray
@@ -33,7 +33,7 @@ class Hits(NamedTuple):
 
 
 def cast(snapshot: Snapshot, view: View, uv: np.ndarray) -> Hits:
-    """The nearest surface along the rays through pixels [n, 2]."""
+    """The nearest surface points along the rays through pixels uv [n, 2]."""
     focal, cx, cy = view.K[0, 0], view.K[0, 2], view.K[1, 2]
     rays = np.column_stack([(uv[:, 0] - cx) / focal, (uv[:, 1] - cy) / focal, np.ones(len(uv))])
     directions = rays @ view.cam_from_world[:3, :3]
@@ -42,14 +42,17 @@ def cast(snapshot: Snapshot, view: View, uv: np.ndarray) -> Hits:
 
 
 def follow(hits: Hits, world: World, snapshot: Snapshot) -> np.ndarray:
-    """Where the surface points of `hits` are in another snapshot, [n, 3]; the sky is at rest."""
+    """Positions [n, 3] of the surface points of `hits` in another snapshot; the sky is at rest."""
     moved = hits.point.copy()
     spread(_follow, len(moved), world.faces, snapshot.vertices, hits.face, hits.bary, moved)
     return moved
 
 
 def enclosing(world: World, snapshot: Snapshot, point: np.ndarray) -> str | None:
-    """The name of a solid body that the point [3] is inside of or under: the first face overhead looks away."""
+    """The name of a solid body that a point [3] is inside of or under, or None.
+
+    A point is inside or under a body if the first face above it is seen from behind.
+    """
     overhead = np.array([[0.013, 0.017, 1.0]])
     face = _nearest(snapshot.still, snapshot.moving, point, overhead)[1][0]
     if face == SKY or not world.bodies[world.body[face]].solid:
@@ -97,9 +100,10 @@ def _find_nearest(
 def blocked(
     still: Tree, moving: Tree, points: np.ndarray, source: np.ndarray, directional: bool, slack: float
 ) -> np.ndarray:
-    """Whether something lies between points [n, 3] and `source` [3], a point, or a direction if `directional`.
+    """Whether a surface lies between points [n, 3] and `source` [3], a point, or a direction if `directional`.
 
-    `slack` is how much of the way next to the point does not count, relative for a point source, metres otherwise.
+    Args:
+        slack: part of the way next to the point that is not tested: a share for a point source, metres for a direction.
     """
     between = np.empty(len(points), np.bool_)
     spread(_find_blocked, len(points), still, moving, points, source, directional, slack, between)

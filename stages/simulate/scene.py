@@ -1,6 +1,6 @@
-"""The scene file: what is in a scene, how it moves, what the camera does, and which effects are drawn.
+"""The scene file: objects and their motion, the camera and its path, light and effects.
 
-World axes: x right, y forward, z up, in metres. `time` of keyframes runs 0..1 over the clip; frequencies are in
+World axes: x right, y forward, z up, in metres. The `time` of keyframes is 0..1 over the clip; frequencies are in
 hertz at 24 frames per second.
 """
 
@@ -20,7 +20,7 @@ FRAMES_PER_SECOND = 24
 
 
 class CameraKey(Options):
-    """Where the camera stands and looks at one time."""
+    """Position and target of the camera at one time."""
 
     time: float = Field(ge=0, le=1, description="0 at the first frame, 1 at the last")
     eye: Vec3 = Field(description="camera centre, metres")
@@ -35,7 +35,7 @@ class CameraKey(Options):
 
 
 class Handheld(Options):
-    """Smooth random camera shake: amplitudes of a sum of sines between 0.2 and 3 Hz."""
+    """Smooth random camera shake: a sum of sines between 0.2 and 3 Hz."""
 
     position: float = Field(0.0, ge=0, le=1, description="metres, standard deviation per axis")
     rotation_deg: float = Field(0.0, ge=0, le=20, description="degrees, standard deviation per axis")
@@ -58,7 +58,7 @@ class Camera(Options):
 
 
 class Lights(Options):
-    """One sun and a sky that lights from above; both are radiances in units of display white."""
+    """A sun and a sky that lights from above; radiances are in units of display white."""
 
     sun_from: Vec3 = Field((-0.4, -0.5, 0.8), description="direction towards the sun")
     sun: Colour = Field((1.3, 1.16, 0.92), description="linear RGB")
@@ -66,7 +66,7 @@ class Lights(Options):
     bounce: Colour = Field((0.11, 0.09, 0.07), description="linear RGB light from below")
     horizon: Colour = Field((0.62, 0.68, 0.74), description="linear RGB of the sky at the horizon")
     zenith: Colour = Field((0.13, 0.27, 0.56), description="linear RGB of the sky overhead")
-    clouds: float = Field(0.6, ge=0, le=1, description="how much of the sky is cloud")
+    clouds: float = Field(0.6, ge=0, le=1, description="cloud cover")
 
     @model_validator(mode="after")
     def _has_direction(self) -> "Lights":
@@ -80,7 +80,7 @@ class Scene(Options):
 
     description: str = Field(description="one line: what is difficult about the scene")
     split: Literal["tuned", "test"] | None = Field(
-        None, description="tuned: thresholds were chosen on it; test: nobody tunes on it; null: not of the library"
+        None, description="tuned: thresholds were chosen on it; test: nobody tunes on it; null: not in the library"
     )
     frames: int = Field(14, ge=2, le=1000, description="number of frames")
     width: int = Field(512, ge=16, le=1024, description="pixels")
@@ -95,7 +95,7 @@ def load_scene(path: Path) -> Scene:
     """Read and check a scene file.
 
     Raises:
-        InputError: one line that names the wrong key and what it may be.
+        InputError: one line that names the wrong key and its valid values.
     """
     try:
         raw: Any = yaml.safe_load(path.read_text(encoding="utf-8"))

@@ -1,4 +1,4 @@
-"""Colour of what rays meet: texture, then light. Linear RGB, 1 is display white."""
+"""Colour of surface points: texture, then light. Linear RGB, 1 is display white."""
 
 from typing import NamedTuple
 
@@ -13,8 +13,11 @@ from stages.simulate.world import Materials, Snapshot, World
 
 
 class Surface(NamedTuple):
-    """What n rays meet, ready for light: albedo [n, 3] (radiance for the sky), unit normal [n, 3] towards the
-    viewer (zero for the sky), gloss [n].
+    """Texture and orientation of n surface points.
+
+    Attributes:
+        albedo: [n, 3]; for the sky its radiance. normal: [n, 3] unit normal towards the viewer; zero for the sky.
+        gloss: [n] 0..1.
     """
 
     albedo: np.ndarray
@@ -31,7 +34,7 @@ def sun_direction(lights: Lights) -> np.ndarray:
 def surfaces(
     world: World, snapshot: Snapshot, lights: Lights, hits: Hits, centre: np.ndarray, focal_px: float
 ) -> Surface:
-    """Texture and orientation at `hits`, seen from a camera at `centre` [3]."""
+    """Texture and orientation at `hits`, seen by a camera with centre [3] and focal length in px."""
     sky = np.array([lights.horizon, lights.zenith], float)
     mesh = (world.faces, world.body, world.rest, snapshot.normals)
     n = len(hits.face)
@@ -41,7 +44,7 @@ def surfaces(
 
 
 def lit(surface: Surface, lights: Lights, sunlight: np.ndarray) -> np.ndarray:
-    """Radiance [n, 3] under sun and sky; `sunlight` [n] is the share of the sun that arrives."""
+    """Radiance [n, 3] under sun and sky; `sunlight` [n] is the share of the sun's light that arrives, 0..1."""
     colours = (np.array(lights.sun), np.array(lights.sky, float), np.array(lights.bounce, float))
     radiance = np.empty_like(surface.albedo)
     spread(_lit, len(radiance), surface.albedo, surface.normal, sun_direction(lights), colours, sunlight, radiance)
@@ -84,7 +87,7 @@ def _surfaces(
 
 @njit(cache=True, inline="always")
 def _blend(values: np.ndarray, a: int, b: int, c: int, v: float, w: float) -> tuple[float, float, float]:
-    """Value inside a triangle of rows a, b, c; scalars, because small arrays would be allocated per pixel."""
+    """Value inside a triangle whose corners are rows a, b, c. It returns scalars, since arrays would be allocated."""
     u = 1 - v - w
     return (
         u * values[a, 0] + v * values[b, 0] + w * values[c, 0],
@@ -95,7 +98,7 @@ def _blend(values: np.ndarray, a: int, b: int, c: int, v: float, w: float) -> tu
 
 @njit(cache=True, inline="always")
 def _widest(rest: np.ndarray, a: int, b: int, c: int) -> int:
-    """Axis along which the triangle's normal at rest is longest: the pattern lies in the plane of the other two."""
+    """Axis of the largest component of the triangle's normal at rest; its pattern lies in the other two axes."""
     ex, ey, ez = rest[b, 0] - rest[a, 0], rest[b, 1] - rest[a, 1], rest[b, 2] - rest[a, 2]
     fx, fy, fz = rest[c, 0] - rest[a, 0], rest[c, 1] - rest[a, 1], rest[c, 2] - rest[a, 2]
     x, y, z = abs(ey * fz - ez * fy), abs(ez * fx - ex * fz), abs(ex * fy - ey * fx)
@@ -108,7 +111,7 @@ def _widest(rest: np.ndarray, a: int, b: int, c: int) -> int:
 def _texture(
     materials: Materials, m: int, where: tuple[float, float, float], axis: int, footprint: float, out: np.ndarray
 ) -> None:
-    """Albedo of material `m` at a rest position; its pattern lies across `axis`."""
+    """Write the albedo of material `m` at the rest position `where` to `out`; `axis` is the normal of its pattern."""
     scale, contrast = materials.scale[m], materials.contrast[m]
     x = where[0] / scale + materials.offset[m, 0]
     y = where[1] / scale + materials.offset[m, 1]
@@ -129,7 +132,7 @@ def _texture(
 
 @njit(cache=True)
 def _sky(x: float, y: float, z: float, sky: np.ndarray, clouds: float, footprint: float, out: np.ndarray) -> None:
-    """Radiance of the sky in a direction: a gradient from horizon to zenith with fractal clouds."""
+    """Write the radiance of the sky in a direction to `out`: a gradient from horizon to zenith with fractal clouds."""
     height = min(max(z, 0.0), 1.0) ** 0.6
     spread = 1.0 / (abs(z) + 0.25)
     cloud = 0.5 + 0.7 * fractal(1.3 * x * spread + 7.1, 1.3 * y * spread - 3.3, 0.5, 1.3 * spread * footprint)

@@ -1,4 +1,4 @@
-"""What can stand in a scene: shapes with their place, surface, motion and copies."""
+"""The shapes of a scene file, with position, texture, motion and copies."""
 
 import itertools
 from typing import Annotated, Any, Literal
@@ -15,9 +15,9 @@ Pattern = Literal["rough", "bricks", "planks", "stripes", "stones", "checks"]
 
 
 class Texture(Options):
-    """A procedural solid texture that sticks to the surface; noise at every scale down to the pixel."""
+    """A procedural solid texture fixed to the surface, with noise at every scale down to a pixel."""
 
-    pattern: Pattern = Field("rough", description="what structure lies over the noise")
+    pattern: Pattern = Field("rough", description="structure added to the noise")
     colours: tuple[Colour, Colour] = Field(((0.5, 0.42, 0.33), (0.2, 0.17, 0.13)), description="two linear RGB colours")
     scale: Size = Field(0.5, description="size of the largest features, metres")
     contrast: float = Field(0.6, ge=0, le=1, description="0 for a uniform surface")
@@ -25,7 +25,7 @@ class Texture(Options):
 
 
 class PathKey(Options):
-    """Where an object is at one time, relative to its place."""
+    """Position and rotation of an object at one time, relative to its position at rest."""
 
     time: float = Field(ge=0, le=1, description="0 at the first frame, 1 at the last")
     move: Vec3 = Field((0, 0, 0), description="metres")
@@ -35,14 +35,14 @@ class PathKey(Options):
 class Scatter(Options):
     """Random copies of an object, placed by the seed."""
 
-    count: int = Field(ge=1, le=2000, description="how many copies")
+    count: int = Field(ge=1, le=2000, description="number of copies")
     area: tuple[Vec3, Vec3] = Field(description="two opposite corners of the volume, metres")
     scale: tuple[Size, Size] = Field((1.0, 1.0), description="smallest and largest size factor")
     turn_deg: Vec3 = Field((0, 0, 180), description="largest random turn about x, y, z, degrees")
 
 
 class Placed(Options):
-    """What all shapes share."""
+    """Fields of all shapes."""
 
     name: str = Field(description="used in messages and the manifest")
     position: Vec3 = Field((0, 0, 0), description="metres")
@@ -61,14 +61,14 @@ class Placed(Options):
 
 
 class Box(Placed):
-    """A box, its origin at the middle of its bottom."""
+    """A box with its origin at the centre of its bottom."""
 
     kind: Literal["box"]
     size: tuple[Size, Size, Size] = Field(description="extent along x, y, z, metres")
 
 
 class Sphere(Placed):
-    """An ellipsoid about its origin, with bumps a boulder or a bush."""
+    """An ellipsoid about its origin; with bumps it resembles a boulder or a bush."""
 
     kind: Literal["sphere"]
     radii: tuple[Size, Size, Size] = Field(description="along x, y, z, metres")
@@ -76,7 +76,7 @@ class Sphere(Placed):
 
 
 class Cylinder(Placed):
-    """An upright cylinder, its origin at the middle of its bottom."""
+    """An upright cylinder with its origin at the centre of its bottom."""
 
     kind: Literal["cylinder"]
     radius: Size = Field(description="metres")
@@ -94,12 +94,12 @@ class Terrain(Placed):
 
 
 class Walker(Placed):
-    """An articulated figure: torso, head, arms and legs of two segments each, swinging at its pace; faces +y."""
+    """An articulated walking figure that faces +y: torso, head, and swinging arms and legs of two segments each."""
 
     kind: Literal["walker"]
     height: Size = Field(1.75, description="metres")
     pace_hz: float = Field(0.9, ge=0, le=5, description="full strides per second; 0 to stand still")
-    swing_deg: float = Field(32.0, ge=0, le=80, description="how far the legs swing, degrees")
+    swing_deg: float = Field(32.0, ge=0, le=80, description="largest angle of the legs, degrees")
     trousers: Texture = Texture(colours=((0.06, 0.08, 0.16), (0.13, 0.14, 0.2)), scale=0.2, contrast=0.8)
     skin: Texture = Texture(colours=((0.58, 0.36, 0.25), (0.36, 0.2, 0.13)), scale=0.12, contrast=0.5)
 
@@ -133,13 +133,13 @@ class Breather(Placed):
 
 
 class Cluster(Placed):
-    """A block of boxes that moves as one and from `split_time` on falls apart into several movers."""
+    """A block of boxes that moves rigidly and from `split_time` on separates into several movers."""
 
     kind: Literal["cluster"]
     size: tuple[Size, Size, Size] = Field(description="of the whole block, metres")
     pieces: tuple[int, int, int] = Field((2, 2, 2), description="boxes along x, y, z")
     split_time: float = Field(0.3, ge=0, le=1, description="0..1 of the clip")
-    spread: float = Field(1.0, ge=0, le=20, description="how far the pieces drift by the end, in block sizes")
+    spread: float = Field(1.0, ge=0, le=20, description="distance of the pieces at the end of the clip, in block sizes")
 
     @model_validator(mode="after")
     def _few_pieces(self) -> "Cluster":
@@ -152,7 +152,7 @@ KINDS = ("box", "sphere", "cylinder", "terrain", "walker", "cloth", "jelly", "br
 
 
 def _kind(raw: Any) -> str | None:
-    """Which shape an entry of the scene file is."""
+    """The kind of shape of an entry in the scene file."""
     return raw.get("kind") if isinstance(raw, dict) else getattr(raw, "kind", None)
 
 

@@ -1,4 +1,4 @@
-"""Seconds by purpose; time inside a nested purpose counts for that one alone."""
+"""Wall-clock seconds by name; time inside a nested measurement counts for the inner name alone."""
 
 import contextlib
 import time
@@ -6,7 +6,11 @@ from collections.abc import Iterator
 
 
 class Stopwatch:
-    """`spent` holds wall-clock seconds by name, `calls` how often each was measured."""
+    """Measures blocks of code.
+
+    Attributes:
+        spent: wall-clock seconds by name. calls: number of measurements by name.
+    """
 
     def __init__(self) -> None:
         self.spent: dict[str, float] = {}
@@ -16,7 +20,7 @@ class Stopwatch:
 
     @contextlib.contextmanager
     def measure(self, name: str) -> Iterator[None]:
-        """Count the time of the block for `name`."""
+        """Add the time of the block to `name`."""
         self._settle()
         self._open.append(name)
         self.calls[name] = self.calls.get(name, 0) + 1
@@ -28,7 +32,7 @@ class Stopwatch:
             self._open.pop()
 
     def _settle(self) -> None:
-        """Count the time since the last change for the innermost open name."""
+        """Add the time since the last call to the innermost open name."""
         now = time.perf_counter()
         if self._open:
             self.spent[self._open[-1]] += now - self._since

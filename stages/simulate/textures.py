@@ -1,7 +1,8 @@
-"""Procedural solid textures: gradient noise whose octaves end at the pixel, and patterns over it.
+"""Procedural solid textures: gradient noise with octaves down to the size of a pixel, and patterns.
 
-Natural images have about the same contrast in every octave (power falls as 1 / f^2 in two dimensions), so octaves
-fade slowly; one finer than two pixels would alias and is left out (Perlin 1985, An image synthesizer).
+Natural images have about the same contrast in every octave (power falls as 1 / f^2 in two dimensions), so the contrast
+decreases slowly from octave to octave. Octaves finer than two pixels would alias and are left out (Perlin 1985, An
+image synthesizer).
 """
 
 import numpy as np
@@ -55,7 +56,7 @@ def noise(x: float, y: float, z: float) -> float:
 
 @njit(cache=True)
 def fractal(x: float, y: float, z: float, footprint: float) -> float:
-    """Sum of octaves from size 1 down to the footprint, standard deviation about 0.6."""
+    """Sum of octaves of noise from size 1 down to the footprint (size of a pixel), standard deviation about 0.6."""
     total, weight, size = 0.0, 1.0, 1.0
     for octave in range(12):
         fade = min(size / footprint - 1.0, 1.0)
@@ -69,7 +70,7 @@ def fractal(x: float, y: float, z: float, footprint: float) -> float:
 
 
 def fractal_field(points: np.ndarray, footprint: float) -> np.ndarray:
-    """`fractal` at points [n, 3] -> [n]."""
+    """Values [n] of `fractal` at points [n, 3]."""
     values = np.empty(len(points))
     spread(_fractal_field, len(points), points, footprint, values)
     return values
@@ -90,7 +91,7 @@ def _edge(distance: float, width: float, footprint: float) -> float:
 
 @njit(cache=True)
 def _bricks(u: float, v: float, footprint: float, aspect: float) -> tuple[float, float]:
-    """Tone of a brick or plank and how much its joint shows, with rows of height 1 / `aspect`."""
+    """Tone 0..1 of a brick or plank and visibility 0..1 of the joint, in rows of height 1 / `aspect`."""
     row = np.floor(v * aspect)
     shifted = u + 0.5 * (np.int64(row) & 1) if aspect < 6 else u + 0.37 * row
     column = np.floor(shifted)
@@ -102,7 +103,7 @@ def _bricks(u: float, v: float, footprint: float, aspect: float) -> tuple[float,
 
 @njit(cache=True)
 def _stones(u: float, v: float, footprint: float) -> tuple[float, float]:
-    """Tone of the nearest cell and how much the joint to the second nearest shows (Worley 1996)."""
+    """Tone 0..1 of the nearest cell and visibility 0..1 of the joint to the second nearest (Worley 1996)."""
     iu, iv = np.int64(np.floor(u)), np.int64(np.floor(v))
     nearest, second, tone = 9.0, 9.0, 0.0
     for j in range(iv - 1, iv + 2):
@@ -120,7 +121,7 @@ def _stones(u: float, v: float, footprint: float) -> tuple[float, float]:
 
 @njit(cache=True)
 def pattern(kind: int, u: float, v: float, footprint: float) -> tuple[float, float]:
-    """Tone 0..1 and joint 0..1 of a pattern with features of size 1 in its plane."""
+    """Tone 0..1 and visibility of joints 0..1 of a pattern at (u, v) in its plane; its features have size 1."""
     if kind == BRICKS:
         return _bricks(u, v, footprint, 2.6)
     if kind == PLANKS:

@@ -1,4 +1,4 @@
-"""An articulated figure that walks: every limb is two segments on hinges."""
+"""An articulated walking figure: every limb has two segments with hinge joints."""
 
 import numpy as np
 
@@ -22,7 +22,7 @@ HAIR = ((0.0, -0.008, 0.948), (0.055, 0.06, 0.062))
 
 
 def walker(shape: Walker) -> tuple[Deforming, Deforming, Deforming]:
-    """Shirt, trousers (with shoes and hair) and skin of a walking figure; each with how its vertices move."""
+    """Shirt, trousers (with shoes and hair) and skin of a walking figure, each a mesh with its deformation."""
     torso, head = (meshes.join([_ellipsoid(*part) for part in parts]) for parts in (TORSO, HEAD))
     hair = _ellipsoid(*HAIR)
     hand = _ellipsoid((0, 0, -FOREARM[0] - 0.03), (0.018, 0.028, 0.045), segments=10)
@@ -53,13 +53,13 @@ def walker(shape: Walker) -> tuple[Deforming, Deforming, Deforming]:
 
 
 def _leg_deg(shape: Walker, seconds: float, side: float) -> tuple[float, float]:
-    """Angles of hip and knee; the knee bends while the leg swings forward."""
+    """Angles of hip and knee in degrees; the knee bends while the leg swings forward."""
     phase = 2 * np.pi * shape.pace_hz * seconds + (np.pi if side > 0 else 0.0)
     return shape.swing_deg * np.sin(phase), -1.4 * shape.swing_deg * max(np.cos(phase), 0.0) * bool(shape.pace_hz)
 
 
 def _arm_deg(shape: Walker, seconds: float, side: float) -> tuple[float, float]:
-    """Angles of shoulder and elbow, opposite to the leg of the same side."""
+    """Angles of shoulder and elbow in degrees, opposite to those of the leg on the same side."""
     phase = 2 * np.pi * shape.pace_hz * seconds + (np.pi if side > 0 else 0.0)
     return -0.8 * shape.swing_deg * np.sin(phase), 0.5 * shape.swing_deg * (1.2 - np.sin(phase))
 
@@ -75,7 +75,7 @@ def _hinges(
 
 
 def _limbs(upper: Mesh, lower: Mesh, hinges: list[tuple[Pose, Pose]]) -> list[np.ndarray]:
-    """Vertices of the segments of a limb on each side, upper before lower."""
+    """Vertices of the two segments of a limb on each side, upper before lower."""
     return [_moved(mesh, pose) for poses in hinges for mesh, pose in zip((upper, lower), poses, strict=True)]
 
 
@@ -85,7 +85,7 @@ def _moved(mesh: Mesh, pose: Pose) -> np.ndarray:
 
 
 def _risen(shape: Walker, seconds: float, parts: list[np.ndarray]) -> np.ndarray:
-    """The parts at full size; the body is highest when the legs pass each other."""
+    """Vertices of all parts, scaled to metres and moved up and down: highest when the legs pass each other."""
     bob = 0.012 * np.cos(4 * np.pi * shape.pace_hz * seconds)
     return np.asarray(shape.height * (np.concatenate(parts) + np.array([0, 0, bob])))
 

@@ -1,4 +1,4 @@
-"""All bodies of a scene as one list of triangles, and that list at one moment, ready for rays."""
+"""All bodies of a scene as one list of triangles, and their positions and ray-casting trees at one time."""
 
 from typing import NamedTuple
 
@@ -11,7 +11,11 @@ from stages.simulate.scene import Scene
 
 
 class Materials(NamedTuple):
-    """One row per body: pattern [M], colours [M, 2, 3], scale [M] metres, contrast [M], gloss [M], offset [M, 3]."""
+    """Textures of M bodies.
+
+    Attributes:
+        pattern: [M]. colours: [M, 2, 3] linear RGB. scale: [M] metres. contrast, gloss: [M] 0..1. offset: [M, 3].
+    """
 
     pattern: np.ndarray
     colours: np.ndarray
@@ -22,11 +26,11 @@ class Materials(NamedTuple):
 
 
 class Snapshot(NamedTuple):
-    """The scene at one moment.
+    """The scene at one time.
 
     Attributes:
-        vertices: [V, 3] world positions; `normals` [V, 3] unit vectors.
-        still, moving: trees over the triangles at rest and over those that move.
+        vertices: [V, 3] world positions, metres. normals: [V, 3] unit vectors.
+        still, moving: trees over the triangles of bodies at rest and of moving bodies.
     """
 
     vertices: np.ndarray
@@ -39,8 +43,8 @@ class World:
     """Every triangle of a scene; bodies at rest come first.
 
     Attributes:
-        faces: [F, 3] vertex indices; `body` [F] the body of each face.
-        rest: [V, 3] vertices that textures stick to.
+        bodies: in the order of their vertices. faces: [F, 3] vertex indices. body: [F] index of the body of each face.
+        rest: [V, 3] vertices at rest, of which textures are functions.
     """
 
     def __init__(self, scene: Scene, seed: int) -> None:
@@ -71,7 +75,7 @@ class World:
 
 
 def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Unit normals [V, 3]: the mean of a vertex's faces weighted by area."""
+    """Unit normals [V, 3]: the area-weighted mean of the normals of a vertex's faces."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     areas = np.cross(b - a, c - a)
     index = faces.T.ravel()
@@ -81,7 +85,7 @@ def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 
 def _whole_leaves(faces: np.ndarray) -> np.ndarray:
-    """Faces [F, 3], the last repeated until they fill the tree's leaves: no leaf mixes bodies."""
+    """Faces [F, 3], the last one repeated until the faces fill whole leaves of the tree: no leaf mixes bodies."""
     return np.concatenate([faces, np.repeat(faces[-1:], -len(faces) % bvh.LEAF, axis=0)])
 
 
