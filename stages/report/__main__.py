@@ -1,4 +1,4 @@
-"""One self-contained HTML page over all sequences, and each of its tables as CSV and Parquet."""
+"""The report: one self-contained HTML page over all sequences, with each of its tables as CSV and Parquet."""
 
 from pathlib import Path
 from typing import Annotated, Any
@@ -33,17 +33,17 @@ def main(
     output: Annotated[Path, Out("the page")],
     tables: Annotated[Path, Out("folder for the tables as CSV and Parquet")],
     options: ReportOptions,
-    manifests: Annotated[Path | None, In("folder with what the simulator drew, <sequence>.json")] = None,
+    manifests: Annotated[Path | None, In("folder of the simulator's manifests, <sequence>.json")] = None,
     sweep: Annotated[Path | None, In("table of the sweep: accuracy and cost of every setting")] = None,
     growth: Annotated[Path | None, In("table of the scaling: cost of every stage over sizes")] = None,
 ) -> str:
-    """Write the report. It needs no network, no other file, and only the results that are there."""
+    """Write the report. The page needs neither network nor other files; missing results are left out."""
     rows, protocols = gather(sequences, manifests)
     names = [folder.name for folder in sequences]
     swept = [row for row in read_rows(sweep) if row["sequence"] in names] if sweep else []
     earlier = {"tradeoff": sweep, "growth": growth}
     changes = {name: made_under.differences(table, sequences[0].parent) for name, table in earlier.items() if table}
-    rows["settings"] = [] if changes.get("tradeoff") else swept  # beside the run above stands only what belongs to it
+    rows["settings"] = [] if changes.get("tradeoff") else swept  # an outdated sweep enters no table of the run
     rows["poses"] = with_settings(rows["poses"], rows["settings"], names)
     compared = [overview.outdated(g, changes[g.name]) for g in comparison_groups(swept, growth, rows["poses"])]
     groups = overview.build_groups(rows, protocols, yaml.safe_load(published_numbers.read_text()))
@@ -70,7 +70,7 @@ def main(
 
 
 def build_sections(folders: list[Path], tables: dict[str, Table]) -> list[Section]:
-    """A section per sequence; with several of them, each with its own rows of the tables."""
+    """A section per sequence; if there are several, each has its own rows of the tables."""
     shown = []
     for folder in progress(folders, "sequences"):
         section = build_section(folder)
@@ -90,7 +90,7 @@ def with_settings(poses: list[Row], settings: list[Row], names: list[str]) -> li
 
 
 def comparison_groups(settings: list[Row], growth: Path | None, poses: list[Row]) -> list[Group]:
-    """The groups of the sweep and of the scaling, where they were run."""
+    """The groups of the sweep and of the scaling, if these were run."""
     groups = []
     if settings:
         sentence, figures, tables = tradeoff_report.sweep_part(settings, poses)
@@ -103,7 +103,7 @@ def comparison_groups(settings: list[Row], growth: Path | None, poses: list[Row]
 
 
 def gather(folders: list[Path], manifests: Path | None) -> tuple[dict[str, list[Row]], dict[str, str]]:
-    """Rows of all sequences and the protocol, by kind of table; what is not there is left out."""
+    """Rows of all sequences, and the protocol, by kind of table; missing tables are left out."""
     rows: dict[str, list[Row]] = {kind: [] for kind in KINDS}
     protocols = dict.fromkeys(KINDS, "")
     for kind in KINDS:
@@ -118,7 +118,7 @@ def gather(folders: list[Path], manifests: Path | None) -> tuple[dict[str, list[
 
 
 def render(**content: Any) -> str:
-    """Fill the template; text is escaped, style and script are put in as they are."""
+    """The page as HTML, from the template; text is escaped, style and script are inserted unchanged."""
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(TEMPLATES), autoescape=True, undefined=jinja2.StrictUndefined
     )

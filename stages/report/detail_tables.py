@@ -1,4 +1,4 @@
-"""The tables of the report: which columns, with which labels, units and protocol."""
+"""The tables of the report: columns, labels, units and protocols."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -40,10 +40,10 @@ COSTS = (
 
 
 def pose_tables(rows: list[Row], protocol: str) -> tuple[Table, Table]:
-    """Means per method, and every sequence."""
+    """Pose errors: means per method, and every sequence."""
     note = (
-        f"{protocol}. Time: ours from flow to adjustment; COLMAP's features, matching and mapping; each on the threads "
-        "that stand beside it."
+        f"{protocol}. Time: our stages from flow to adjustment; COLMAP's features, matching and mapping; threads: the "
+        "largest number used."
     )
     focal = Column("focal_abs_percent", "focal error", "%, size", 1)
     counts = (
@@ -63,13 +63,13 @@ def pose_tables(rows: list[Row], protocol: str) -> tuple[Table, Table]:
     frames = Column("registered", "posed", "frames"), Column("total", "of", "frames")
     path = Column("path", "true path", "scene units", 2, file_only=True)
     about = Column("status", "status"), Column("note", "note", long=True), path
-    decided = (replace(column, file_only=True) for column in pose_diagnostics.COLUMNS)  # a table of its own shows them
+    decided = (replace(column, file_only=True) for column in pose_diagnostics.COLUMNS)  # shown in their own table
     columns = (SEQUENCE, METHOD, *ERRORS, signed, *SECONDS, *frames, FROM_TRUTH, *about, HOW, *decided)
     return mean, Table("poses", "Poses of every sequence", f"{note} {statements(rows, 'method')}", columns, rows)
 
 
 def image_tables(rows: list[Row], protocol: str) -> tuple[Table, Table]:
-    """Means per split and region, and every sequence."""
+    """Image scores: means per split and region, and every sequence."""
     what = Column("split", "split"), Column("region", "pixels"), METHOD
     masks = "; ".join(dict.fromkeys(row["mask_source"] for row in rows if row["mask_source"]))
     regions = f"Static and dynamic pixels by: {masks or 'none'}."
@@ -83,7 +83,7 @@ def image_tables(rows: list[Row], protocol: str) -> tuple[Table, Table]:
 
 
 def mask_tables(rows: list[Row], protocol: str) -> tuple[Table, Table]:
-    """Means per method and round, and every sequence."""
+    """Mask scores: means per method and round, and every sequence."""
     what = METHOD, Column("round", "round")
     note = f"{protocol}. Motion prior: its pixels above one half; the other rows are the masks that the run used."
     means = summaries.mask_means(rows)
@@ -93,7 +93,7 @@ def mask_tables(rows: list[Row], protocol: str) -> tuple[Table, Table]:
 
 
 def time_tables(rows: list[Row]) -> tuple[Table, Table]:
-    """Mean cost of every stage, and every sequence."""
+    """Cost of every stage: means, and every sequence."""
     what = Column("stage", "stage"), Column("round", "round")
     note = "Whole process of each stage, imports included; peak memory is the resident set."
     mean_note = f"{note} Unweighted mean over sequences."
@@ -102,7 +102,7 @@ def time_tables(rows: list[Row]) -> tuple[Table, Table]:
 
 
 def check_tables(rows: list[Row]) -> tuple[Table, Table]:
-    """Flow and depth without and against truth, the motion fit and file sizes: means, and every sequence."""
+    """Checks of flow and depth, with and without ground truth, and of motion fit and file sizes: means, and all."""
     what, value, unit = Column("quantity", "quantity"), Column("value", "value"), Column("unit", "unit")
     note = statements(rows, "quantity")
     means = summaries.mean_rows(rows, ("quantity", "unit"), ("value",))
@@ -114,7 +114,7 @@ def check_tables(rows: list[Row]) -> tuple[Table, Table]:
 
 
 def decision_table(rows: list[Row]) -> Table:
-    """Which effects the reconstruction models, and on what evidence."""
+    """The effects that the reconstruction models, with the evidence."""
     what = Column("effect", "effect"), Column("modelled", "modelled"), Column("why", "why", long=True)
     how = Column("source", "decided by"), Column("settings", "settings", long=True)
     note = "An effect without evidence in the scene is not modelled; 'user' marks a decision overruled by an option."
@@ -123,15 +123,15 @@ def decision_table(rows: list[Row]) -> Table:
 
 
 def simulation_table(rows: list[Row]) -> Table:
-    """Which effects the simulator drew, and what each cost."""
+    """The effects that the simulator rendered, with the time of each."""
     what = Column("effect", "effect"), Column("simulated", "simulated"), Column("seconds", "time", "s", 3)
     columns = (SEQUENCE, *what, Column("calls", "calls"), Column("settings", "settings", long=True))
     note = "An effect that the scene does not list is not run: it takes no time and changes no pixel."
-    return Table("simulation", "Effects the simulator drew", note, columns, rows)
+    return Table("simulation", "Effects the simulator rendered", note, columns, rows)
 
 
 def statements(rows: Sequence[Row], *names: str) -> str:
-    """Every distinct protocol of the rows once, after the values of `names` that it belongs to."""
+    """Every distinct protocol of the rows, once, preceded by the values of the columns `names` to which it applies."""
     found: dict[str, list[str]] = {}
     for row in rows:
         whose, listed = " ".join(str(row[name]) for name in names), found.setdefault(row["protocol"], [])

@@ -1,4 +1,4 @@
-"""Rows on effects: which ones the reconstruction models and why, which ones the simulator drew and what they cost."""
+"""Rows on effects: those that the reconstruction models, with evidence, and those that the simulator rendered."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -9,7 +9,7 @@ from stages.shared.tables import Row
 
 
 def simulation_rows(manifests: Path | None, name: str) -> list[Row]:
-    """What `<manifests>/<name>.json` says the simulator drew and left out."""
+    """A row per effect that the simulator rendered or left out, from the manifest `<manifests>/<name>.json`."""
     path = manifests / f"{name}.json" if manifests else None
     if path is None or not path.exists():
         return []
@@ -28,7 +28,7 @@ def simulation_rows(manifests: Path | None, name: str) -> list[Row]:
 
 
 def decision_rows(folder: Path) -> list[dict[str, Any]]:
-    """What scene.json decided for a sequence, with its evidence in words."""
+    """A row per decision in scene.json of a sequence, with its evidence in words."""
     path = folder / "scene.json"
     if not path.exists():
         return []

@@ -10,22 +10,22 @@ import numpy as np
 from stages.shared.drawing import contact_sheet, overlay_instances, scalar_to_rgb, spread
 
 ATTEMPTS = ((65, 1.0), (50, 1.0), (35, 1.0), (35, 0.7), (25, 0.5), (15, 0.35))
-"""Quality and share of the width, until a picture is small enough."""
+"""Quality and share of the width, tried in this order until a picture is small enough."""
 WIDTH_PX, MAX_BYTES = 1000, 55_000
 STAGE_WIDTH_PX, STAGE_MAX_BYTES = 800, 27_000
 ANIMATION_WIDTH_PX, ANIMATION_FRAMES, ANIMATION_MAX_BYTES = 340, 14, 80_000
-"""With these limits, fourteen sequences stay under 15 MB whatever they show."""
+"""With these limits a report on fourteen sequences stays below 15 MB for any content."""
 DIFFERENCE_GAIN = 4.0
 TRUE_EDGE = (0, 200, 255)
 
 
 def data_uri(content: bytes, kind: str) -> str:
-    """`content` of a media type such as "image/webp", for the src of an element."""
+    """Data URI of `content` with a media type such as "image/webp"."""
     return f"data:{kind};base64,{base64.b64encode(content).decode()}"
 
 
 def webp(image: np.ndarray, width_px: int = WIDTH_PX, max_bytes: int = MAX_BYTES) -> str:
-    """An RGB image [H, W, 3] uint8, at most `width_px` wide, as the data URI of a WebP; coarser where it is too big."""
+    """An RGB image [H, W, 3] uint8 as the data URI of a WebP of at most `width_px` and, if possible, `max_bytes`."""
     height, width = image.shape[:2]
     for quality, share in ATTEMPTS:
         size = round(share * min(width, width_px)), round(share * height * min(1, width_px / width))
@@ -37,7 +37,7 @@ def webp(image: np.ndarray, width_px: int = WIDTH_PX, max_bytes: int = MAX_BYTES
 
 
 def animation(path: Path) -> str:
-    """A GIF, reduced to 340 px width and 14 frames over the same time, as the data URI of an animated WebP."""
+    """A GIF as the data URI of an animated WebP, at most 340 px wide, with 14 frames over the same time."""
     from PIL import Image, ImageSequence
 
     with Image.open(path) as gif:
@@ -69,7 +69,7 @@ def mask_sheet(images: list[np.ndarray], instances: list[np.ndarray], truths: li
 
 
 def comparison_sheet(pairs: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
-    """A row per pair (truth, render), both [H, W, 3]: truth, render, absolute difference times 4."""
+    """One row per pair (truth, render), both [H, W, 3] uint8: truth, render, absolute difference times 4."""
     cells = []
     for truth, render in pairs:
         if truth.shape != render.shape:
@@ -80,7 +80,7 @@ def comparison_sheet(pairs: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
 
 
 def depth_sheet(inverse_depths: np.ndarray, true_depths: list[np.ndarray | None]) -> np.ndarray:
-    """A row per frame: our inverse depth [n, h, w] and, where there is any, the true one in the same colours."""
+    """One row per frame: our inverse depth [n, h, w] and, if known, the true one [H, W] in the same colours."""
     low, high = np.percentile(inverse_depths, [2, 98])
     cells = []
     for ours, truth in zip(inverse_depths, true_depths, strict=True):
@@ -88,6 +88,6 @@ def depth_sheet(inverse_depths: np.ndarray, true_depths: list[np.ndarray | None]
         cells.append(cv2.resize(scalar_to_rgb(ours, low, high), size, interpolation=cv2.INTER_LINEAR))
         if truth is not None:
             small = cv2.resize(truth, ours.shape[::-1], interpolation=cv2.INTER_NEAREST)
-            scale = np.median(ours * small)  # true inverse depth in our units
+            scale = np.median(ours * small)  # brings the true inverse depth to our unit
             cells.append(scalar_to_rgb(scale / truth, low, high))
     return contact_sheet(cells, columns=2)

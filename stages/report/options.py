@@ -6,6 +6,6 @@ from stages.shared.options import Options
 
 
 class ReportOptions(Options):
-    """The HTML report."""
+    """Options of the HTML report."""
 
     title: str = Field("motionsplat report", description="title of the page")

@@ -1,4 +1,4 @@
-"""The first screen of the report: one sentence, the headline figures, what failed, and the groups of tables."""
+"""The beginning of the report: one sentence, headline figures, failures; and the groups of tables."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -29,7 +29,11 @@ class Tile:
 
 @dataclass(frozen=True)
 class Group:
-    """Tables and charts on one subject: `tables` shown, `more` collapsed; `sentence` summarises them."""
+    """Tables and charts on one subject.
+
+    Attributes:
+        name: key of TEXTS. tables: shown. more: shown collapsed. sentence: a summary, or "".
+    """
 
     name: str
     title: str
@@ -40,7 +44,7 @@ class Group:
 
     @property
     def text(self) -> str:
-        """What the group is about."""
+        """The introduction of the group."""
         return TEXTS[self.name]
 
 
@@ -60,7 +64,11 @@ TEXTS = {
 
 
 def build_groups(rows: Rows, protocols: Mapping[str, str], numbers: Mapping[str, Any]) -> list[Group]:
-    """The groups of tables; with several sequences their mean is shown and the single ones are collapsed."""
+    """The groups of tables; for several sequences the means are shown and the tables of all sequences collapsed.
+
+    Args:
+        rows, protocols: by kind of table. numbers: published numbers of other methods.
+    """
     poses_mean, poses = detail_tables.pose_tables(rows["poses"], protocols["poses"])
     images_mean, images = detail_tables.image_tables(rows["images"], protocols["images"])
     masks_mean, masks = detail_tables.mask_tables(rows["masks"], protocols["masks"])
@@ -103,7 +111,7 @@ def _labelled(group: Group, from_truth: str) -> Group:
 
 
 def outdated(group: Group, changes: Sequence[str]) -> Group:
-    """The group of an earlier comparison, labelled as outdated if anything has changed since; else unchanged."""
+    """The group of an earlier comparison, labelled as outdated if there are `changes` since; otherwise unchanged."""
     if not changes:
         return group
     sentence = f"Made under other options or code than the results above: {'; '.join(changes)}. {group.sentence}"
@@ -119,7 +127,7 @@ def outdated(group: Group, changes: Sequence[str]) -> Group:
 
 
 def tiles(rows: Rows) -> list[Tile]:
-    """Headline figures: ours, means over sequences, each with what it is a mean of."""
+    """Headline figures of our method: means over sequences, each with the number of these."""
     ours = _mean(summaries.pose_means(rows["poses"]), method="ours")
     test = summaries.image_means(rows["images"])
     image = _mean(test, split="test", region="whole", method="ours")

@@ -1,4 +1,4 @@
-"""Where the numbers come from: versions, commit, machine, options, and hashes of inputs and predictions."""
+"""Provenance of the numbers: versions, commit, machine, options, and hashes of inputs and predictions."""
 
 import datetime
 import hashlib
@@ -25,12 +25,12 @@ PACKAGES = (
     "snakemake",
 )
 WRITTEN = ("README.md", "docs")
-"""What the commands that measure write themselves."""
+"""Files that commands such as `make results` write; changes of them do not count as local changes."""
 PREDICTIONS = ("ba/poses.parquet", "masks", "gaussians/gaussians.ply", "gaussians/model.safetensors", "renders")
 
 
 def tables(folders: Sequence[Path]) -> list[Table]:
-    """Everything about where the numbers come from, for the result folders of the sequences."""
+    """The tables of provenance for the result folders of the sequences: run, options, hashes."""
     run = [{"what": what, "value": value} for what, value in about_run().items()]
     hashes = [{"sequence": folder.name} | row for folder in folders for row in hashes_of(folder)]
     options = Column("stage", "stage"), Column("sequences", "sequences"), Column("options", "options", long=True)
@@ -58,7 +58,7 @@ def tables(folders: Sequence[Path]) -> list[Table]:
 
 
 def option_rows(folders: Sequence[Path]) -> list[Row]:
-    """The options of every stage, from the time files, once for all sequences that ran with the same."""
+    """The options of every stage, from the time files; sequences with equal options share a row."""
     found: dict[tuple[str, str], list[str]] = {}
     for folder in folders:
         for path in sorted((folder / "stats").glob("*.json")):
@@ -83,7 +83,7 @@ def about_run() -> dict[str, str]:
 
 
 def commit() -> str:
-    """The git commit of this code, with "and local changes" where more of the tree differs than what results write."""
+    """The git commit of this code, with "and local changes" if tracked files other than WRITTEN differ from it."""
 
     def git(*words: str) -> str:
         return subprocess.run(
@@ -98,7 +98,7 @@ def commit() -> str:
 
 
 def hashes_of(folder: Path) -> list[Row]:
-    """SHA-256 (16 digits) of the input frames and of every prediction of a sequence that is there."""
+    """SHA-256 (16 digits) of the input frames and of every existing prediction of a sequence."""
     frames: Any = read_json(folder / "sequence.json").get("frames_sha256")
     rows = [{"what": "input frames (pixels)", "sha256": str(frames)[:16]}] if frames else []
     for name in PREDICTIONS:
@@ -110,7 +110,7 @@ def hashes_of(folder: Path) -> list[Row]:
 
 
 def sha256(files: Sequence[Path]) -> str:
-    """Digest over the contents of files, in order."""
+    """SHA-256 over the contents of files, in order, as hexadecimal digits."""
     digest = hashlib.sha256()
     for path in files:
         digest.update(path.read_bytes())

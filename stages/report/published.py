@@ -1,4 +1,4 @@
-"""Numbers of other papers beside ours, only where the data are the same."""
+"""Published numbers of other methods, listed with ours only where the data are the same."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -11,7 +11,7 @@ ABOUT = (Column("source", "source"), Column("notes", "note", long=True))
 
 
 def pose_table(numbers: Mapping[str, Any], rows: Sequence[Row]) -> Table:
-    """Published pose errors, with our measured means in their places only if all 14 Sintel sequences are here."""
+    """Published pose errors, with our means among them only if all 14 Sintel sequences were run."""
     published = numbers["poses"]
     wanted = set(numbers["sintel_sequences"])
     here = [row for row in rows if row["sequence"] in wanted]
@@ -35,7 +35,7 @@ def pose_table(numbers: Mapping[str, Any], rows: Sequence[Row]) -> Table:
 
 
 def _measured(method: str, rows: Sequence[Row], wanted: int) -> Row:
-    """The mean of a method of this report over the sequences, without errors if any of them is not scored."""
+    """The mean of a method of this report over the sequences; without numbers if any sequence is not scored."""
     own = [row for row in rows if row["method"] == method]
     scored = [row for row in own if row["status"] == "ok"]
     about = {"method": method, "source": "this report"}
@@ -47,7 +47,7 @@ def _measured(method: str, rows: Sequence[Row], wanted: int) -> Row:
 
 
 def image_table(numbers: Mapping[str, Any]) -> Table:
-    """Published image scores; never the same data as ours."""
+    """Published image scores, which are on other data than ours."""
     published = numbers["images"]
     columns = (
         *(Column("method", "method"), Column("psnr_db", "PSNR", "dB", 1), Column("ms_ssim", "MS-SSIM", "0..1", 3)),

@@ -1,4 +1,4 @@
-"""What the report shows of one sequence: figures with alternative text, decisions, and what is missing."""
+"""The section of one sequence in the report: figures with alternative text, warnings, and missing parts."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -32,7 +32,11 @@ STAGE_FIGURES = {
 
 @dataclass(frozen=True)
 class Figure:
-    """A picture or chart as a data URI, with what it shows in words."""
+    """A picture or chart.
+
+    Attributes:
+        source: data URI. alt: its content in words. wide: whether it takes the whole width of the page.
+    """
 
     title: str
     source: str
@@ -55,7 +59,7 @@ class Section:
 
 
 def build_section(folder: Path) -> Section:
-    """Read everything that lies in the folder of a sequence; absent parts are listed as missing."""
+    """The section of a sequence, from the files in its result folder; absent parts are listed as missing."""
     content = read_json(folder / "sequence.json")
     sequence = sequences.read_sequence(folder / "sequence.json")
     truth = ", ".join(sorted(sequence.truth)) or "none"
@@ -76,7 +80,7 @@ def build_section(folder: Path) -> Section:
             section.figures += draw()
         except MissingPart as missing:
             section.missing.append(f"{name}: no {missing}")
-    section.figures.sort(key=lambda figure: figure.wide)  # the charts side by side, then the pictures
+    section.figures.sort(key=lambda figure: figure.wide)  # charts side by side, then the pictures
     section.stage_figures = _stage_figures(folder)
     return section
 
@@ -94,7 +98,7 @@ def _svg(title: str, content: bytes, alt: str) -> Figure:
 
 
 class MissingPart(Exception):
-    """What the results lack; the message names it, as in "masks" or "rows in ba/convergence.parquet"."""
+    """A part of the results is missing; the message names it: "masks", "rows in ba/convergence.parquet"."""
 
 
 def _existing(folder: Path, name: str) -> Path:
@@ -203,7 +207,11 @@ def _render_figures(folder: Path, sequence: sequences.Sequence) -> list[Figure]:
 
 
 def _rows_of(folder: Path, name: str) -> dict[str, np.ndarray]:
-    """A table of the results that has rows: it is empty with true poses (no adjustment) or 0 training steps."""
+    """The columns of a table that has rows. It has none after 0 training steps or with true poses (no adjustment).
+
+    Raises:
+        MissingPart: if the table is missing or empty.
+    """
     table = read_table(_existing(folder, name))
     if not len(next(iter(table.values()))):
         raise MissingPart(f"rows in {name}")

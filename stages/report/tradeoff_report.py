@@ -1,4 +1,4 @@
-"""The parts of the report on what accuracy costs: sentence, charts and tables of the sweep, and of the growth."""
+"""The parts of the report on accuracy against time: sentence, charts and tables of the sweep and of the scaling."""
 
 from collections.abc import Mapping, Sequence
 
@@ -18,28 +18,29 @@ SECONDS = {CAMERA: "poses_wall_s", COLOUR: "wall_s"}
 TITLES = {
     "presets": "Presets",
     "knobs": "Single knobs",
-    "inputs": "What each input costs",
+    "inputs": "Effect of each input",
     "masks": "Effect of masks on pose error",
     "baselines": "COLMAP, every variant",
     "claims": "Claims of the paper",
 }
 CHOICES = ("presets", "knobs")
-"""The groups that a user chooses among: the front is theirs. The others show what an input or a part is worth."""
+"""Groups of settings that a user chooses from; the Pareto front is over these. The other groups show the effect of an
+input or of a part of the method."""
 BESIDE = ("presets", "inputs", "baselines")
-"""The groups whose runs stand in the pose table too."""
+"""Groups whose runs are also listed in the pose table."""
 NO_EFFECT = 1e-3
-"""A knob that changes an error by less than this share has no chart of it."""
+"""The chart of a knob leaves out errors that it changes by less than this share."""
 NOTE = (
-    "Unweighted means over the swept sequences; seconds are wall and CPU time of all stages up to the result, shared "
-    "ones counted in full, COLMAP and evaluation left out; to poses: up to the last adjustment. "
-    "Charts show wall seconds, of COLMAP CPU seconds of its one thread; other load on the machine lengthens wall "
-    "seconds; on how many threads we and COLMAP ran, the tables of poses and of time say. PSNR and SSIM of "
-    "held-out frames. Scored: sequences with an ATE; failed: no or partial poses."
+    "Unweighted means over the swept sequences. Seconds are wall and CPU time of all stages up to the result; shared "
+    "stages are counted in full, COLMAP and evaluation are left out. To poses: up to the last adjustment. "
+    "Charts show wall seconds of our stages, which other load on the machine lengthens, and CPU seconds of COLMAP on "
+    "its one thread. The tables of poses and of time give the numbers of threads. PSNR and SSIM are those of held-out "
+    "frames. Scored: sequences with an ATE; failed: no or partial poses."
 )
 GROWTH_NOTE = (
-    "value = fixed + factor x size ^ exponent, both parts at least 0, least squares of the relative errors over the "
-    "measured sizes; in brackets the exponents that fit within 5 %; constant: grows by less than 5 %. The fixed part "
-    "holds the start of the process; fewer than three sizes fix no exponent."
+    "value = fixed + factor x size ^ exponent, both parts at least 0, by least squares of the relative errors over the "
+    "measured sizes. In brackets: the exponents that fit within 5 %. Constant: growth by less than 5 %. The fixed part "
+    "contains the start of the process. Fewer than three sizes determine no exponent."
 )
 SETTING = Column("setting", "setting")
 ERRORS = (
@@ -66,9 +67,9 @@ COLUMNS = (
     *(Column("n", "scored"), Column("sequences", "of"), Column("failed", "failed")),
 )
 TRAINING_NOTE = (
-    "Both: the highest PSNR that this run and the configured one reach on training frames, averaged over 50 steps; "
-    "seconds of training to it, start-up left out. Means over the swept sequences; a ratio above 1 means that the "
-    "configured run is so many times as fast."
+    "PSNR that both reach: the highest one on training frames, averaged over 50 steps, that both this run and the "
+    "configured run reach. Seconds of training until then, without start-up. Means over the swept sequences. With a "
+    "ratio above 1 the configured run is faster, by this factor."
 )
 TRAINING_COLUMNS = (
     SETTING,
@@ -118,12 +119,12 @@ def group_tables(rows: Sequence[Row]) -> list[Table]:
 
 
 def _choices(rows: Sequence[Row], measure: Measure) -> list[Point]:
-    """The settings among which a user chooses, as points."""
+    """The settings that a user chooses from, as points."""
     return [p for row in rows if row["group"] in CHOICES and (p := _point(row, measure))]
 
 
 def sequence_tables(costs: Sequence[Row]) -> list[Table]:
-    """Effect of the masks on every sequence, where several were swept."""
+    """The effect of the masks on every sequence, if several were swept."""
     rows = [tradeoff.with_size(row) for row in costs if row["group"] == "masks"]
     if len({row["sequence"] for row in rows}) < 2:
         return []
@@ -133,7 +134,7 @@ def sequence_tables(costs: Sequence[Row]) -> list[Table]:
 
 
 def pose_rows(costs: Sequence[Row], poses: Sequence[Row]) -> list[Row]:
-    """Rows of the pose table for presets, inputs and COLMAP of the sweep that do not stand in `poses` already."""
+    """Rows of the pose table for presets, inputs and COLMAP of the sweep, without those that are in `poses` already."""
     seconds = {"wall_s": "poses_wall_s", "cpu_s": "poses_cpu_s"}
     there = {(row["sequence"], row["method"]) for row in poses}
     rows = [
@@ -148,7 +149,7 @@ def pose_rows(costs: Sequence[Row], poses: Sequence[Row]) -> list[Row]:
 
 
 def _point(row: Row, measure: Measure) -> Point | None:
-    """A setting's mean as a point, None where the error is not known."""
+    """The means of a setting as a point; None if the error or the seconds are unknown."""
     value, seconds = row["psnr_db" if measure.decibel else "ate_percent"], row[SECONDS[measure]]
     if value is None or seconds is None:
         return None
@@ -175,7 +176,7 @@ def _overall(points: list[Point], presets: list[Point], rivals: list[Point], mea
 
 
 def _knob(rows: Sequence[Row], knob: str) -> list[Figure]:
-    """One knob against the measures that it changes."""
+    """The chart of one knob, with a panel for each measure that it changes."""
     panels, words = [], []
     chosen = [row for row in rows if row["knob"] == knob]
     for measure in (CAMERA, COLOUR):
@@ -208,7 +209,7 @@ def _table(group: str, rows: Sequence[Row], on_front: Mapping[Measure, set[tuple
 
 
 def _training_tables(rows: Sequence[Row]) -> list[Table]:
-    """Seconds to equal PSNR of every run that trains otherwise than the configured one; no table if there is none."""
+    """Seconds to equal PSNR of every run whose training differs from the configured one; no table if there is none."""
     trained = [row for row in rows if row["equal_s"] is not None and not row["is_default"]]
     listed = [row | {"equal_ratio": row["equal_s"] / row["configured_equal_s"]} for row in trained]
     return (
@@ -217,7 +218,7 @@ def _training_tables(rows: Sequence[Row]) -> list[Table]:
 
 
 def growth_part(rows: Sequence[Row]) -> tuple[list[Figure], list[Table]]:
-    """Time and memory against every axis, and the fitted exponents."""
+    """Charts of time and memory against the size along every axis, and a table of the fitted exponents."""
     figures = []
     for axis in dict.fromkeys(row["axis"] for row in rows):
         for measure, label in (("wall_s", "wall time (s)"), ("peak_mb", "peak memory (MB)")):
