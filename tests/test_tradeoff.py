@@ -43,7 +43,7 @@ def test_next_tenth_is_priced_by_measured_settings_alone() -> None:
     assert "no measured setting is a tenth better" in tradeoff.next_tenth([start, _point(20, 0.95, "b")], "ATE")
     assert "more than 1 % better" in tradeoff.next_tenth([start, _point(20, 2.0, "b")], "ATE")
     failing = _point(10, 1.0, "balanced", complete=False, is_default=True)
-    assert "no price" in tradeoff.next_tenth([failing, slower], "ATE")
+    assert "no cost" in tradeoff.next_tenth([failing, slower], "ATE")
 
 
 def test_settings_are_means_over_sequences_and_failures_are_counted() -> None:

@@ -20,7 +20,7 @@ Values = dict[str, float | None]
 
 @dataclass(frozen=True)
 class Measure:
-    """What is compared; `sign` is +1 where more is better, -1 where less is."""
+    """A score that is compared; `sign` is +1 if larger values are better, -1 if smaller ones are."""
 
     key: str
     label: str
@@ -42,7 +42,7 @@ MEASURES = (
 
 
 def read_run(folder: Path) -> dict[str, Values]:
-    """The scores by sequence of `folder`, which is results/<dataset>.
+    """Our scores by sequence, from a folder results/<dataset>.
 
     Raises:
         InputError: if it holds no evaluated sequence.
@@ -56,7 +56,7 @@ def read_run(folder: Path) -> dict[str, Values]:
 
 
 def read_sequence(scores: Path) -> Values:
-    """Our scores of one sequence by measure; None where something failed, or without truth."""
+    """Our scores of one sequence by measure; None where a part failed or ground truth is missing."""
     pose = _only(read_rows(scores / "poses.parquet"), method="ours")
     focal = pose.get("focal_error_percent")
     values: Values = {
@@ -78,13 +78,13 @@ def _only(rows: Iterable[Row], **wanted: str) -> Row:
 
 
 def differences(a: Mapping[str, Values], b: Mapping[str, Values], measure: Measure) -> dict[str, float]:
-    """B - A by sequence, where both have the value."""
+    """Differences B - A by sequence, for sequences with the value in both runs."""
     pairs = {name: (a[name][measure.key], b[name][measure.key]) for name in a if name in b}
     return {name: y - x for name, (x, y) in pairs.items() if x is not None and y is not None}
 
 
 def describe(a: Mapping[str, Values], b: Mapping[str, Values]) -> str:
-    """Tables of both runs, their differences, and what the differences say, as text."""
+    """Both runs, their differences and a summary of these, as a table per measure in plain text."""
     lines = []
     for name, present, other in (("A", a, b), ("B", b, a)):
         only = sorted(set(present) - set(other))
@@ -108,7 +108,7 @@ def _line(name: str, a: Mapping[str, Values], b: Mapping[str, Values], measure: 
 
 
 def _unpaired(a: Mapping[str, Values], b: Mapping[str, Values], measure: Measure) -> str:
-    """How many sequences of both runs have the value in one of them alone: no difference shows what a failure costs."""
+    """Number of sequences with the value in one of the runs alone, since differences do not show failures."""
     known = [(a[name][measure.key] is not None, b[name][measure.key] is not None) for name in a if name in b]
     lost, gained = known.count((True, False)), known.count((False, True))
     return f"; {lost} lost by B, {gained} gained" if lost or gained else ""
@@ -119,7 +119,7 @@ def _verdict(change: float, measure: Measure) -> str:
 
 
 def summarise(changes: Sequence[float], measure: Measure) -> str:
-    """Mean and median of the paired differences, and how often B wins."""
+    """Mean and median of the paired differences, and the number of sequences on which B is better."""
     if not changes:
         return "no sequence has the value in both"
     signed = np.array(changes)
@@ -130,7 +130,7 @@ def summarise(changes: Sequence[float], measure: Measure) -> str:
 
 
 def draw(a: Mapping[str, Values], b: Mapping[str, Values], kind: str) -> bytes:
-    """A panel per measure: B - A of every sequence as a bar, orange where B is better."""
+    """A panel per measure: B - A of every sequence as a bar, orange where B is better; `kind` is "svg" or "png"."""
     names = sorted(set(a) & set(b))
     columns = 4
     with figure((3.2 * columns, 2 * (0.22 * max(len(names), 4) + 1.1)), kind) as (fig, done):
@@ -152,7 +152,7 @@ def draw(a: Mapping[str, Values], b: Mapping[str, Values], kind: str) -> bytes:
 
 
 def main() -> None:
-    """Print the comparison; exit code 2 and one line for a folder that is no run."""
+    """Print the comparison; exit code 2 and one line if a folder is not a run."""
     parser = argparse.ArgumentParser(prog="python -m stages.comparisons.compare", description=__doc__)
     parser.add_argument("a", type=Path, metavar="A", help="result folder of one run, results/<dataset>")
     parser.add_argument("b", type=Path, metavar="B", help="result folder of the other run")

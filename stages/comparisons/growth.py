@@ -1,4 +1,4 @@
-"""How seconds and memory grow with the size of the problem: a fixed part and a power of the size, fitted."""
+"""Growth of seconds and memory with the size of the problem: the fit of a constant plus a power of the size."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,9 +9,12 @@ from stages.shared.tables import Row
 
 MEASURES = {"wall_s": "wall time", "cpu_s": "CPU time", "peak_mb": "peak memory"}
 EXPONENTS = np.linspace(0.1, 3.0, 59)
-CONSTANT_SHARE = 0.05  # growth of less than this share of the largest value is none
-OPEN_RANGE = 1.5  # exponents this far apart that fit as well determine nothing
-TOLERANCE = 0.05  # fits this much worse, relative to the values, are as good: timings repeat no better
+CONSTANT_SHARE = 0.05
+"""Growth by less than this share of the largest value counts as constant."""
+OPEN_RANGE = 1.5
+"""If exponents over a wider range than this fit about as well, the exponent is not determined."""
+TOLERANCE = 0.05
+"""Fits with a relative error larger by up to this much count as equally good: timings repeat no better."""
 
 
 @dataclass(frozen=True)
@@ -19,8 +22,8 @@ class Growth:
     """value = fixed + factor * n ** exponent.
 
     Attributes:
-        low, high: exponents that fit about as well.
-        deviation_percent: greatest deviation of a measured value from the fit.
+        low, high: range of the exponents that fit about as well.
+        deviation_percent: largest deviation of a measured value from the fit.
     """
 
     fixed: float
@@ -35,7 +38,7 @@ class Growth:
         return np.asarray(self.fixed + self.factor * n**self.exponent)
 
     def words(self) -> str:
-        """The exponent with its range, or why there is none."""
+        """The exponent with its range, "constant" or "not determined"."""
         if not self.factor:
             return "constant"
         return (
@@ -46,13 +49,12 @@ class Growth:
 
 
 def fit_growth(n: np.ndarray, values: np.ndarray) -> Growth | None:
-    """Non-negative least squares of the relative errors for each exponent, the best of them; None under three sizes.
+    """The best fit over EXPONENTS, each by non-negative least squares of relative errors; None below three sizes.
 
-    The fixed part (process start, imports) would flatten the exponent if it were left out.
+    Without the fixed part (process start, imports) the exponent would be too small.
 
     Args:
-        n: [k] sizes > 0.
-        values: [k] > 0.
+        n: [k] sizes. values: [k]. Entries that are not positive are ignored.
     """
     used = (n > 0) & (values > 0)
     n, values = n[used].astype(float), values[used].astype(float)
@@ -81,7 +83,7 @@ def _fit(size: np.ndarray, values: np.ndarray, exponent: float) -> tuple[float, 
 
 
 def series_of(rows: Sequence[Row], axis: str, measure: str) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Sizes and values by stage along one axis, in order of size, means where a size was measured more than once."""
+    """Sizes and values by stage along one axis, by increasing size; repeated measurements of a size are averaged."""
     found: dict[str, dict[float, list[float]]] = {}
     for row in rows:
         if row["axis"] == axis and row[measure] is not None:
@@ -93,7 +95,7 @@ def series_of(rows: Sequence[Row], axis: str, measure: str) -> dict[str, tuple[n
 
 
 def fit_rows(rows: Sequence[Row]) -> list[Row]:
-    """A row per axis and stage: the exponents in words, the fixed part, and what the largest size cost."""
+    """A row per axis and stage: the exponents in words, the fixed part, and the wall seconds at the largest size."""
     fitted = []
     for axis in dict.fromkeys(row["axis"] for row in rows):
         series = {measure: series_of(rows, axis, measure) for measure in MEASURES}

@@ -8,15 +8,15 @@ from stages.shared.artifacts import read_json, read_metadata
 from stages.shared.tables import Row, read_rows
 
 Made = dict[str, Any]
-"""Of one sequence: "frames" (digest of the input) and, by stage, its "options", its "code" and how often it "ran"."""
-UNKNOWN = "it does not say under which options it was made"
+"""For one sequence: "frames" (digest of the input) and, by stage, its "options", its "code" and how often it "ran"."""
+UNKNOWN = "its options are not recorded"
 
 
 def read_made(folder: Path, runs: Mapping[str, int]) -> Made:
-    """How the run whose results lie in the folder of a sequence was made.
+    """Options, code and frames of the run whose results are in the folder of a sequence.
 
     Args:
-        runs: how often each stage ran, by name: its rounds. Its time file is that of the last one.
+        runs: number of rounds of each stage, by name. The time file is that of the last round.
     """
     made: Made = {"frames": read_json(folder / "sequence.json").get("frames_sha256")}
     for stage, count in runs.items():
@@ -26,20 +26,20 @@ def read_made(folder: Path, runs: Mapping[str, int]) -> Made:
 
 
 def of_runs(folder: Path, runs: Sequence[Row]) -> dict[str, Made]:
-    """How the configured run beside a comparison was made, by sequence.
+    """Options, code and frames of the configured run that belongs to a comparison, by sequence.
 
     Args:
         folder: of the dataset's results.
-        runs: of runs.json, each with its "sequence" and "stages", how often each stage of the configured run ran.
+        runs: of runs.json, each with its "sequence" and its "stages", the number of rounds of each stage.
     """
     return {run["sequence"]: read_made(folder / run["sequence"], run["stages"]) for run in runs}
 
 
 def differences(table: Path, folder: Path) -> list[str]:
-    """Differences, in words, between the run that a comparison was made with and the present results.
+    """Differences, in words, between the configured run of a comparison and the present results.
 
     Args:
-        table: of the sweep or the scaling, with how its runs were made in its metadata.
+        table: of the sweep or the scaling; its metadata describe the configured run.
         folder: of the dataset's results, evaluated.
     """
     made = read_metadata(table).get("made_under")

@@ -1,4 +1,4 @@
-"""Collect what every stage cost at every size into one table."""
+"""Collect the cost of every stage at every size into one table."""
 
 from pathlib import Path
 from typing import Annotated
@@ -13,10 +13,10 @@ COLUMNS = ("axis", "n", "stage", "wall_s", "cpu_s", "peak_mb")
 
 
 def main(
-    runs: Annotated[Path, In("runs.json: axis, and where sizes and costs lie, from the dataset's folder")],
+    runs: Annotated[Path, In("runs.json: axis, and paths of sizes and costs relative to the dataset's folder")],
     output: Annotated[Path, Out("growth.parquet: a row per axis, size and stage")],
 ) -> None:
-    """Write one row per axis, size and stage: seconds over all rounds, and the greatest memory."""
+    """Write one row per axis, size and stage: seconds over all rounds, and the largest peak memory."""
     folder = runs.parents[1]
     listed = read_json(runs)["runs"]
     rows = [row for run in listed for row in run_rows(folder, run)]
@@ -28,7 +28,7 @@ def run_rows(folder: Path, run: Row) -> list[Row]:
     """A row per measured stage of one run.
 
     Args:
-        folder: of the dataset's results; the paths in `run` start there.
+        folder: of the dataset's results; paths in `run` are relative to it.
         run: axis, size (a file), stats (stage -> time files, one per round).
     """
     n = measure_size(run["axis"], folder / run["size"])
@@ -42,7 +42,7 @@ def run_rows(folder: Path, run: Row) -> list[Row]:
 
 
 def measure_size(axis: str, path: Path) -> int:
-    """How many frames, pixels per frame, Gaussians or control points there are, from the artifact that shows it."""
+    """The number of frames, pixels per frame, Gaussians or control points, from the artifact at `path`."""
     if axis == "frames":
         return len(read_json(path)["numbers"])
     if axis == "pixels":

@@ -29,19 +29,19 @@ COLUMNS = (
 )
 POSE_STAGES = ("flow", "motion", "segment", "ba")
 PROTOCOL = (
-    "Seconds are those of all stages from the frames to the renders, shared ones counted in full, so that they are "
-    "what the setting costs from scratch; COLMAP and evaluation are left out. Poses: flow to adjustment, all rounds. "
+    "Seconds are those of all stages from the frames to the renders. Shared stages are counted in full, as in a run "
+    "from scratch; COLMAP and evaluation are left out. Poses: flow to adjustment, all rounds. "
     "equal_s and configured_equal_s: seconds of training to the PSNR of training frames that both runs reach."
 )
 
 
 def main(
-    runs: Annotated[Path, In("runs.json: sequence, setting, and where its scores lie, from the dataset's folder")],
+    runs: Annotated[Path, In("runs.json: sequence, setting, and paths of scores relative to the dataset's folder")],
     output: Annotated[Path, Out("costs.parquet: a row per sequence and setting")],
 ) -> None:
-    """Write one row per sequence and setting, and per variant of COLMAP. Metadata: what it was made under.
+    """Write one row per sequence and setting, and one per variant of COLMAP; unknown scores are null.
 
-    What was not scored is null.
+    The metadata hold options, code and frames of the configured run.
     """
     folder = runs.parents[1]
     listed = read_json(runs)["runs"]
@@ -59,9 +59,9 @@ def run_row(folder: Path, run: Row) -> Row:
     """The row of one run.
 
     Args:
-        folder: of the dataset's results; the paths in `run` start there.
+        folder: of the dataset's results; paths in `run` are relative to it.
         run: sequence, group, setting, knob, value, is_default, overrides, scores (a folder), model (a file), and
-            convergence and configured_convergence, the course of its training and of the configured run's.
+            convergence and configured_convergence, the training histories of this run and of the configured one.
     """
     scores = folder / run["scores"]
     named = {name: run[name] for name in ("sequence", "group", "setting", "knob", "is_default")}
@@ -82,7 +82,7 @@ def run_row(folder: Path, run: Row) -> Row:
 
 
 def baseline_rows(folder: Path, run: Row) -> list[Row]:
-    """A row per variant of COLMAP in a run that is about COLMAP, called by its method; arguments as of `run_row`."""
+    """A row per variant of COLMAP in a run that varies COLMAP, named by its method; arguments as in `run_row`."""
     about = {name: run[name] for name in ("sequence", "group", "knob", "is_default")}
     about |= {"overrides": json.dumps(run["overrides"])}
     unknown = dict.fromkeys(COLUMNS)
@@ -122,7 +122,7 @@ def image_scores(rows: Iterable[Row]) -> Row:
 
 
 def costs(rows: Iterable[Row]) -> Row:
-    """Seconds of all stages and of those up to the poses, and the greatest memory of any."""
+    """Seconds of all stages and of those up to the poses, and the largest peak memory."""
     counted = [row for row in rows if is_ours(row)]
     to_poses = [row for row in counted if row["stage"] in POSE_STAGES]
     return {

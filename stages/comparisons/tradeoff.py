@@ -1,4 +1,4 @@
-"""Accuracy against cost: means over the sweep's settings, the Pareto front, and the cost of 10 % less error."""
+"""Accuracy against cost: means of the sweep's settings, the Pareto front, and the cost of 10 % less error."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,14 +14,16 @@ OTHER_METRICS = (
     *("wall_s", "cpu_s", "poses_wall_s", "poses_cpu_s", "peak_mb", "model_mb"),
     *("step_ms", "equal_psnr_db", "equal_s", "configured_equal_s"),
 )
-NOTICED = 0.01  # smaller differences are noise
+NOTICED = 0.01
+"""Smaller relative differences count as noise."""
 KEYS = ("group", "setting", "knob", "value", "is_default")
 
 
 def means(rows: Sequence[Row]) -> list[Row]:
-    """One row per setting of a group: unweighted means over its sequences, `n` scored poses, `sequences`, `failed`.
+    """One row per setting of a group: unweighted means over its sequences, and counts.
 
-    Poses that failed, are partial or have no truth enter no mean of pose errors; they are counted.
+    `n` counts the sequences with scored poses, `sequences` all of them, `failed` those with failed or partial poses.
+    Poses that failed, are partial or lack ground truth are excluded from the means of pose errors.
     """
     groups: dict[tuple[Any, ...], list[Row]] = {}
     for row in rows:
@@ -38,7 +40,7 @@ def _mean(members: Sequence[Row]) -> Row:
 
 
 def with_size(row: Row) -> Row:
-    """The row with its focal error by size, since signs would cancel in means."""
+    """The row with the absolute value of its focal error, since signed errors would cancel in means."""
     signed = row["focal_error_percent"]
     return row | {"focal_abs_percent": None if signed is None else abs(signed)}
 
@@ -54,10 +56,9 @@ class Point:
 
     Attributes:
         seconds, error: means over the sequences; a smaller error is better.
-        name: of the setting or of COLMAP's variant.
-        label: what to write beside it.
-        complete: scored on every sequence; others are drawn hollow and never count as better.
-        is_default: this is the configured run.
+        name: of the setting or of COLMAP's variant. label: of the point in the chart.
+        complete: scored on every sequence; incomplete points are drawn hollow and never count as better.
+        is_default: whether this is the configured run.
     """
 
     seconds: float
@@ -69,7 +70,7 @@ class Point:
 
 
 def pareto_front(points: Sequence[Point]) -> list[Point]:
-    """The complete points that no other one beats in both seconds and error, by rising seconds."""
+    """The complete points that no other complete point beats in both seconds and error, by increasing seconds."""
     front: list[Point] = []
     for point in sorted((p for p in points if p.complete), key=lambda p: (p.seconds, p.error)):
         if not front or point.error < front[-1].error:
@@ -78,16 +79,18 @@ def pareto_front(points: Sequence[Point]) -> list[Point]:
 
 
 def next_tenth(points: Sequence[Point], what: str) -> str:
-    """The cost of a tenth less error than the configured run has, from measured settings alone.
+    """A sentence on the cost of reducing the error of the configured run by a tenth, from measured settings alone.
+
+    If the next better setting reduces the error by several tenths, its cost is divided by their number.
 
     Args:
-        points: our own settings, including the configured one. The cost of a step of several tenths is divided by them.
+        points: our own settings, including the configured one.
         what: name of the error, with its unit, as in "camera error (% of path)".
     """
     front = pareto_front(points)
     start = next((p for p in points if p.is_default and p.complete), None)
     if start is None:
-        return f"The configured run has no {what} on every sequence, so that no price of less error can be given."
+        return f"{what}: not known on every sequence for the configured run, so no cost of a smaller error is given."
     here = f"{decimal(start.error, 2)} in {start.seconds:.0f} s"
     if front[-1].error > (1 - NOTICED) * start.error:
         return f"{what}: no measured setting is more than 1 % better than the configured one ({here})."

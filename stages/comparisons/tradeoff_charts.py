@@ -16,12 +16,12 @@ RIVAL_MARKERS = "s^DvPX<>"
 
 @dataclass(frozen=True)
 class Measure:
-    """What stands on the vertical axis.
+    """A quantity on the vertical axis.
 
     Attributes:
-        name: of the error, as a sentence needs it.
+        name: of the error, for sentences.
         label: of the axis.
-        decibel: the points' errors are RMS errors in percent of the range; the axis shows PSNR.
+        decibel: whether the axis shows PSNR, for points whose errors are RMS errors in percent of the range.
     """
 
     name: str
@@ -29,13 +29,13 @@ class Measure:
     decibel: bool = False
 
     def shown(self, errors: Sequence[float]) -> np.ndarray:
-        """Errors as the axis shows them."""
+        """Errors converted to the quantity on the axis."""
         values = np.array(errors, float)
         return -20 * np.log10(values / 100) if self.decibel else values
 
 
 def draw_overall(points: Sequence[Point], presets: Sequence[Point], rivals: Sequence[Point], measure: Measure) -> bytes:
-    """All our settings and their Pareto front, the presets labelled, and COLMAP beside them; hollow: incomplete."""
+    """All our settings with their Pareto front, the presets with labels, and COLMAP; hollow points are incomplete."""
     with figure((5.6, 4.2 + 0.1 * len(rivals)), "svg") as (fig, done):
         axes = fig.add_subplot()
         _scatter(axes, points, measure, PALE, 22, label="single knobs")
@@ -59,9 +59,9 @@ def draw_overall(points: Sequence[Point], presets: Sequence[Point], rivals: Sequ
 
 
 def draw_knob(panels: Sequence[tuple[Measure, Sequence[Point]]]) -> bytes:
-    """One knob, a panel per measure: its values joined in order, the configured one bold.
+    """One knob, with a panel per measure: its values connected in order, the configured one in bold.
 
-    An axis spans at least a tenth of the error, or half a decibel: smaller changes look small.
+    An axis spans at least a tenth of the error, or half a decibel, so that smaller changes look small.
     """
     with figure((5.2, 2.7), "svg") as (fig, done):
         for k, (measure, values) in enumerate(panels):
@@ -78,7 +78,7 @@ def draw_knob(panels: Sequence[tuple[Measure, Sequence[Point]]]) -> bytes:
 
 
 def draw_growth(series: Mapping[str, tuple[np.ndarray, np.ndarray]], labels: tuple[str, str]) -> bytes:
-    """Values by stage over the size, both logarithmic; dashed: the fits, their exponents in the legend."""
+    """Values by stage over the size, both logarithmic, with the fits as dashed lines and exponents in the legend."""
     with figure((5.2, 4.2), "svg") as (fig, done):
         axes = fig.add_subplot()
         for k, (stage, (n, values)) in enumerate(series.items()):
@@ -115,13 +115,13 @@ def _annotate(axes: Any, point: Point, measure: Measure) -> None:
 
 
 def _span(set_limits: Any, values: np.ndarray, least: float) -> None:
-    """Limits around the values with room for labels, at least `least` apart."""
+    """Set limits around the values, with room for labels and at least `least` apart."""
     middle, half = (values.min() + values.max()) / 2, max(float(np.ptp(values)), least) / 2
     set_limits(middle - 1.3 * half, middle + 1.6 * half)
 
 
 def _plain_ticks(axis: Any) -> None:
-    """Labels 1, 2, 5, 10 ... on a logarithmic axis, thousands as k."""
+    """Set labels 1, 2, 5, 10 ... on a logarithmic axis, with k for thousands."""
     from matplotlib import ticker
 
     axis.set_major_locator(ticker.LogLocator(subs=(1, 2, 5)))

@@ -1,4 +1,4 @@
-"""How fast one training is beside another: milliseconds per step, and seconds to a PSNR that both reach."""
+"""Speed of one training relative to another: milliseconds per step, and seconds to a PSNR that both reach."""
 
 from collections.abc import Mapping
 
@@ -7,17 +7,17 @@ import numpy as np
 from stages.shared.tables import Row
 
 WINDOW = 50
-"""Steps averaged: one step sees one frame, and frames differ by several dB."""
+"""Number of steps over which PSNR is averaged: a step sees one frame, and frames differ by several dB."""
 
 Training = Mapping[str, np.ndarray]
 """`gaussians/convergence.parquet`: step, psnr (dB, of the step's training frame) and seconds, [n] each."""
 
 
 def compare_training(run: Training, configured: Training) -> Row:
-    """The cost of a run's steps, and when it and the configured run reach the PSNR that both reach.
+    """Milliseconds per step of a run, and seconds until it and the configured run reach the same PSNR.
 
-    PSNR is that of training frames, averaged over the last `WINDOW` steps: held-out frames take no part in training.
-    All values are None for a training shorter than that.
+    This PSNR is the highest one that both reach on training frames, averaged over WINDOW steps. All values are None if
+    either training is shorter than that.
     """
     names = ("step_ms", "equal_psnr_db", "equal_s", "configured_equal_s")
     if min(len(run["step"]), len(configured["step"])) < WINDOW:
