@@ -109,13 +109,13 @@ def test_the_block_of_the_readme_is_replaced_and_nothing_else(finished: Path) ->
     )
     assert readme.read_text() == f"before\n{block}\nafter\n"
     readme.write_text("no marks")
-    with pytest.raises(InputError, match="put them where the summary shall stand"):
+    with pytest.raises(InputError, match="put them where the summary belongs"):
         _write(finished, readme=readme)
     assert readme.read_text() == "no marks"
 
 
 def test_a_sweep_stands_on_the_page_only_if_it_belongs_to_the_run(finished: Path) -> None:
-    assert "No sweep was made beside this run" in _write(finished)
+    assert "There is no sweep for this run" in _write(finished)
     stages = [{"sequence": "wall", "stages": {"flow": 1, "ba": 2}}]
     comparison_tables.write(finished / "results", made_under.of_runs(finished / "results", stages))
     assert "### Presets" in _write(finished)

@@ -6,6 +6,6 @@ from stages.shared.options import Options
 
 
 class ResultsOptions(Options):
-    """The page of results."""
+    """Options of the page of results."""
 
-    command: str = Field("", description="what made the results, as the page shall say it, e.g. make results")
+    command: str = Field("", description="the command that made the results, as the page states it, e.g. make results")

@@ -16,7 +16,7 @@ PARTS = {
 }
 SHORT = {"test": "test", "tuned": "tuned", OWN: "no split"}
 WRONG_ATE_PERCENT, WRONG_ROTATION_DEG, WRONG_FOCAL_PERCENT = 1.0, 0.1, 10.0
-"""Errors beyond which a scene is called wrong: of the path, from frame to frame, of the focal length."""
+"""A result counts as wrong above these errors: ATE in % of the path, rotation from frame to frame, focal length."""
 SCENE = Column("scene", "scene")
 CAMERAS = (
     SCENE,
@@ -67,11 +67,11 @@ HEADLINE = (
     *("ate_percent", "colmap_percent", "focal_abs_percent", "iou", "psnr_whole", "psnr_static", "psnr_dynamic"),
     *("warp_whole", "warp_static", "warp_dynamic", "cpu_s", "poses_cpu_s", "colmap_cpu_s"),
 )
-"""The figures of the README's block."""
+"""The figures in the summary."""
 
 
 def parts_of(rows: Sequence[Row]) -> dict[str, list[Row]]:
-    """The rows of each split that has any, test scenes first."""
+    """The rows by split, test scenes first; splits without scenes are left out."""
     splits = [row["split"] if row["split"] in PARTS else OWN for row in rows]
     found = {split: [row for row, of in zip(rows, splits, strict=True) if of == split] for split in PARTS}
     return {split: part for split, part in found.items() if part}
@@ -91,11 +91,11 @@ def view_table(rows: Sequence[Row]) -> Table:
     shown = [
         row | {"scene": row["sequence"], "psnr": _regions(row, "psnr"), "warp": _regions(row, "warp")} for row in rows
     ]
-    return Table("views", "Views that training never saw", "", VIEWS, shown)
+    return Table("views", "Views that were not used for training", "", VIEWS, shown)
 
 
 def figure_table(parts: dict[str, list[Row]], keys: Sequence[str] = ()) -> Table:
-    """Median, mean and number of scored scenes of every figure, for each part side by side."""
+    """Median, mean and number of scored scenes of every figure (or those in `keys`), with columns for each part."""
     columns, lines = [Column("figure", "figure")], []
     for split in parts:
         name = SHORT[split]
@@ -113,7 +113,7 @@ def figure_table(parts: dict[str, list[Row]], keys: Sequence[str] = ()) -> Table
 
 
 def counts(rows: Sequence[Row]) -> str:
-    """Number of scenes by outcome, with the names of those not ok, and on how many our error is below COLMAP's."""
+    """Counts of scenes by outcome, with names, and of those on which our error is below COLMAP's, as sentences."""
     failed = _named(rows, lambda row: row["status"] in ("failed", "partial") and not row.get("missing"))
     missing = _named(rows, lambda row: bool(row.get("missing")))
     flagged = _named(rows, lambda row: bool(row.get("warnings")) and row["status"] not in ("failed", "partial"))
@@ -138,7 +138,7 @@ def is_wrong_unflagged(row: Row) -> bool:
 
 
 def _pair(row: Row) -> Row:
-    """Our complete path against COLMAP's, as the counts of the ratios want it."""
+    """Our complete path against COLMAP's, as a row for `ratios.counts`."""
     ours, other = row.get("ate_percent") if row["status"] == "ok" else None, row.get("colmap_percent")
     ratio = ours / other if ours is not None and other else None
     found = {"ate_percent": ours, "colmap_percent": other, "colmap_ratio": ratio, "true_masks_percent": None}
@@ -146,7 +146,7 @@ def _pair(row: Row) -> Row:
 
 
 def result_of(row: Row) -> str:
-    """How a scene ended, in a word or two."""
+    """The outcome of a scene in a few words."""
     if row.get("missing"):
         return f"no results of {row['missing']}"
     if row["status"] in ("failed", "partial"):
@@ -159,12 +159,12 @@ def result_of(row: Row) -> str:
 
 
 def _has_path(row: Row) -> bool:
-    """Whether the truth of a scene defines an ATE, as far as its row tells."""
+    """Whether the true path of a scene defines an ATE, according to its row."""
     return row.get("rotation_deg") is None and not str(row["status"]).startswith(("degenerate", "no truth"))
 
 
 def _value(row: Row, key: str) -> float | None:
-    """A figure of a scene; those of partial and failed paths enter no mean."""
+    """A figure of a scene for the means; None for errors of partial and failed paths."""
     incomplete = row["status"] in ("failed", "partial")
     if incomplete and key in ("ate_percent", "rotation_deg", "focal_abs_percent"):
         return None

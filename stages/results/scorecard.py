@@ -15,18 +15,18 @@ from stages.shared.digest import code_digest
 from stages.shared.tables import Row, decimal, read_rows
 
 OWN = "own"
-"""The split of a scene that names none."""
+"""The split of a scene whose file names none."""
 MOVING_PERCENT = 0.01
-"""A scene in which less than this share of the pixels truly moves has no mask to overlap with."""
+"""If less than this percentage of the pixels truly moves, a scene has no mask scores."""
 
 
 def score_rows(results: Path, scenes: Path | None = None, manifests: Path | None = None) -> list[Row]:
-    """A row per sequence of a dataset's results and per scene file that has none, by name.
+    """A row per sequence of a dataset's results, and per scene file without results, sorted by name.
 
     Args:
         results: results/<dataset>.
-        scenes: folder of the scene files that were to run.
-        manifests: folder with what the simulator drew, <sequence>.json.
+        scenes: folder of the scene files of the run.
+        manifests: folder of the simulator's manifests, <sequence>.json.
     """
     names = {path.parent.name for path in results.glob("*/sequence.json")}
     promised = {path.stem: path for path in scenes.glob("*.yaml")} if scenes else {}
@@ -37,7 +37,7 @@ def score_rows(results: Path, scenes: Path | None = None, manifests: Path | None
 
 
 def _split(name: str, promised: Mapping[str, Path], manifests: Path | None) -> str:
-    """The split that a scene names: by what was drawn, else by its file."""
+    """The split of a scene: from its manifest, otherwise from its file."""
     manifest = manifests / f"{name}.json" if manifests else None
     if manifest and manifest.exists():
         return str(read_json(manifest).get("split", OWN))
@@ -45,7 +45,7 @@ def _split(name: str, promised: Mapping[str, Path], manifests: Path | None) -> s
 
 
 def score_row(folder: Path) -> Row:
-    """Scores of a run on one sequence; if it is unfinished, `missing` is the first stage without results."""
+    """Scores of a run on one sequence; for an unfinished run, `missing` is the first stage without results."""
     ended = [stage for stage in STAGES if (folder / f"stats/{stage}.json").exists()]
     if len(ended) < len(STAGES):
         missing = next(stage for stage in STAGES if stage not in ended)
@@ -60,7 +60,7 @@ def score_row(folder: Path) -> Row:
 
 
 def _is_current(stats: Path) -> bool:
-    """Whether the code that a stage ran is that of this checkout."""
+    """Whether a stage ran with the code of this checkout."""
     content = read_json(stats)
     return bool(content["code"] == code_digest(f"stages.{content['stage']}"))
 
@@ -89,7 +89,7 @@ def _camera_scores(poses: Sequence[Row]) -> Row:
 
 
 def error_in_words(row: Mapping[str, Any]) -> str | None:
-    """The error of a row of the pose table with its unit: ATE, or of the rotations where the truth defines no ATE."""
+    """The error in a row of the pose table, with its unit: ATE, or the rotation error if no ATE is defined."""
     if row["status"] == "failed":
         return "failed"
     if row["ate_percent"] is not None:
@@ -99,19 +99,19 @@ def error_in_words(row: Mapping[str, Any]) -> str | None:
 
 
 def _incomplete(rivals: Sequence[Row]) -> str | None:
-    """What became of variants of which none has every pose and an error."""
+    """The outcome of COLMAP's variants, "partial" or "failed", if none is scored."""
     statuses = {row["status"] for row in rivals}
     return next((word for word in ("partial", "failed") if word in statuses), None)
 
 
 def in_short(flags: str | None) -> str | None:
-    """The flags of a pose estimate, each up to its colon."""
+    """The flags of a pose estimate, each shortened to the text before its colon."""
     parts = (part.partition(":")[0].strip() for part in (flags or "").split("; "))
     return "; ".join(dict.fromkeys(part for part in parts if part)) or None
 
 
 def _mask_scores(masks: Sequence[Row]) -> Row:
-    """Scores of the masks of the last round; where nothing moves, what share is masked instead."""
+    """Scores of the masks of the last round; if nothing moves, the share of masked pixels instead."""
     used = max((row for row in masks if row["method"] != PRIOR), key=lambda row: row["round"])
     still = used["true_percent"] is not None and used["true_percent"] < MOVING_PERCENT
     names = ("iou", "precision", "recall")
