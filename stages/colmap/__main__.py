@@ -30,10 +30,10 @@ def main(
     output: Annotated[Path, Out("table: a row per variant and registered frame; outcomes and seconds in its metadata")],
     options: ColmapOptions,
     masks: Annotated[
-        Path | None, In("folder of masks, with masks.json: run only the variants that leave dynamic pixels out")
+        Path | None, In("folder of masks, with masks.json: run only the variants without features on dynamic pixels")
     ] = None,
 ) -> str:
-    """Run COLMAP's mappers on the frames; a variant that fails or runs out of time is recorded with its reason."""
+    """Run COLMAP's mappers on the frames; a variant that fails or exceeds its time is recorded with the reason."""
     frames = read_sequence(sequence)
     variants: list[Variant] = []
     for factor in options.upsample_masked if masks else options.upsample:
@@ -51,7 +51,12 @@ def main(
 
 @dataclass(frozen=True)
 class Variant:
-    """The result of one variant of COLMAP: a row (see COLUMNS) per registered frame, or the reason for none."""
+    """The result of one variant of COLMAP.
+
+    Attributes:
+        method: its name. protocol: how it was run. from_truth: inputs taken from ground truth.
+        rows: one per registered frame, with the entries COLUMNS. failure: the reason for having none. cpu_s: seconds.
+    """
 
     method: str
     protocol: str
@@ -69,7 +74,13 @@ class Variant:
 def run_variants(
     frames: Sequence, masks: Path | None, factor: int, options: ColmapOptions, scratch: Path
 ) -> list[Variant]:
-    """Features and matches once, then each mapper, on frames enlarged by `factor`; seconds include the shared part."""
+    """Each mapper on frames enlarged by `factor`, after features and matches, which all mappers share.
+
+    The seconds of each variant include features and matches.
+
+    Args:
+        masks: folder of masks; None: without masks. scratch: folder for temporary files.
+    """
     images, database, still = scratch / "images", scratch / "database.db", scratch / "masks" if masks else None
     for k, (path, number) in enumerate(zip(frames.frames, frames.numbers, strict=True)):
         name = f"frame_{number:04d}.png"
@@ -94,10 +105,10 @@ def run_variants(
 def _timed(
     step: Callable[..., Any], arguments: tuple[Any, ...], options: ColmapOptions, spent_s: float = 0.0
 ) -> tuple[Any, str | None, float]:
-    """Value or reason of failure, and CPU seconds of a step in its own process.
+    """Result or reason of failure, and CPU seconds, of a step in its own process.
 
-    On one thread they equal the wall time on an idle core. The measured wall time is meaningless: COLMAP runs at the
-    lowest priority beside our stages.
+    On one thread CPU seconds equal the wall time on an idle core. Wall time itself would be meaningless: COLMAP runs at
+    the lowest priority in parallel to our stages.
     """
     before_s = _children_cpu_s()
     value, failure = None, None
@@ -120,7 +131,7 @@ def _method(mapper: str, factor: int, masks: Path | None) -> str:
 
 
 def _owned(masks: Path) -> str:
-    """Whose masks these are: "true motion masks" or, say, "our refined masks"."""
+    """Source of the masks in words: "true motion masks" or, for example, "our refined masks"."""
     source = mask_source(masks)
     return MASKS[source] if source == TRUTH else f"our {MASKS[source]}"
 

@@ -1,4 +1,4 @@
-"""Structure from motion by COLMAP (pycolmap), each step in a process of its own that can be stopped."""
+"""Structure from motion by COLMAP (pycolmap). Each step runs in a process of its own, which can be stopped."""
 
 import math
 import multiprocessing
@@ -16,9 +16,12 @@ from stages.shared import lie
 from stages.shared.cameras import intrinsics
 
 MIN_MODEL_FRAMES = 3
-THREADS = 1  # with two, images are numbered and samples drawn in another order every time, whatever the seed
-PATIENCE = 20.0  # it runs beside our stages, at the lowest priority, and may have to wait for a core
-MIN_TRIANGULATION_DEG = 4.0  # of the first pair; COLMAP's 16 can retry for minutes on the short baselines of video
+THREADS = 1
+"""With more threads the order of images and of random samples changes from run to run, with the same seed."""
+PATIENCE = 20.0
+"""Wall seconds per CPU second of the limit. COLMAP runs at the lowest priority and may have to wait for a core."""
+MIN_TRIANGULATION_DEG = 4.0
+"""Of the first pair. With COLMAP's default of 16 it can retry for minutes on the short baselines of video."""
 
 
 class StepFailed(Exception):
@@ -26,10 +29,10 @@ class StepFailed(Exception):
 
 
 def run_limited(step: Callable[..., Any], arguments: tuple[Any, ...], cpu_s: float, patience: float = PATIENCE) -> Any:
-    """The value of `step(*arguments)`, computed in a fresh process that is killed after `cpu_s` seconds of CPU.
+    """The result of `step(*arguments)`, computed in a new process that is killed after `cpu_s` seconds of CPU time.
 
     Args:
-        patience: wall seconds per CPU second of the limit after which a step that waits for ever is killed too.
+        patience: wall seconds per CPU second of the limit, after which a step that only waits is killed too.
 
     Raises:
         StepFailed: if it raises, crashes or runs out of time.
@@ -65,11 +68,12 @@ def _send_result(sender: Connection, step: Callable[..., Any], arguments: tuple[
 
 
 def find_matches(images: Path, masks: Path | None, database: Path, options: ColmapOptions) -> None:
-    """SIFT features of every image of a folder and verified matches between them, written to `database`.
+    """Write SIFT features of every image in a folder, and verified matches between them, to `database`.
 
-    `masks` holds <image name>.png for every image, black where features are left out (COLMAP's ImageReader masks).
+    As in `ba`, all frames share one pinhole camera with unknown focal length and the principal point at the centre.
 
-    One pinhole camera for all frames, focal length unknown, principal point at the centre: what our own stage assumes.
+    Args:
+        masks: folder with <image name>.png for every image, black where features are left out.
     """
     pycolmap = _quiet_pycolmap(options.seed)
     reader, extraction = pycolmap.ImageReaderOptions(), pycolmap.FeatureExtractionOptions()
@@ -104,7 +108,7 @@ def reconstruct(images: Path, database: Path, mapper: str, seed: int) -> tuple[n
         cam_from_world [k, 4, 4], Ks [k, 3, 3] with pixel centres at integers, and the k registered image names, sorted.
 
     Raises:
-        StepFailed: if no model comes out.
+        StepFailed: if no model is found.
     """
     pycolmap = _quiet_pycolmap(seed)
     output = database.parent / f"{database.stem}_{mapper}"
@@ -130,7 +134,7 @@ def _registered(model: Any) -> tuple[np.ndarray, np.ndarray, list[str]]:
     poses = np.stack([image.cam_from_world().matrix() for image in images])
     parameters = np.stack([model.camera(image.camera_id).params for image in images])
     f, cx, cy = parameters.T
-    # COLMAP counts the centre of the first pixel as (0.5, 0.5), we count it as (0, 0).
+    # The centre of the first pixel is (0.5, 0.5) in COLMAP and (0, 0) here.
     return (
         lie.from_parts(poses[:, :, :3], poses[:, :, 3]),
         intrinsics(f, f, cx - 0.5, cy - 0.5),

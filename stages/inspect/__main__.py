@@ -1,4 +1,4 @@
-"""The input check: decode every frame, read every truth file, and write down what there is."""
+"""The input check: decode every frame, read every file of ground truth, and record both."""
 
 import hashlib
 from collections.abc import Callable
@@ -25,7 +25,7 @@ def main(
     figure: Annotated[Path, Out("picture for the report")],
     options: InspectOptions,
 ) -> str:
-    """Check one sequence completely, so that no later stage stumbles over its files."""
+    """Check all files of one sequence, so that no later stage fails on them."""
     sequence = first_frames(check_sequence(folder_name(frames), frames), options)
     digest = frames_digest(sequence)
     check_truth(sequence)
@@ -37,7 +37,7 @@ def main(
 
 
 def first_frames(sequence: Sequence, options: InspectOptions) -> Sequence:
-    """The sequence cut to so many frames as the options ask for, with the truth of these."""
+    """The sequence reduced to its first `max_frames` frames, with their ground truth."""
     if options.max_frames == "all":
         return sequence
     numbers = sequence.numbers[: options.max_frames]
@@ -46,10 +46,10 @@ def first_frames(sequence: Sequence, options: InspectOptions) -> Sequence:
 
 
 def frames_digest(sequence: Sequence) -> str:
-    """SHA-256 over all pixels; decodes every frame.
+    """SHA-256 over the pixels of all frames, as hexadecimal digits; decodes every frame.
 
     Raises:
-        InputError: for a frame that cannot be decoded or whose pixels differ in size from its neighbours.
+        InputError: for a frame that cannot be decoded or whose size differs from that of the sequence.
     """
     digest = hashlib.sha256()
     for path in progress(sequence.frames, "frames"):
@@ -62,10 +62,10 @@ def frames_digest(sequence: Sequence) -> str:
 
 
 def check_truth(sequence: Sequence) -> None:
-    """Read every truth file once.
+    """Read every file of ground truth once.
 
     Raises:
-        InputError: for a wrong tag, a truncated file, or a size other than the frames'.
+        InputError: for a wrong tag, a truncated file, or a size that differs from that of the frames.
     """
     readers: dict[str, Callable[[Path], np.ndarray]] = {"flow": sintel.read_flo, "depth": sintel.read_dpt}
     readers |= dict.fromkeys(("motion_mask", "occlusions", "invalid"), read_mask) | {"clean_right": read_rgb}
@@ -74,14 +74,18 @@ def check_truth(sequence: Sequence) -> None:
             height, width = read(path).shape[:2]
             if (width, height) != (sequence.width, sequence.height):
                 expected = f"{sequence.width} x {sequence.height} like the frames"
-                raise InputError(path, expected, f"{width} x {height}", "give truth of the frames' size or none")
+                raise InputError(path, expected, f"{width} x {height}", "provide truth of the frames' size or none")
     for kind in ("camdata_left", "camdata_right"):
         for path in sequence.truth.get(kind, {}).values():
             check_camera(path)
 
 
 def check_camera(path: Path) -> None:
-    """Refuse a .cam file whose K or pose cannot be a camera's."""
+    """Check that a .cam file holds valid intrinsics and a valid pose.
+
+    Raises:
+        InputError: for focal lengths that are not positive, a matrix that is not a rotation, or infinite values.
+    """
     K, cam_from_world = sintel.read_cam(path)
     R = cam_from_world[:, :3]
     if not np.all(np.isfinite(K)) or K[0, 0] <= 0 or K[1, 1] <= 0:
@@ -93,7 +97,7 @@ def check_camera(path: Path) -> None:
 
 
 def missing_truth(sequence: Sequence) -> list[str]:
-    """What cannot be scored on this sequence, in words for the report."""
+    """The scores that this sequence cannot have for lack of ground truth, in words for the report."""
     told = {
         "camdata_left": "no camera truth: no ATE, RPE or focal error",
         "motion_mask": "no motion masks: no IoU",
@@ -110,7 +114,7 @@ def missing_truth(sequence: Sequence) -> list[str]:
 
 
 def draw(sequence: Sequence) -> np.ndarray:
-    """A contact sheet of up to six frames, with true motion masks where there are any."""
+    """A contact sheet of up to six frames, with true motion masks where these exist."""
     images = []
     for k in spread(len(sequence.frames), 6):
         image = read_rgb(sequence.frames[k])
