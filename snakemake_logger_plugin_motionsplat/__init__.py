@@ -1,7 +1,7 @@
-"""What a run shows: a line per finished stage, a bar over all jobs, warnings and the report's path last.
+"""Terminal output of a run: a line per finished stage, a bar over all jobs, at the end warnings and the report's path.
 
-Snakemake finds logger plugins by the name of the package; profiles/default chooses this one. The stages say what they
-found in their time files (`summary` and `warnings` of stats/<stage>.json) and write all else to their logs.
+Snakemake finds logger plugins by the name of the package; profiles/default chooses this one. Results and warnings of a
+stage are read from its time file (`summary` and `warnings` in stats/<stage>.json); all else is in its log.
 """
 
 import json
@@ -41,13 +41,17 @@ NOISE = re.compile(
     r"Storing output|Submitted|Job stats|Trying to restart|Elapsed time|Exiting because|"
     r"(WorkflowError:\s*)?At least one job|RuleException:\s*CalledProcessError"
 )
-"""Messages that say nothing to someone who runs the pipeline, or what a line of ours says; Snakemake's own log file
-keeps them."""
+"""Messages of Snakemake that are not shown: they are of no use to the user, or our lines replace them. Snakemake's own
+log file has them."""
 
 
 @dataclass
 class Job:
-    """A job that Snakemake has started."""
+    """A job that Snakemake has started.
+
+    Attributes:
+        about: sequence, setting and round. page: the report, if the job writes it.
+    """
 
     rule: str
     about: str
@@ -58,7 +62,7 @@ class Job:
 
 
 class LogHandler(LogHandlerBase):
-    """Prints events of a run; a dry run and --verbose print what Snakemake prints by itself."""
+    """Prints the events of a run; in a dry run and with --verbose the output is that of Snakemake itself."""
 
     def __post_init__(self) -> None:
         self.stream: TextIO = sys.stdout if self.common_settings.stdout else sys.stderr
@@ -81,7 +85,7 @@ class LogHandler(LogHandlerBase):
     has_filter, has_formatter, needs_rulegraph = True, False, False
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Print what the record says to a reader, if anything. A record that cannot be read stops no others."""
+        """Print a record, if it is of use to the user. An error in one record does not affect the others."""
         try:
             self._show(record)
         except Exception:
@@ -110,7 +114,7 @@ class LogHandler(LogHandlerBase):
             self._pass_on(record)
 
     def close(self) -> None:
-        """Print what a reader must know in the end. Snakemake closes its handlers more than once."""
+        """Print failures, warnings and the path of the report. Snakemake closes its handlers more than once."""
         self.stopped.set()
         self.acquire()
         try:
@@ -137,7 +141,7 @@ class LogHandler(LogHandlerBase):
         self.stream.flush()
 
     def _start(self, total: int) -> None:
-        """Show the bar, where there is a terminal to show it on."""
+        """Show the bar if the output is a terminal."""
         if self.bar is not None or not total or self.quiet:
             return
         if not kernels_compiled():
@@ -148,7 +152,7 @@ class LogHandler(LogHandlerBase):
         threading.Thread(target=self._refresh, daemon=True).start()
 
     def _refresh(self) -> None:
-        """Keep the bar alive, with how far the running jobs are by their own logs."""
+        """Update the bar regularly with the progress of the running jobs, which is read from their logs."""
         while not self.stopped.wait(REFRESH_S):
             self.acquire()
             try:
@@ -166,7 +170,7 @@ class LogHandler(LogHandlerBase):
         seconds = stats.get("wall_s") or time.monotonic() - job.started_s
         if not self.quiet:
             self._print(f"{job.rule:<10} {job.about:<16} {seconds:7.1f} s  {stats.get('summary') or ''}".rstrip())
-        told = f"{job.rule} {job.about}: "  # where it failed before and was run again, all is well
+        told = f"{job.rule} {job.about}: "  # a failure before a successful retry is not reported
         self.last_words["failed"] = [line for line in self.last_words["failed"] if not line.startswith(told)]
         self.last_words["warning"] += [f"{job.about}: {line}" for line in stats.get("warnings", [])]
         self.page = job.page or self.page
@@ -181,7 +185,7 @@ class LogHandler(LogHandlerBase):
         self.last_words["failed"].append(f"{job.rule} {job.about}: {reason}")
 
     def _fail_group(self, said: dict[str, Any]) -> None:
-        """Tell which stages of a failed submission were cut off: not those that had ended, nor those not yet begun."""
+        """Report the stages of a failed group that were running: not those that had finished or not started."""
         jobids = [about["jobid"] for about in said["job_error_info"]]
         cut_off = [jobid for jobid in jobids if jobid in self.running and _was_cut_off(self.running[jobid])]
         for jobid in cut_off:
@@ -198,7 +202,7 @@ class LogHandler(LogHandlerBase):
 
 
 def _job(said: dict[str, Any]) -> Job:
-    """What a job-info record says of a job that the terminal shows."""
+    """The job that a job-info record describes."""
     outputs = [Path(str(path)) for path in said.get("output") or []]
     wildcards = said.get("wildcards") or {}
     parts = [wildcards.get("seq"), *(str(wildcards.get(key, "")).rstrip("/") for key in ("setting", "round"))]
@@ -212,16 +216,16 @@ def _job(said: dict[str, Any]) -> Job:
 
 
 def _page_there() -> Path | None:
-    """The report of an earlier run, where the workflow says that it lies; None where there is none."""
+    """The report of an earlier run, at the path that the workflow sets; None if it does not exist."""
     page = Path(os.environ.get("MOTIONSPLAT_REPORT", ""))
     return page if page.is_file() else None
 
 
 def _read(stats: Path | None) -> dict[str, Any]:
-    """The time file of a job; nothing where there is none, as for the report."""
+    """The content of a job's time file; empty if the job has none, as that of the report."""
     try:
         return dict(json.loads(stats.read_text(encoding="utf-8"))) if stats else {}
-    except (OSError, ValueError, TypeError):  # on a cluster it may arrive later than the news of it
+    except (OSError, ValueError, TypeError):  # on a cluster the file may arrive after the event
         return {}
 
 
@@ -233,12 +237,12 @@ def _tail(log: Path | None) -> str:
 
 
 def _was_cut_off(job: Job) -> bool:
-    """Whether the job began and did not end, by its log (`stages.shared.cli` ends it in "done: ...")."""
-    words = _tail(job.log).strip().splitlines()  # Snakemake leaves empty logs of stages that never began
+    """Whether the job started and did not finish, by its log: `stages.shared.cli` writes "done: ..." at the end."""
+    words = _tail(job.log).strip().splitlines()  # Snakemake creates empty logs for stages that never started
     return bool(words) and " done: " not in words[-1]
 
 
 def _share_done(job: Job) -> str:
-    """How far a job is, by the last line of progress in its log: " 40 %"."""
+    """Progress of a job, such as " 40 %", from the last line of progress in its log; "" if there is none."""
     found = PROGRESS.findall(_tail(job.log))
     return f" {100 * int(found[-1][0]) // max(int(found[-1][1]), 1)} %" if found else ""
