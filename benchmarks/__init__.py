@@ -1,3 +1,3 @@
-"""Benchmarks: ratios against an alternative in the same run. `stages` comes first: it sets the threads before torch."""
+"""Benchmarks: ratios against an alternative in the same run. Importing `stages` first sets the threads of torch."""
 
 import stages as stages

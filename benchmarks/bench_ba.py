@@ -1,8 +1,8 @@
-"""One iteration of dense bundle adjustment against torch and against Ceres on the same pixels, and growth with frames.
+"""One iteration of dense bundle adjustment against torch and Ceres on the same pixels, and growth with frames.
 
 Run as `python -m benchmarks.bench_ba`. Times are medians of alternated runs in one process, after a warm-up. Torch
-builds the same reduced system in float64 with einsum and index_add (checked to 1e-9); Ceres, through pycolmap, adjusts
-poses and one free 3-D point per pixel, seen in the same frames.
+builds the same reduced system in float64 with einsum and index_add (they agree to 1e-9). Ceres, through pycolmap,
+adjusts poses and one free 3-D point per pixel, observed in the same frames.
 """
 
 import time
@@ -24,7 +24,7 @@ GATES = {"torch": 20.0, "Ceres": 10.0, "growth": 1.5}
 
 
 def random_problem(T: int, stride: int, offsets: tuple[int, ...] = (1, 2, 3)) -> tuple[FlowGraph, State]:
-    """A slightly disturbed sideways camera over random depths; matches agree with them to 0.3 px."""
+    """A camera that moves sideways, slightly perturbed, over random depths; matches have noise of 0.3 px."""
     random = np.random.default_rng(0)
     edges = np.array([(i, j) for i in range(T) for j in range(T) if abs(i - j) in offsets])
     blank = np.zeros((1, HEIGHT, WIDTH, 2), np.float32)
@@ -45,12 +45,12 @@ def random_problem(T: int, stride: int, offsets: tuple[int, ...] = (1, 2, 3)) ->
 
 
 def kernel_system(graph: FlowGraph, state: State) -> tuple[np.ndarray, np.ndarray]:
-    """The reduced system by the stage's kernels."""
+    """The reduced system and its right-hand side by the kernels of `stages.ba`."""
     return dba.linear_system(graph, state, SIGMA_PX)
 
 
 def torch_system(graph: FlowGraph, state: State) -> tuple[torch.Tensor, torch.Tensor]:
-    """The same by batched torch operations: Jacobians of all edges at once, einsum, index_add, dense elimination."""
+    """The same system by batched torch operations: Jacobians of all edges, einsum, index_add, dense elimination."""
     T, P = state.inverse_depth.shape
     i, j = torch.from_numpy(graph.source), torch.from_numpy(graph.target)
     relative = reduced.relative_motions(graph, state.cam_from_world)
@@ -82,7 +82,8 @@ def torch_system(graph: FlowGraph, state: State) -> tuple[torch.Tensor, torch.Te
 
 
 def _torch_jacobians(graph: FlowGraph, state: State, relative: np.ndarray) -> tuple[torch.Tensor, ...]:
-    """Jacobians by source and target pose [E, P, 2, 6], log focal, inverse depth; residual [E, P, 2]; weight [E, P]."""
+    """Jacobians by source and target pose [E, P, 2, 6], by log focal length and by inverse depth [E, P, 2]; residuals
+    [E, P, 2] and weights [E, P]."""
     f = state.focal_px
     rays = np.concatenate([(graph.pixels - graph.centre) / f, np.ones((len(graph.pixels), 1))], axis=1)
     ray, motion = torch.from_numpy(rays), torch.from_numpy(relative)
@@ -105,7 +106,7 @@ def _torch_jacobians(graph: FlowGraph, state: State, relative: np.ndarray) -> tu
 
 
 def ceres_problem(graph: FlowGraph, state: State) -> pycolmap.Reconstruction:
-    """A reconstruction with a 3-D point per pixel of every source frame, observed there and at its matches."""
+    """A reconstruction with a 3-D point per pixel of every source frame, observed at the pixel and at its matches."""
     rec = pycolmap.Reconstruction()
     f, (cx, cy) = state.focal_px, graph.centre + 0.5
     camera = pycolmap.Camera(model="SIMPLE_PINHOLE", width=WIDTH, height=HEIGHT, params=[f, cx, cy], camera_id=1)
@@ -133,7 +134,7 @@ def ceres_problem(graph: FlowGraph, state: State) -> pycolmap.Reconstruction:
 
 
 def ceres_seconds(graph: FlowGraph, state: State, iterations: int = 3) -> float:
-    """Seconds of one iteration of Ceres: minimiser time over iterations, as it reports them."""
+    """Wall seconds of one iteration of Ceres: those of the whole call, over `iterations` and the initial evaluation."""
     rec = ceres_problem(graph, state)
     options = pycolmap.BundleAdjustmentOptions()
     options.ceres.solver_options.max_num_iterations = iterations
@@ -148,12 +149,12 @@ def ceres_seconds(graph: FlowGraph, state: State, iterations: int = 3) -> float:
 
 
 def full_step(graph: FlowGraph, state: State) -> Callable[[], object]:
-    """One proposal of the solver: system, solution, depths."""
+    """A function that computes one proposal of the solver: system, solution, depths."""
     return lambda: dba.propose(graph, state, SIGMA_PX, 1e-3, Unknowns(focal=True), FocalPrior(state.focal_px))
 
 
 def main() -> None:
-    """Print a line per comparison; fail where a gate is missed."""
+    """Print a line per comparison; fail if a gate is missed."""
     graph, state = random_problem(24, 8)
     S, rhs = kernel_system(graph, state)
     S_torch, rhs_torch = (value.numpy() for value in torch_system(graph, state))

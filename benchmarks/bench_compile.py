@@ -1,9 +1,9 @@
-"""What compiling the numba kernels costs on a machine that has none of them yet, kernel by kernel.
+"""Time to compile the numba kernels on a machine with an empty cache, kernel by kernel.
 
-Run as `python -m benchmarks.bench_compile`. The stages of the demo run on its scene cut to a few frames, each in a
+Run as `python -m benchmarks.bench_compile`. The stages of the demo run on the first frames of its scene, each in a
 process of its own, with an empty cache of kernels and then again with the filled one. Seconds are CPU seconds of the
-thread that compiles, what a kernel's callees took counted for them alone; imports are no part of them. The last line
-compares whole processes: all stages cold, less all stages warm.
+compiling thread, without imports; the time of a kernel's callees counts for these alone. The last line compares whole
+processes: all stages with the empty cache minus all stages with the filled one.
 """
 
 import json
@@ -33,7 +33,7 @@ OPTIONS: dict[str, Any] = {
     "render": {"novel_views": 2},
     "colmap": {"mappers": ["global"], "window": 3, "upsample": [1], "upsample_masked": []},
 }
-"""As the demo, but for what takes time and compiles nothing more."""
+"""Options of the demo, reduced in ways that change no kernel."""
 
 
 def stage_commands(folder: Path) -> list[list[str]]:
@@ -49,7 +49,7 @@ def stage_commands(folder: Path) -> list[list[str]]:
 
 
 def _when(command: list[str]) -> tuple[int, int, int]:
-    """Where a stage stands in the run: a dry run lists the jobs of a group by name."""
+    """Sort key for the order of the stages, since a dry run lists the jobs of a group by name."""
     stage = command[0].removeprefix("stages.")
     if stage in REPEATED:
         number = re.search(r"/round(\d+)/", command[command.index("--stats") + 1])
@@ -59,7 +59,7 @@ def _when(command: list[str]) -> tuple[int, int, int]:
 
 
 def run_recorded(record: Path, module: str, *flags: str) -> None:
-    """Run a stage as `python -m` would, and write what it compiled: [kernel, signature, its own CPU seconds]."""
+    """Run a stage like `python -m`, and write what it compiles to `record`: [kernel, signature, own CPU seconds]."""
     from numba.core import event
 
     class Stopwatch(event.Listener):  # type: ignore[misc]
@@ -90,7 +90,7 @@ def run_recorded(record: Path, module: str, *flags: str) -> None:
 
 
 def run_stages(folder: Path, commands: list[list[str]], cache: Path) -> tuple[list[list[Any]], dict[str, float]]:
-    """All that the stages compiled, and the CPU seconds of their processes by stage."""
+    """All kernels that the stages compiled, and the CPU seconds of their processes by stage."""
     environment = os.environ | {"NUMBA_CACHE_DIR": str(cache), "PYTHONPATH": str(REPO)}
     record, compiled, seconds = folder / "record.json", list[list[Any]](), defaultdict[str, float](float)
     for command in commands:
@@ -105,7 +105,7 @@ def run_stages(folder: Path, commands: list[list[str]], cache: Path) -> tuple[li
 
 
 def main() -> None:
-    """Print a line per kernel, dearest first, and the sums; fail where compiling takes longer than the gate."""
+    """Print a line per kernel, the slowest first, and the sums; fail if compiling takes longer than the gate."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         commands, cache = stage_commands(folder), folder / "cache"

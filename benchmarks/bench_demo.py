@@ -1,8 +1,8 @@
-"""How long `make demo` takes on a machine that has compiled no kernel yet, and on one that has.
+"""Time of `make demo` with an empty and with a filled cache of compiled kernels.
 
-Run as `python -m benchmarks.bench_demo`; with the name of a file the table is written there too.
-Both runs start in an empty folder, the first with an empty cache of kernels, the second with the one it left.
-Installation is no part of it. Wall seconds mean something on an otherwise idle machine alone.
+Run as `python -m benchmarks.bench_demo`; with a file name as argument the table is also written to that file.
+Both runs start in an empty folder, the first with an empty cache, the second with the cache that the first one filled.
+Installation is not included. Wall seconds are meaningful only on an otherwise idle machine.
 """
 
 import os
@@ -35,7 +35,7 @@ def run_demo(folder: Path, cache: Path) -> tuple[float, float]:
 
 
 def main() -> None:
-    """Print the table, and write it where a file is named."""
+    """Print the table, and write it to the file named on the command line, if any."""
     about = about_run()
     lines = [
         "# How long the demo takes",

@@ -1,7 +1,7 @@
-"""Skinning forward and backward: the fused numba kernel against gather and einsum in torch.
+"""Forward and backward pass of skinning: the fused numba kernel against gather and einsum in torch.
 
-Run as `python -m benchmarks.bench_lbs`. Times are medians of alternated runs in one process, after a warm-up; both
-sides compute the weights and all gradients from the same tensors.
+Run as `python -m benchmarks.bench_lbs`. Times are medians of alternated runs in one process, after a warm-up. Both
+implementations compute the weights and all gradients from the same tensors.
 """
 
 import functools
@@ -19,11 +19,11 @@ KERNEL, PLAIN = (lbs.lbs_weights, lbs.blend), (lbs.lbs_weights_torch, lbs.blend_
 ROUNDS = 15
 GATE = 8.0
 BYTES_PER_GAUSSIAN = 4 * (3 + 4) * 2 + 4 * (3 + 4)
-"""Results and gradients of positions and quaternions, and the saved inputs; the index and weights come on top."""
+"""Results and gradients of positions and quaternions, and the saved inputs, without index and weights."""
 
 
 def skinning(N: int, P: int, K: int) -> tuple[dict[str, Tensor], Tensor, Tensor]:
-    """Leaves of the graph by name, squared distances and index [N, K] of random Gaussians in a unit cube."""
+    """Tensors by name, squared distances and indices of neighbours [N, K] of random Gaussians in a unit cube."""
     generator = torch.Generator().manual_seed(0)
     points = torch.rand(P, 3, generator=generator)
     leaves = {
@@ -53,7 +53,7 @@ def step(
 
 
 def main() -> None:
-    """Print a line per case; fail where the kernel is not GATE times as fast."""
+    """Print a line per case; fail if the kernel is less than GATE times as fast as torch."""
     failed = []
     for N, P, K in CASES:
         tensors, sq_dist, index = skinning(N, P, K)

@@ -1,9 +1,9 @@
 """From 30 frames to poses and masks: seconds of the presets against COLMAP's matching and incremental mapping.
 
-Run as `python -m benchmarks.bench_poses`. The frames are a simulated scene, 512 x 218 px, drawn beforehand. Ours is
-the whole of `snakemake poses` from flow to bundle adjustment, start-up of every stage included, on all cores; the
-stages' own seconds are what is left without Snakemake. COLMAP runs on one thread, as in the report (with more, its
-result changes from run to run): its CPU seconds are the fairer figure.
+Run as `python -m benchmarks.bench_poses`. The frames, 512 x 218 px, are those of a scene simulated beforehand. Our time
+is that of `snakemake poses` from flow to bundle adjustment on all cores, including the start of every stage; the
+seconds of the stages exclude Snakemake. COLMAP runs on one thread, as in the report, since with more threads its result
+changes from run to run: compare CPU seconds.
 """
 
 import shutil
@@ -40,7 +40,7 @@ def own_s(results: Path, kind: str) -> float:
 
 
 def describe_error(results: Path) -> str:
-    """The error of the last round's path against the truth."""
+    """Camera path error and focal error of the last round, in words."""
     truth = true_cameras(read_sequence(results / "sequence.json"))
     assert truth is not None
     cameras = read_cameras(results / "ba/poses.parquet")
@@ -50,7 +50,7 @@ def describe_error(results: Path) -> str:
 
 
 def colmap_seconds(results: Path, folder: Path) -> float:
-    """CPU seconds of COLMAP's matching and incremental mapping on the same frames; on one thread, so also wall ones."""
+    """CPU seconds of COLMAP's matching and incremental mapping on the same frames, on one thread."""
     table = folder / "colmap.parquet"
     command = [sys.executable, "-m", "stages.colmap", "--sequence", results / "sequence.json", "--output", table]
     command += ["--mappers", "incremental", "--upsample", "1", "--stats", folder / "colmap.json"]
@@ -66,11 +66,11 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
         results = folder / "results" / DATASET / SCENE
-        run_snakemake(folder, "balanced", "poses")  # draws the frames and fills the cache of compiled kernels
+        run_snakemake(folder, "balanced", "poses")  # renders the frames and fills the cache of compiled kernels
         cpu_s = colmap_seconds(results, folder)
         print(f"{'COLMAP incremental':20s} {cpu_s:6.1f} s CPU, one thread")
         for preset, goal_s in GOALS_S.items():
-            shutil.rmtree(results / "round1", ignore_errors=True)  # no stage of another preset may count
+            shutil.rmtree(results / "round1", ignore_errors=True)  # stages of another preset must not be counted
             own_wall_s = run_snakemake(folder, preset, "poses", "--forcerun", "flow")
             stages_s, own_cpu_s = own_s(results, "wall_s"), own_s(results, "cpu_s")
             threads = read_json(results / "stats/ba.json")["threads"]

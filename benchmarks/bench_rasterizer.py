@@ -1,7 +1,8 @@
 """Rasteriser and SSIM against plain torch, and the rasteriser against the arithmetic limit of this machine.
 
-Run as `python -m benchmarks.bench_rasterizer`. Times are medians of alternated runs in one process, after a warm-up;
-both sides start from the same projected splats and include sorting and binning. The limit compares CPU times.
+Run as `python -m benchmarks.bench_rasterizer`. Times are medians of alternated runs in one process, after a warm-up.
+Both implementations start from the same projected splats and include sorting and binning. The comparison with the limit
+is in CPU time.
 """
 
 import math
@@ -21,15 +22,15 @@ from stages.splatting import raster_adjoint, raster_bins, raster_kernels
 from stages.splatting.rasterize import drawing_order
 
 FLOP_PER_PAIR = 93
-"""Forward 31 and backward 62 per (pixel, Gaussian) pair that contributes, counted by hand over the inner loops."""
+"""Per contributing pair of pixel and Gaussian, 31 forward and 62 backward, counted by hand in the inner loops."""
 CASES = ((20_000, 512, 218, 5), (100_000, 1024, 436, 3))
 CHAINS = 12
-"""Vectors in flight in the loop that measures the peak."""
+"""Number of independent vectors in the loop that measures the peak."""
 GATES = {"rasteriser": 60.0, "SSIM": 5.0, "limit": 20.0}
 
 
 def random_splats(N: int, width: int, height: int) -> dict[str, Tensor]:
-    """N splats, log-normal in size around 0.9 sqrt(pixels / N), of any direction, logit-normal in opacity."""
+    """N random splats: log-normal sizes around 0.9 sqrt(pixels / N), any direction, logit-normal opacities."""
     random = np.random.default_rng(0)
     sigma = 0.9 * np.sqrt(width * height / N) * np.exp(0.4 * random.normal(size=(N, 2)))
     angle = random.uniform(0, np.pi, N)
@@ -48,7 +49,7 @@ def random_splats(N: int, width: int, height: int) -> dict[str, Tensor]:
 
 
 def kernels(splats: dict[str, Tensor], gradients: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
-    """Gradients of the splats by the numba kernels, everything included, from those of colour, depth and alpha."""
+    """Gradients of the splats by the numba kernels, from those of colour, depth and alpha, including all steps."""
     height, width = gradients[1].shape
     arrays = [splats[name].numpy() for name in ("centres", "factors", "opacities", "colours", "depths")]
     order = drawing_order(arrays[-1])
@@ -61,7 +62,7 @@ def kernels(splats: dict[str, Tensor], gradients: tuple[np.ndarray, ...]) -> tup
 
 @njit(cache=True)
 def contributing_pairs(splats: np.ndarray, starts: np.ndarray, ranks: np.ndarray, width: int, height: int) -> int:
-    """(Pixel, Gaussian) pairs above both thresholds: the work that no implementation can avoid."""
+    """Number of (pixel, Gaussian) pairs above both thresholds: the work that no implementation can avoid."""
     columns = (width + raster_bins.TILE - 1) // raster_bins.TILE
     pairs = 0
     for v in range(height):
@@ -81,7 +82,7 @@ def contributing_pairs(splats: np.ndarray, starts: np.ndarray, ranks: np.ndarray
 
 @njit(parallel=True, cache=True)
 def fused_multiply_adds(x: np.ndarray, turns: int) -> None:
-    """turns multiply-adds on CHAINS vectors that stay in registers, for each row of x [rows, CHAINS + 1, LANES]."""
+    """Perform `turns` multiply-adds on CHAINS vectors in registers, for each row of x [rows, CHAINS + 1, LANES]."""
     for row in prange(len(x)):
         start = (CHAINS + 1) * LANES * row
         gain = load(x, start + CHAINS * LANES)
@@ -96,10 +97,10 @@ def fused_multiply_adds(x: np.ndarray, turns: int) -> None:
 
 
 def peak_flops() -> float:
-    """Float32 multiply-add rate of one core, flop per second of CPU time; the best of several.
+    """Peak rate of float32 multiply-adds of one core, in flop per second of CPU time; the best of several runs.
 
-    The loop is nothing but CHAINS independent multiply-adds of whole vectors, more than the latency times the units of
-    any present CPU. In CPU time it is the peak of the core even while other jobs take turns on it.
+    The loop consists of CHAINS independent multiply-adds of whole vectors, more than latency x number of units of any
+    present CPU. Measured in CPU time, this is the peak of the core even while other jobs share it.
     """
     x, turns = np.random.default_rng(0).uniform(0.4, 0.6, (64, CHAINS + 1, LANES)).astype(np.float32), 20_000
     fused_multiply_adds(x, 10)
@@ -108,7 +109,7 @@ def peak_flops() -> float:
 
 
 def cpu_seconds(work: Callable[[], object], rounds: int) -> float:
-    """Least CPU time of all threads together."""
+    """Smallest CPU time, summed over all threads, of several calls."""
     least = math.inf
     for _ in range(rounds):
         began = time.process_time()
@@ -118,7 +119,7 @@ def cpu_seconds(work: Callable[[], object], rounds: int) -> float:
 
 
 def bench_rasterizer(N: int, width: int, height: int, rounds: int, flops: float) -> None:
-    """One size: seconds, ratio to torch and to the limit."""
+    """Print seconds and the ratios to torch and to the limit for one size."""
     splats = random_splats(N, width, height)
     random = np.random.default_rng(1)
     shapes = (height, width, 3), (height, width), (height, width)
@@ -146,7 +147,7 @@ def bench_rasterizer(N: int, width: int, height: int, rounds: int, flops: float)
 
 
 def bench_ssim(width: int, height: int) -> None:
-    """Value and gradient, fused and by convolutions."""
+    """Print the seconds of SSIM with its gradient, by the fused kernels and by convolutions."""
     generator = torch.manual_seed(0)
     image = torch.rand(height, width, 3, generator=generator).requires_grad_()
     target = Target(torch.rand(height, width, 3, generator=generator))

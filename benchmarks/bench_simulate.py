@@ -1,8 +1,8 @@
-"""What a simulated frame costs: by scene, by resolution, by number of objects, by effect; and the tree's worth.
+"""Cost of a simulated frame by scene, resolution, number of objects and effect; and the gain of the bounding volumes.
 
-Run as `python -m benchmarks.bench_simulate`. Figures are CPU seconds of all threads, which a busy machine hardly
-changes (on c quiet cores a frame takes about a c-th of them); medians of alternated runs after a warm-up. The growth
-is the exponent of a power law fitted to them: 1 means proportional, 0 means free.
+Run as `python -m benchmarks.bench_simulate`. Figures are CPU seconds of all threads, which other load on the machine
+hardly changes; they are medians of alternated runs after a warm-up. On c idle cores a frame takes about 1 / c of them.
+The growth is the exponent of a fitted power law: 1 means proportional, 0 means constant.
 """
 
 import statistics
@@ -39,7 +39,7 @@ EFFECTS = {
 
 
 def cpu_seconds(works: Mapping[str, Callable[[], object]]) -> dict[str, float]:
-    """Median CPU seconds of each work."""
+    """Median CPU seconds of each function."""
     return alternated(works, ROUNDS, time.process_time)
 
 
@@ -49,7 +49,7 @@ def growth(sizes: Iterable[float], seconds: Iterable[float]) -> float:
 
 
 def clean_frame(stage: Stage, right_eye: bool = True) -> None:
-    """One clean frame with all truth, as the simulator draws it: one new moment, one or two pictures, the motion."""
+    """Render one clean frame with all ground truth, as the simulator does: geometry, one or two images, motion."""
     middle = stage.scene.frames // 2
     now = stage.moment(middle)
     other = frames.Moment(now.snapshot, stage.view(middle + 1))
@@ -63,7 +63,7 @@ def clean_frame(stage: Stage, right_eye: bool = True) -> None:
 
 
 def by_scene() -> None:
-    """CPU seconds of a clean 512-pixel-wide frame with all truth, for every scene of the library."""
+    """Print the CPU seconds of a clean frame, 512 px wide, with all ground truth, for every scene of the library."""
     stages = {path.stem: set_stage(load_scene(path), 0) for path in sorted(SCENES.glob("*.yaml"))}
     works = {
         f"{name} {eye}": partial(clean_frame, stage, eye == "both")
@@ -78,7 +78,7 @@ def by_scene() -> None:
 
 
 def by_resolution() -> None:
-    """Growth with the number of pixels."""
+    """Print the growth with the number of pixels."""
     scene = load_scene(SCENES / "demo.yaml")
     sizes = [(128, 54), (256, 109), (512, 218), (1024, 436)]
     stages = {f"{w}x{h}": set_stage(scene.model_copy(update={"width": w, "height": h}), 0) for w, h in sizes}
@@ -89,7 +89,7 @@ def by_resolution() -> None:
 
 
 def by_objects() -> None:
-    """Growth with the number of objects, at rest and moving."""
+    """Print the growth with the number of objects, at rest and moving."""
     counts = (10, 40, 160, 640)
     for path in ([], [{"time": 0}, {"time": 1, "move": [0.3, 0, 0]}]):
         stages = {str(count): set_stage(_rocks(count, path), 0) for count in counts}
@@ -100,7 +100,7 @@ def by_objects() -> None:
 
 
 def by_effect() -> None:
-    """The final pass with one effect, over the clean frame with all truth."""
+    """Print the cost of the final pass with one effect, relative to a clean frame with all ground truth."""
     scene = load_scene(SCENES / "demo.yaml")
     stages = {
         name: set_stage(scene.model_copy(update={"effects": Effects(**{name: EFFECTS[name]})}), 0) for name in EFFECTS
@@ -120,7 +120,7 @@ def by_effect() -> None:
 
 
 def tree_against_brute_force() -> None:
-    """The bounding-volume tree against testing every triangle: the same walk through boxes that all rays enter."""
+    """Print the cost with the bounding volumes and with tests of every triangle (boxes that all rays enter)."""
     stage = set_stage(load_scene(SCENES / "demo.yaml"), 0)
     now = stage.moment(7)
     still = now.snapshot.still

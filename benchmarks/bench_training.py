@@ -51,7 +51,7 @@ PARTS: dict[str, list[tuple[Any, str]]] = {
 
 
 def random_trainer(n: int) -> Trainer:
-    """A trainer on n Gaussians as dense as a lifted frame, and random images."""
+    """A trainer with n random Gaussians, as dense as those of a lifted frame, and random images."""
     random = np.random.default_rng(0)
     depths = random.uniform(2, 8, n)
     focal_px = 450.0
@@ -89,7 +89,7 @@ def now() -> np.ndarray:
 
 
 def clocked(function: Callable[..., Any], seconds: Times, part: str) -> Callable[..., Any]:
-    """The function, adding its time to `seconds[part]`."""
+    """The function, wrapped so that it adds its time to `seconds[part]`."""
 
     def wrapper(*arguments: Any, **options: Any) -> Any:
         began = now()
@@ -118,7 +118,7 @@ def measured_steps(trainer: Trainer, seconds: Times) -> dict[str, np.ndarray]:
 
 
 def peak_bytes() -> int:
-    """The most memory that the process ever held."""
+    """Peak resident memory of this process, in bytes."""
     return 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 
 

@@ -1,10 +1,10 @@
-"""Accuracy of optical flow and of its confidence against truth, for any folders of MPI-Sintel layout.
+"""Accuracy of optical flow and of its confidence against ground truth, for any folders in MPI-Sintel layout.
 
 Run as `python -m benchmarks.flow_accuracy FOLDER [FOLDER ...]`, each a folder of frames `<training>/<pass>/<sequence>`
-beside its truth. Per sequence: end-point error of flow to the next frame, overall and by true motion, and how often
-confident flow is right to a pixel; with depth and cameras also per frame distance, against exact flow of the pixels
-seen in both frames. What truth a folder lacks is told in a line each. Options of the flow stage follow as in
-`python -m stages.flow --help`, e.g. `--options finest_scale=1`; `--frames 8` takes the first frames only.
+with ground truth beside it. Printed per sequence: end-point error of the flow to the next frame, over all pixels and by
+true motion, and the share of confident flow with an error below 1 px. With true depth and cameras the same is printed
+per frame distance, for pixels visible in both frames. Missing ground truth is named. `--options` sets options of the
+flow stage (`python -m stages.flow --help`), e.g. `--options finest_scale=1`; `--frames 8` takes the first frames only.
 """
 
 import argparse
@@ -28,7 +28,7 @@ from stages.shared.sequences import Sequence, check_sequence, sequence_to_json
 
 
 def measured(frames: Sequence, options: FlowOptions) -> tuple[dict[str, np.ndarray], float]:
-    """Columns of pairs.arrow as the stage writes them, and its CPU seconds."""
+    """Columns of pairs.arrow as the flow stage writes them, and its CPU seconds."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         write_json(folder / "sequence.json", sequence_to_json(frames))
@@ -39,7 +39,7 @@ def measured(frames: Sequence, options: FlowOptions) -> tuple[dict[str, np.ndarr
 
 
 def summary(found: FlowErrors) -> str:
-    """Errors overall and by true motion as text, and what the confidence promises."""
+    """Errors of all pixels and by true motion, and accuracy of confident pixels, as text."""
     parts = [f"all {found.error_px.mean():.2f} px, visible {found.error_px[found.visible].mean():.2f}"]
     for low, high in SPEEDS_PX:
         errors = found.error_px[(found.motion_px >= low) & (found.motion_px < high)]
@@ -50,7 +50,7 @@ def summary(found: FlowErrors) -> str:
 
 
 def by_distance(frames: Sequence, flow: dict[str, np.ndarray]) -> list[str]:
-    """Per frame distance: mean error of visible pixels, confident share, and how many of those are right."""
+    """By frame distance: mean error of visible pixels, share of confident ones, and share of these that are right."""
     h, w = flow["confidence"].shape[1:]
     truth = read_truth(frames, w, h)
     found: dict[int, list[tuple[np.ndarray, np.ndarray]]] = {}
@@ -69,7 +69,7 @@ def by_distance(frames: Sequence, flow: dict[str, np.ndarray]) -> list[str]:
 
 
 def report(folder: Path, limit: int | None, options: FlowOptions) -> list[str]:
-    """Lines on one sequence, of its first `limit` frames: the errors, or what it lacks for them.
+    """Lines on the first `limit` frames of one sequence: the errors, or the ground truth that is missing.
 
     Raises:
         InputError: if the folder holds no sequence.
@@ -85,7 +85,7 @@ def report(folder: Path, limit: int | None, options: FlowOptions) -> list[str]:
     lines = [f"{name}, {len(flow['source'])} edges, {seconds:.1f} s of CPU time"]
     lines.append("  " + summary(flow_errors(frames, flow)))
     lacking = (kind for kind in NEEDED if not frames.has_truth(kind))
-    missing = [f"  {kind} is not there for every frame, so no errors by frame distance" for kind in lacking]
+    missing = [f"  {kind} is missing for some frames, so no errors by frame distance" for kind in lacking]
     return [*lines, *(missing or by_distance(frames, flow))]
 
 
@@ -96,9 +96,9 @@ def main() -> None:
     parser.add_argument("--frames", type=int, help="use the first frames only")
     parser.add_argument("--options", nargs="*", default=[], metavar="NAME=VALUE", help="options of the flow stage")
     arguments = parser.parse_args()
-    given = {name: yaml.safe_load(value) for name, value in (pair.split("=", 1) for pair in arguments.options)}
+    chosen = {name: yaml.safe_load(value) for name, value in (pair.split("=", 1) for pair in arguments.options)}
     try:
-        options = validate(FlowOptions, given, "--options")
+        options = validate(FlowOptions, chosen, "--options")
         for folder in arguments.folders:
             print("\n".join(report(folder.absolute(), arguments.frames, options)), flush=True)
     except InputError as error:

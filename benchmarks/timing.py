@@ -1,4 +1,4 @@
-"""How benchmarks time: alternated runs in one process, medians."""
+"""Timing of benchmarks: medians of alternated runs in one process."""
 
 import statistics
 import time
@@ -8,9 +8,12 @@ from collections.abc import Callable, Mapping
 def alternated(
     works: Mapping[str, Callable[[], object]], rounds: int, clock: Callable[[], float] = time.perf_counter
 ) -> dict[str, float]:
-    """Median seconds of each work after a warm-up; every round runs all, so that they share the machine's moods.
+    """Median seconds of each function in `works` after a warm-up.
 
-    The clock is that of the wall, or `time.process_time` for the CPU seconds of all threads.
+    Every round calls all functions, so that changes of the machine's load affect all of them.
+
+    Args:
+        clock: wall time by default; `time.process_time` for the CPU seconds of all threads.
     """
     seconds: dict[str, list[float]] = {name: [] for name in works}
     for turn in range(rounds + 1):

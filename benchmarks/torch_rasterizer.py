@@ -1,4 +1,4 @@
-"""The rasteriser as plain torch: what one writes without kernels. Tiles in batches, padded lists, autograd."""
+"""The rasteriser in plain torch, without kernels: batches of tiles, padded lists, autograd."""
 
 import itertools
 
@@ -11,7 +11,7 @@ from stages.splatting.raster_bins import RANK, TILE
 from stages.splatting.rasterize import drawing_order
 
 BATCH_PAIRS = 2_000_000
-"""Padded (Gaussian, pixel) pairs per batch x 16: bounds the memory to some hundred MB."""
+"""A sixteenth of the largest number of padded (Gaussian, pixel) pairs in a batch; it limits the memory."""
 
 
 def tile_lists(splats: dict[str, Tensor], width: int, height: int) -> list[np.ndarray]:
@@ -25,7 +25,7 @@ def tile_lists(splats: dict[str, Tensor], width: int, height: int) -> list[np.nd
 
 
 def batches(lists: list[np.ndarray]) -> list[np.ndarray]:
-    """Tiles grouped by the length of their lists, so that padding is small."""
+    """Groups of tiles with lists of similar length, so that padding is small."""
     order = np.argsort([len(one) for one in lists], kind="stable")
     groups, first = [], 0
     for k in range(1, len(order) + 1):
