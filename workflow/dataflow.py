@@ -1,4 +1,4 @@
-"""Draw which rule hands which files to which, as Snakemake itself plans it: docs/dataflow.png.
+"""Draw the files that rules pass to each other, as Snakemake plans them: docs/dataflow.png.
 
 A row per rule: its name and script in a box, and its files on lines that leave to the right and turn down. An arrow
 into a box comes from all files that the rule reads, marked by dots.
@@ -25,9 +25,9 @@ if TYPE_CHECKING:
 REPO = Path(__file__).parents[1]
 PLAN = ("-n", "-p", "sweep", "scaling", "--configfile")
 OPTIONS = {"dataset": "simulated", "scenes": ["demo"], "colmap": {"upsample_masked": [1]}}
-"""Everything there is, on one scene of the library."""
+"""All rules, on one scene of the library."""
 LEFT_OUT = ("stats/", "figures/")
-"""What every rule writes beside its artifacts: time and memory, and a picture for the report."""
+"""Folders of files that every rule writes besides its artifacts: time files, and pictures for the report."""
 WIDTH_PX, BOX_PX, TEXT_PX, LANE_PX, ROW_PX, GAP_PX, TOP_PX = 1040, 168, 186, 21, 17, 13, 14
 COLOURS = ("#1f77b4", "#d95f02", "#1b9e77", "#a6408f", "#8c6d1f", "#c0392b", "#2c5f8a", "#5a8f29")
 BAND = "#f1f1ea"
@@ -64,7 +64,7 @@ class Lane:
 
     @property
     def label(self) -> str:
-        """The file names, with what they have in common written once."""
+        """The file names, with their common part written once."""
         folders = {name.rpartition("/")[0] for name in self.artifacts}
         suffixes = {Path(name).suffix for name in self.artifacts}
         if len(self.artifacts) < 3 or len(folders) > 1 or len(suffixes) > 1:
@@ -123,7 +123,7 @@ def lanes_of(rules: Sequence[Rule]) -> list[Lane]:
 
 
 def draw(rules: Sequence[Rule]) -> "Figure":
-    """The picture, twice as large as it is meant to be shown."""
+    """The picture, at twice the size at which it is shown."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -237,7 +237,7 @@ def _round(path: str) -> str:
 
 
 def _artifact(path: str) -> str:
-    """The name of a file within the folder of its sequence or dataset; "" for what is left out of the picture."""
+    """The name of a file within the folder of its sequence or dataset; "" for files that are not drawn."""
     name = re.sub(r"settings/[^/]+/|round\d+/", "", path.removeprefix("results/simulated/").removeprefix("demo/"))
     name = name.replace("demo.json", "<sequence>.json")
     return "" if name.startswith(LEFT_OUT) else name if Path(name).suffix or not name else f"{name}/"

@@ -8,7 +8,7 @@ rule colmap:
         "<logs>/{dataset}/{seq}/{setting}colmap.log",
     conda:
         "../envs/motionsplat.yaml"
-    # No core is kept for it: at the lowest priority it takes what our own stages leave idle, and never delays them.
+    # No core is reserved: COLMAP runs at the lowest priority, uses cores that our stages leave idle, and delays none.
     threads: 0
     resources:
         mem_mb=colmap_memory,
@@ -22,7 +22,7 @@ rule colmap:
         " {params.masks} {params.flags} --log {log:q} --stats {output.stats:q}; }} 2>> {log:q}"
 
 
-# Apart from the rule above, which on one machine need not wait for the masks.
+# A rule of its own: COLMAP without masks need not wait for the masks.
 use rule colmap as colmap_masked with:
     input:
         sequence=artifact("inspect", "sequence.json"),

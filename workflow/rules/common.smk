@@ -34,8 +34,8 @@ from stages.shared.images import reduced_size
 from stages.shared.memory import Held, megabytes
 from stages.shared.sequences import find_truth, truth_folders
 
-# A plan of a thousand sequences is a million objects that stay: looking through them all again and again for garbage
-# takes a quarter of the time to the first job.
+# A plan of a thousand sequences consists of a million permanent objects. Searching all of them for garbage again and
+# again delays the first job considerably.
 gc.set_threshold(200_000, 50, 1000)
 
 # Jobs run `python -m stages...` from any working directory with this environment's Python.
@@ -48,7 +48,7 @@ os.environ.update(
 
 
 def own_values():
-    """What the user's own files and flags set, the shipped file aside: it wins over a preset."""
+    """The values from the user's own files and flags, without the shipped file: they win over a preset."""
     values = {}
     for path in workflow.overwrite_configfiles:
         if path.resolve() != (REPO / "config.yaml").resolve():
@@ -62,7 +62,7 @@ try:
     CONFIGURED = settings.configured(config, MINE)
     CONFIG = CONFIGURED.config
     FOLDERS = datasets.frame_folders(CONFIG)
-    # Jobs on a cluster read this file again: one look at all headers is enough.
+    # Jobs on a cluster read this file again; checking all headers once is enough.
     SEQUENCES = datasets.find_sequences(
         CONFIG, FOLDERS, headers=workflow.is_main_process
     )
@@ -78,13 +78,13 @@ SETTINGS = {setting.folder: setting for setting in [CONFIGURED, *SWEPT, *SCALED]
 EVERY_SETTING = list(SETTINGS.values())
 
 
-# How many jobs may take them at a time on one machine (profiles/default); on a cluster each job has a machine.
+# profiles/default limits the number of jobs that use these on one machine; on a cluster each job has a machine.
 resource_scopes:
     gpu="local",
     colmap="local",
 
 
-# No list of names: Snakemake would search it for every file, for half a minute with a thousand sequences.
+# These are no lists of names: Snakemake would search them for every file, which takes long with many sequences.
 wildcard_constraints:
     dataset=re.escape(DATASET),
     seq=r"[^/]+",
@@ -113,29 +113,29 @@ def known_sequence(wildcards):
 
 @functools.cache
 def flags_of(setting, section):
-    """The command-line flags of one script under a setting; remembered, as every job asks."""
+    """The command-line flags of one script under a setting; cached, since every job asks."""
     return configuration.flags(setting.config, section)
 
 
 def flags(section):
-    """The command-line flags of one script: Snakemake reruns it when they change."""
+    """The params function of a script's command-line flags: Snakemake reruns the script when they change."""
     return lambda wildcards: flags_of(setting_of(wildcards), section)
 
 
 def round_number(wildcards):
-    """The round of a job, 1, 2, ...; the last round has no prefix, nor have stages that run once."""
+    """The round of a job, 1, 2, ...; paths of the last round and of stages that run once have no prefix."""
     digits = re.sub(r"\D", "", getattr(wildcards, "round", ""))
     return int(digits or setting_of(wildcards).config.rounds)
 
 
 @functools.cache
 def home_of(setting, stage, number):
-    """The folder, within a sequence's, of what a stage makes in a round under a setting; remembered like the flags."""
+    """The folder, within a sequence's, of a stage's results in a round under a setting; cached like the flags."""
     return plan.find_home(EVERY_SETTING, setting, stage, number)
 
 
 def artifact_path(wildcards, stage, name, number):
-    """A file or folder that a stage makes in a round under the job's setting, where the stage is run for it."""
+    """The path of a file or folder that a stage makes in a round under the job's setting."""
     home = home_of(setting_of(wildcards), stage, number)
     return f"<results>/{wildcards.dataset}/{wildcards.seq}/{home}{name}"
 
@@ -148,7 +148,7 @@ def artifact(stage, name):
 
 
 def artifacts(stage, name):
-    """The input function of what a stage makes in all of its rounds, in order; in the last if they do not repeat it."""
+    """The input function of a stage's results in all of its rounds, in order (one, if rounds do not repeat it)."""
 
     def of_rounds(wildcards):
         numbers = plan.rounds_of(setting_of(wildcards), stage)
@@ -158,7 +158,7 @@ def artifacts(stage, name):
 
 
 def optional(stage, name, before=0):
-    """The input function of what a stage makes, `before` rounds ago; nothing where it is not run in that round."""
+    """The input function of a stage's results `before` rounds ago; empty if the stage does not run in that round."""
 
     def of_job(wildcards):
         number = round_number(wildcards) - before
@@ -170,12 +170,12 @@ def optional(stage, name, before=0):
 
 
 def optional_flags(*names):
-    """The flags that hand over the optional inputs of these names which there are."""
+    """The params function of the flags for those optional inputs, out of `names`, that a job has."""
 
     def of_job(wildcards, input):
-        given = {f"--{name.replace('_', '-')}": input.get(name) for name in names}
+        paths = {f"--{name.replace('_', '-')}": input.get(name) for name in names}
         return " ".join(
-            f"{flag} {shlex.quote(path)}" for flag, path in given.items() if path
+            f"{flag} {shlex.quote(path)}" for flag, path in paths.items() if path
         )
 
     return of_job
@@ -192,8 +192,10 @@ def frame_folder(wildcards):
 
 
 def frame_source(wildcards):
-    """What `inspect` depends on: frames and the folders of truth beside them, or the manifest that the simulator writes
-    last. A folder is newer when a file appears or goes; hundreds of files more for each sequence would slow every plan.
+    """The inputs of `inspect`: frames and the folders of ground truth beside them, or the simulator's manifest.
+
+    The simulator writes the manifest last. A folder of truth stands for its files: its time changes when files are
+    added or removed, and hundreds of files more per sequence would slow down every plan.
     """
     name = known_sequence(wildcards)
     if CONFIG.dataset == configuration.SIMULATED:

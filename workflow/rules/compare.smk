@@ -1,4 +1,4 @@
-# What is compared, evaluated and reported: inputs and flags of the rules that collect the results of others.
+# Inputs and flags of the rules that collect results of others: comparisons, evaluation, report.
 TABLES = {
     "sweep": f"<results>/{DATASET}/sweep/costs.parquet",
     "scaling": f"<results>/{DATASET}/scaling/growth.parquet",
@@ -8,12 +8,15 @@ os.environ.update(MOTIONSPLAT_REPORT=f"results/{DATASET}/report/index.html")
 
 @functools.cache
 def with_truth(sequence):
-    """A sequence with the truth beside its frames, which plans need only of those that are compared."""
+    """A sequence with the ground truth beside its frames; plans need it only for sequences that are compared."""
     return replace(SEQUENCES[sequence], truth=find_truth(Path(FOLDERS[sequence])))
 
 
 def can_run(sequence, setting):
-    """Whether the sequence has the truth that the setting takes as input; simulated ones have all, but may zoom."""
+    """Whether the sequence has the ground truth that the setting takes as input.
+
+    Simulated sequences have all of it, but the focal length may change.
+    """
     if CONFIG.dataset == configuration.SIMULATED:
         return not (
             truth_inputs.takes_one_camera(setting) and datasets.zooms(CONFIG, sequence)
@@ -22,7 +25,7 @@ def can_run(sequence, setting):
 
 
 def needed_by(listed):
-    """All files that runs are collected from, each once."""
+    """All files from which the rows of runs are computed, each once."""
     files = dict.fromkeys(
         path for run in listed for path in compared_runs.needed_files(run)
     )
@@ -30,7 +33,7 @@ def needed_by(listed):
 
 
 def masked_baseline(name):
-    """What COLMAP with our masks makes, where a setting asks for it: the configured run, or a setting about COLMAP."""
+    """The input function of results of COLMAP with our masks; empty if the job's setting does not run it."""
 
     def of_job(wildcards):
         if not settings.runs_masked_baseline(setting_of(wildcards)):
@@ -43,7 +46,7 @@ def masked_baseline(name):
 
 
 def stage_stats(wildcards):
-    """The time files of every stage up to the evaluation, those of a repeated stage in the order of the rounds."""
+    """The time files of every stage before the evaluation; those of a repeated stage in the order of the rounds."""
     return [
         path
         for stage in MEASURED
@@ -58,7 +61,7 @@ def asked_tables(wildcards):
 
 
 def comparison_flags(wildcards, input):
-    """The flags of the report for tables that were just made or lie there from an earlier comparison."""
+    """The flags of the report for the tables of this run's or an earlier run's comparisons."""
     flag = {"sweep": "--sweep", "scaling": "--growth"}
     paths = {name: workflow.pathvars.apply(path) for name, path in TABLES.items()}
     return " ".join(

@@ -1,8 +1,8 @@
-# What a job asks for: memory, GPUs, and the submission that it travels in to a cluster.
+# Resources of a job: memory, GPUs, and the group in which it is submitted to a cluster.
 
 
 def memory(stage):
-    """The memory of a job, in megabytes, from what its stage holds; more at each attempt."""
+    """The params function of a job's memory in megabytes, from the pixels of its stage; more at each attempt."""
 
     def of_job(wildcards, attempt):
         return megabytes(stage, held(setting_of(wildcards), wildcards.seq), attempt)
@@ -12,7 +12,7 @@ def memory(stage):
 
 @functools.cache
 def held(setting, name):
-    """The pixels of a sequence, and of its flow, under a setting; remembered like the flags."""
+    """The pixels of a sequence and of its flow under a setting; cached like the flags."""
     sequence, config = SEQUENCES[name], setting.config
     size, limit = (sequence.width, sequence.height), config.inspect.max_frames
     frames = len(sequence.frames)
@@ -23,7 +23,7 @@ def held(setting, name):
 
 
 def gpus(section):
-    """The GPUs of a job: one where its stage runs on CUDA; else None, which leaves the resource out of the job."""
+    """The resource function of a job's GPUs: one if its stage runs on CUDA, else None, which omits the resource."""
 
     def of_job(wildcards):
         options = configuration.section(setting_of(wildcards).config, section)
@@ -33,7 +33,7 @@ def gpus(section):
 
 
 def submission(name):
-    """The group that a job travels in to a cluster: one submission per sequence and setting. Local runs know no groups."""
+    """The function of a job's group: one submission to a cluster per sequence and setting. Local runs have no groups."""
 
     def of_job(wildcards):
         setting = getattr(wildcards, "setting", "").removeprefix("settings/")

@@ -1,4 +1,4 @@
-# The same sequences under other settings: what accuracy costs (sweep), and how cost grows (scaling).
+# The same sequences under other settings: accuracy against time (sweep) and growth of the cost (scaling).
 RUNS = {
     "sweep": [
         compared_runs.swept_run(EVERY_SETTING, setting, name)
