@@ -13,9 +13,9 @@ from stages.shared import lie
 from stages.shared.artifacts import read_dense, write_model
 from stages.shared.cameras import Cameras, make_cameras, read_cameras, write_cameras
 from stages.shared.masks import read_masks
+from stages.shared.run_inputs import RunInputs, read_run_inputs
 from stages.shared.sequences import read_sequence
 from stages.shared.tables import read_rows
-from stages.shared.truth_used import RunInputs, read_run_inputs
 
 
 def _candidate(cameras: Cameras | None, failure: str | None = None) -> score_poses.Candidate:

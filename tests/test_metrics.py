@@ -11,7 +11,7 @@ from evo.core import metrics as evo_metrics
 from evo.core.geometry import GeometryException
 from evo.core.trajectory import PosePath3D
 
-from stages.evaluate import image_metrics, mask_metrics, trajectory, truthfree
+from stages.evaluate import flow_check, image_metrics, mask_metrics, trajectory
 from stages.evaluate.ground_truth import moving_pixels
 from stages.evaluate.score_images import score_frame
 from stages.shared import lie, sintel
@@ -183,11 +183,11 @@ def test_flow_residual_is_zero_for_the_truth_and_measures_a_wrong_pose() -> None
     still = ~run.moving(points, 2).ravel()
     flow_px = run.flow(2, 3).reshape(-1, 2)
     source, target = ((run.CAM_FROM_WORLD[k], run.K) for k in (2, 3))
-    exact = truthfree.flow_residuals(uv[still], 1 / depth.ravel()[still], flow_px[still], source, target)
+    exact = flow_check.flow_residuals(uv[still], 1 / depth.ravel()[still], flow_px[still], source, target)
     assert len(exact) == still.sum()
     assert exact.max() < 1e-9
     shifted = target[1] + np.array([[0, 0, 3.0], [0, 0, 4.0], [0, 0, 0]])
-    wrong = truthfree.flow_residuals(uv[still], 1 / depth.ravel()[still], flow_px[still], source, (target[0], shifted))
+    wrong = flow_check.flow_residuals(uv[still], 1 / depth.ravel()[still], flow_px[still], source, (target[0], shifted))
     np.testing.assert_allclose(wrong, 5, atol=1e-9)
 
 
@@ -195,7 +195,7 @@ def test_flow_residual_leaves_out_points_behind_the_target() -> None:
     backwards = run.CAM_FROM_WORLD[0].copy()
     backwards[2, 3] -= 100
     uv = pixel_grid(4, 4).reshape(-1, 2)
-    found = truthfree.flow_residuals(uv, np.ones(16), np.zeros((16, 2)), (np.eye(4), run.K), (backwards, run.K))
+    found = flow_check.flow_residuals(uv, np.ones(16), np.zeros((16, 2)), (np.eye(4), run.K), (backwards, run.K))
     assert len(found) == 0
 
 

@@ -10,7 +10,7 @@ import yaml
 from conftest import REPO
 
 from stages.configuration import config as configuration
-from stages.configuration import datasets, plan, settings, truth_inputs
+from stages.configuration import datasets, plan, required_truth, settings
 from stages.configuration.presets import PRESETS, override, value_of
 from stages.shared import sintel
 from stages.shared.cameras import centred_intrinsics
@@ -171,8 +171,8 @@ def test_a_setting_that_takes_truth_needs_it() -> None:
     bare = Sequence("clip", list(files.values()), list(files), 4, 4)
     full = replace(bare, truth={"motion_mask": files})
     gap = replace(bare, truth={"motion_mask": {1: files[1]}})
-    assert [truth_inputs.lacks_truth(masks, s) for s in (bare, full, gap)] == [True, False, True]
-    assert not truth_inputs.lacks_truth(none, bare)
+    assert [required_truth.lacks_truth(masks, s) for s in (bare, full, gap)] == [True, False, True]
+    assert not required_truth.lacks_truth(none, bare)
 
 
 def test_a_setting_that_takes_true_cameras_needs_one_focal_length(tmp_path: Path) -> None:
@@ -186,7 +186,7 @@ def test_a_setting_that_takes_true_cameras_needs_one_focal_length(tmp_path: Path
             path.parent.mkdir(exist_ok=True)
             sintel.write_cam(path, centred_intrinsics(90 * zoom**number, 96, 64), np.eye(3, 4))
         sequences.append(Sequence(name, list(files.values()), list(files), 96, 64, {"camdata_left": files}))
-    assert [[truth_inputs.lacks_truth(s, sequence) for s in wanted] for sequence in sequences] == [
+    assert [[required_truth.lacks_truth(s, sequence) for s in wanted] for sequence in sequences] == [
         [False] * 2,
         [True] * 2,
     ]

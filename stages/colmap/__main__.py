@@ -19,8 +19,8 @@ from stages.shared.cli import In, Out
 from stages.shared.images import read_rgb, write_image
 from stages.shared.log import logger
 from stages.shared.masks import read_mask
+from stages.shared.run_inputs import MASKS, TRUTH, WITH_MASKS, mask_source
 from stages.shared.sequences import Sequence, read_sequence
-from stages.shared.truth_used import MASKS, TRUTH, WITH_MASKS, mask_source
 
 COLUMNS = ("method", "frame", "qw", "qx", "qy", "qz", "tx", "ty", "tz", "fx", "fy", "cx", "cy")
 

@@ -30,9 +30,9 @@ from stages.shared.charts import draw_trajectories
 from stages.shared.cli import In, Out
 from stages.shared.log import logger
 from stages.shared.masks import read_masks
+from stages.shared.run_inputs import RunInputs, read_run_inputs
 from stages.shared.sequences import Sequence, read_sequence
 from stages.shared.tables import Row, read_rows, write_rows
-from stages.shared.truth_used import RunInputs, read_run_inputs
 
 POSES = (
     *("sequence", "method", "registered", "total", "ate", "ate_percent", "rpe_trans", "rpe_rot_deg"),

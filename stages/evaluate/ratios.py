@@ -3,8 +3,8 @@
 import json
 from collections.abc import Sequence
 
+from stages.shared.run_inputs import WITH_MASKS
 from stages.shared.tables import Column, Row, Table
-from stages.shared.truth_used import WITH_MASKS
 
 TRUE_MASKS = {"segment.source": "truth"}
 """The only option in which the run with true masks differs from the configured one."""

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from stages.evaluate import truthfree
+from stages.evaluate import flow_check
 from stages.evaluate.flow_error import flow_rows, has_some_true_flow
 from stages.shared import sintel
 from stages.shared.cameras import Cameras, frame_from_grid, has_pose, pixel_grid
@@ -70,18 +70,18 @@ def edge_residuals(
     scale = flow["flow"].shape[2] / sequence.width
     residuals = []
     for e, (i, j) in enumerate(zip(flow["source"], flow["target"], strict=True)):
-        used = static[i] & (truthfree.sample(flow["confidence"][e], uv, scale) > truthfree.MIN_CONFIDENCE)
-        flow_px = truthfree.sample(flow["flow"][e], uv[used], scale).astype(float) / scale
+        used = static[i] & (flow_check.sample(flow["confidence"][e], uv, scale) > flow_check.MIN_CONFIDENCE)
+        flow_px = flow_check.sample(flow["flow"][e], uv[used], scale).astype(float) / scale
         source, target = ((cameras.cam_from_world[k], cameras.Ks[k]) for k in (i, j))
         depths = inverse_depth[i][used].astype(float)
-        residuals.append(truthfree.flow_residuals(uv[used], depths, flow_px, source, target))
+        residuals.append(flow_check.flow_residuals(uv[used], depths, flow_px, source, target))
     return np.concatenate(residuals)
 
 
 def _residual_rows(residuals: np.ndarray) -> list[dict[str, Any]]:
     if not len(residuals):
         return []
-    n, protocol = len(residuals), truthfree.PROTOCOL
+    n, protocol = len(residuals), flow_check.PROTOCOL
     median, high = np.percentile(residuals, [50, 90])
     return [
         check_row("flow residual, median", median, n, "px", protocol),

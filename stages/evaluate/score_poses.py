@@ -12,7 +12,7 @@ from stages.shared import lie
 from stages.shared.alignment import DegenerateError, extent
 from stages.shared.artifacts import read_metadata, read_table
 from stages.shared.cameras import Cameras, has_pose, intrinsics, make_cameras, read_cameras
-from stages.shared.truth_used import RunInputs
+from stages.shared.run_inputs import RunInputs
 
 CAMERA_NAMES = {"point": "static", "line": "straight"}
 

@@ -11,8 +11,8 @@ from stages.evaluate.costs import is_ours
 from stages.evaluate.score_masks import PRIOR
 from stages.report import detail_tables, published
 from stages.report.sections import Figure
+from stages.shared.run_inputs import truth_used_by
 from stages.shared.tables import Row, Table, decimal
-from stages.shared.truth_used import truth_used_by
 
 Rows = Mapping[str, list[Row]]
 

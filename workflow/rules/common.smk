@@ -21,8 +21,8 @@ from stages.configuration import (
     config as configuration,
     datasets,
     plan,
+    required_truth,
     settings,
-    truth_inputs,
 )
 from stages.flow.edges import most_edges
 from stages.shared.artifacts import write_json

@@ -19,9 +19,10 @@ def can_run(sequence, setting):
     """
     if CONFIG.dataset == configuration.SIMULATED:
         return not (
-            truth_inputs.takes_one_camera(setting) and datasets.zooms(CONFIG, sequence)
+            required_truth.takes_one_camera(setting)
+            and datasets.zooms(CONFIG, sequence)
         )
-    return not truth_inputs.lacks_truth(setting, with_truth(sequence))
+    return not required_truth.lacks_truth(setting, with_truth(sequence))
 
 
 def needed_by(listed):

@@ -1,4 +1,4 @@
-"""Checks without ground truth: residual of the optical flow on static pixels under poses and depth."""
+"""A check without ground truth: residuals of the optical flow on static pixels under poses and depth."""
 
 import numpy as np
 
