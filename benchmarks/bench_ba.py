@@ -45,7 +45,7 @@ def random_problem(T: int, stride: int, offsets: tuple[int, ...] = (1, 2, 3)) ->
 
 
 def kernel_system(graph: FlowGraph, state: State) -> tuple[np.ndarray, np.ndarray]:
-    """The reduced system and its right-hand side by the kernels of `stages.ba`."""
+    """The reduced system [6 T + 1, 6 T + 1] and its right-hand side [6 T + 1] by the kernels of `stages.ba`."""
     return dba.linear_system(graph, state, SIGMA_PX)
 
 

@@ -30,7 +30,10 @@ GATES = {"rasteriser": 60.0, "SSIM": 5.0, "limit": 20.0}
 
 
 def random_splats(N: int, width: int, height: int) -> dict[str, Tensor]:
-    """N random splats: log-normal sizes around 0.9 sqrt(pixels / N), any direction, logit-normal opacities."""
+    """N random splats as in `raster_bins`, arrays [N, ...] by name.
+
+    Sizes are log-normal around 0.9 sqrt(pixels / N), directions uniform, opacities logit-normal.
+    """
     random = np.random.default_rng(0)
     sigma = 0.9 * np.sqrt(width * height / N) * np.exp(0.4 * random.normal(size=(N, 2)))
     angle = random.uniform(0, np.pi, N)

@@ -15,7 +15,7 @@ BATCH_PAIRS = 2_000_000
 
 
 def tile_lists(splats: dict[str, Tensor], width: int, height: int) -> list[np.ndarray]:
-    """The Gaussians of every tile, front to back, by the same binning as the kernels."""
+    """Indices [n] of the Gaussians of every tile, front to back, by the same binning as the kernels."""
     arrays = {name: value.detach().numpy() for name, value in splats.items()}
     order = drawing_order(arrays["depths"])
     names = ("centres", "factors", "opacities", "colours", "depths")
@@ -25,7 +25,7 @@ def tile_lists(splats: dict[str, Tensor], width: int, height: int) -> list[np.nd
 
 
 def batches(lists: list[np.ndarray]) -> list[np.ndarray]:
-    """Groups of tiles with lists of similar length, so that padding is small."""
+    """Indices [m] of tiles in groups with lists of similar length, so that padding is small."""
     order = np.argsort([len(one) for one in lists], kind="stable")
     groups, first = [], 0
     for k in range(1, len(order) + 1):

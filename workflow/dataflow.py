@@ -35,13 +35,13 @@ BAND = "#f1f1ea"
 
 @dataclass(eq=False)
 class Rule:
-    """A rule over all of its jobs: what it makes, and what it reads of what other rules make.
+    """A rule with the outputs and inputs of all of its jobs.
 
     Attributes:
         script: the module that it runs, "" for one that runs none.
         outputs: names of its artifacts within the folder of a sequence or of the dataset, in the rule's order.
         inputs: artifacts that it reads. before: those that it reads from the round before.
-        repeated: whether rounds repeat it. jobs: what the dry run says of each.
+        repeated: whether rounds repeat it. jobs: the text of the dry run on each of its jobs.
     """
 
     name: str

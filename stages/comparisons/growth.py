@@ -83,7 +83,7 @@ def _fit(size: np.ndarray, values: np.ndarray, exponent: float) -> tuple[float, 
 
 
 def series_of(rows: Sequence[Row], axis: str, measure: str) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Sizes and values by stage along one axis, by increasing size; repeated measurements of a size are averaged."""
+    """Sizes [k] and values [k] by stage along one axis, by increasing size; repeated measurements are averaged."""
     found: dict[str, dict[float, list[float]]] = {}
     for row in rows:
         if row["axis"] == axis and row[measure] is not None:

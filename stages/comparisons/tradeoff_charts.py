@@ -29,7 +29,7 @@ class Measure:
     decibel: bool = False
 
     def shown(self, errors: Sequence[float]) -> np.ndarray:
-        """Errors converted to the quantity on the axis."""
+        """Errors [n] converted to the quantity on the axis, [n]."""
         values = np.array(errors, float)
         return -20 * np.log10(values / 100) if self.decibel else values
 
@@ -78,7 +78,7 @@ def draw_knob(panels: Sequence[tuple[Measure, Sequence[Point]]]) -> bytes:
 
 
 def draw_growth(series: Mapping[str, tuple[np.ndarray, np.ndarray]], labels: tuple[str, str]) -> bytes:
-    """Values by stage over the size, both logarithmic, with the fits as dashed lines and exponents in the legend."""
+    """Values [k] over sizes [k] by stage, both logarithmic; fits are dashed lines, with exponents in the legend."""
     with figure((5.2, 4.2), "svg") as (fig, done):
         axes = fig.add_subplot()
         for k, (stage, (n, values)) in enumerate(series.items()):

@@ -26,7 +26,7 @@ class SweepOptions(Options):
         "first", description="which of the chosen sequences: first, all, or a list of names"
     )
     presets: list[Preset] = Field([], description="presets to run")
-    knobs: Knobs = Field({}, description="options to vary one at a time: the values to try beside the configured one")
+    knobs: Knobs = Field({}, description="options to vary one at a time, with values; the configured value is added")
     runs: dict[str, dict[str, Overrides | None] | None] = Field(
         {}, description="group, name, and the options in which that run differs"
     )

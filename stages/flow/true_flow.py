@@ -53,7 +53,7 @@ def read_truth(frames: sequences.Sequence, width: int, height: int) -> Truth:
     """
     missing = [kind for kind in NEEDED if not frames.has_truth(kind)]
     if missing:
-        expected = f"{', '.join(NEEDED)} beside them, for every frame, for `source: truth`"
+        expected = f"{', '.join(NEEDED)} of every frame for `source: truth`"
         raise InputError(frames.frames[0].parent, expected, f"no {', '.join(missing)}", "set `source: dis`")
     full_Ks, poses = sintel.read_cams(frames.truth_files("camdata_left"))
     Ks = scale_intrinsics(full_Ks, width / frames.width)

@@ -48,7 +48,10 @@ class Checkpoint:
 
 
 def capture(trainer: Trainer) -> dict[str, np.ndarray]:
-    """The state of the training as named arrays: parameters, Adam's moments, gradient record, history."""
+    """The state of the training as arrays by name: parameters, Adam's moments, gradient record and history.
+
+    The first three have the shapes of the trainer's tensors; a history has one entry per step.
+    """
     tensors = {f"scene.{name}": value for name, value in trainer.scene.state_dict().items()}
     for group in trainer.optimiser.param_groups:
         for k, parameter in enumerate(group["params"]):

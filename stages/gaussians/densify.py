@@ -73,7 +73,7 @@ def densify(cloud: Cloud, gradient: Tensor, max_gaussians: int) -> tuple[Cloud, 
 
 
 def select(cloud: Cloud, rows: Tensor) -> Cloud:
-    """The given rows of a cloud, copied."""
+    """The Gaussians of a cloud with the indices `rows` [M], copied."""
     return Cloud(*(values[rows] for values in vars(cloud).values()))
 
 

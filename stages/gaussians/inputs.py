@@ -43,7 +43,7 @@ def read_observations(sequence: Path, masks: Path, poses: Path, depth: Path, spl
 
 
 def training_indices(cameras: Cameras, split: SplitOptions) -> np.ndarray:
-    """Indices of the frames to train on: neither held out nor "unobserved" (without matches).
+    """Indices [F] of the frames to train on: neither held out nor "unobserved" (without matches).
 
     The pose of an unobserved frame is interpolated from its neighbours; training on a wrong pose would blur the scene.
     Such frames are kept, with a warning, if fewer than MIN_OBSERVED others are left.

@@ -52,7 +52,7 @@ class _Ssim(torch.autograd.Function):
 
 
 def ssim_torch(image: Tensor, target: Target) -> Tensor:
-    """`ssim` by torch convolutions, for CUDA; tests compare the kernels with it."""
+    """`ssim` of image [H, W, C] by torch convolutions, for CUDA; tests compare the kernels with it."""
     x, y = image.movedim(-1, 0), target.image.movedim(-1, 0)
     mx, xx, xy = _convolve(torch.cat([x, x * x, x * y])).chunk(3)
     my, yy = target.moments.chunk(2)

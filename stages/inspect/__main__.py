@@ -114,7 +114,7 @@ def missing_truth(sequence: Sequence) -> list[str]:
 
 
 def draw(sequence: Sequence) -> np.ndarray:
-    """A contact sheet of up to six frames, with true motion masks where these exist."""
+    """A contact sheet [h, w, 3] uint8 of up to six frames, with true motion masks where these exist."""
     images = []
     for k in spread(len(sequence.frames), 6):
         image = read_rgb(sequence.frames[k])

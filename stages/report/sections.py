@@ -196,7 +196,7 @@ def _render_figures(folder: Path, sequence: sequences.Sequence) -> list[Figure]:
         if shown:
             pairs = [(read_rgb(truth[n]), read_rgb(renders[n])) for n in shown]
             title = f"{words.capitalize()} frames {', '.join(map(str, shown))}: truth, render, difference x4"
-            alt = f"True {words} frames beside our renders and their difference"
+            alt = f"True {words} frames, our renders and their difference"
             found.append(Figure(title, embedding.webp(embedding.comparison_sheet(pairs)), alt, True))
     if not found:
         raise MissingPart("renders/test")

@@ -142,7 +142,7 @@ def read_metadata(path: Path) -> dict[str, Any]:
 
 
 def write_model(path: Path, tensors: Mapping[str, np.ndarray], metadata: Mapping[str, Any] | None = None) -> None:
-    """Write named arrays as safetensors."""
+    """Write arrays of any shape, by name, as safetensors."""
     from safetensors.numpy import save_file
 
     text = {key.decode(): value.decode() for key, value in _encode(metadata).items()}
@@ -151,7 +151,7 @@ def write_model(path: Path, tensors: Mapping[str, np.ndarray], metadata: Mapping
 
 
 def read_model(path: Path) -> dict[str, np.ndarray]:
-    """Read the arrays of a safetensors file.
+    """Read the arrays of a safetensors file, by name.
 
     Raises:
         InputError: if it is not a safetensors file, or holds NaN or infinity.

@@ -134,7 +134,7 @@ def centred_intrinsics(focal_px: float, width: int, height: int) -> np.ndarray:
 
 
 def scale_intrinsics(Ks: np.ndarray, factor: float) -> np.ndarray:
-    """Ks of the image resized by `factor`; its pixels are related as by `grid_from_frame` at a stride of 1 / factor."""
+    """Ks [..., 3, 3] of the image resized by `factor`: its pixels are those of a grid with a stride of 1 / factor."""
     scaled = np.array(Ks, float)
     scaled[..., :2, :2] *= factor
     scaled[..., :2, 2] = frame_from_grid(scaled[..., :2, 2], factor)

@@ -67,5 +67,5 @@ def contact_sheet(images: Sequence[np.ndarray], columns: int, width_px: int = 12
 
 
 def spread(T: int, count: int) -> np.ndarray:
-    """At most `count` frame indices spread evenly over T frames, first and last included."""
+    """At most `count` frame indices [n] spread evenly over T frames, first and last included."""
     return np.unique(np.linspace(0, T - 1, min(count, T)).round().astype(int))

@@ -27,7 +27,7 @@ def _distances(F: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 @njit(inline="always")
 def sampson_terms(F: np.ndarray, u: float, v: float, s: float, t: float) -> Terms:
-    """Parts of the Sampson distance of the match x = (u, v, 1), y = (s, t, 1).
+    """Parts of the Sampson distance of the match x = (u, v, 1), y = (s, t, 1) from F [3, 3].
 
     Returns:
         the numerator y^T F x; the denominator, which is the norm of the four remaining values; the first two entries of

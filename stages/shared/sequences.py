@@ -148,7 +148,7 @@ def check_headers(sequence: Sequence) -> set[str]:
 
 
 def truth_folders(folder: Path) -> dict[str, Path]:
-    """The folders of truth beside `<training>/<pass>/<sequence>`, by kind."""
+    """The existing folders of ground truth, `<training>/<kind>/<sequence>`, for `<training>/<pass>/<sequence>`."""
     if folder.parent.name not in ("clean", "final"):
         return {}
     beside = {kind: folder.parent.parent / kind / folder.name for kind in TRUTH_KINDS}
@@ -156,7 +156,7 @@ def truth_folders(folder: Path) -> dict[str, Path]:
 
 
 def find_truth(folder: Path) -> dict[str, dict[int, Path]]:
-    """Truth files beside the folder of a sequence's frames, by kind and frame number."""
+    """Files of ground truth for the folder of a sequence's frames, by kind and frame number."""
     return {
         kind: {_number(path): path for path in sorted(beside.glob(f"*{TRUTH_KINDS[kind]}"))}
         for kind, beside in truth_folders(folder).items()

@@ -115,7 +115,7 @@ class Cloth(Placed):
 
 
 class Jelly(Placed):
-    """A soft ellipsoid that is squashed, bent and rippled over time at constant volume (to first order)."""
+    """A soft ellipsoid that is compressed, bends and ripples over time, at constant volume to first order."""
 
     kind: Literal["jelly"]
     radii: tuple[Size, Size, Size] = Field(description="along x, y, z, metres")

@@ -8,7 +8,7 @@ from torch import Tensor
 class Exposure(torch.nn.Module):
     """Gains over time, linear between the training frames.
 
-    Their mean logarithm over the frames is zero: a common factor of all gains could not be told from the colours.
+    Their mean logarithm over the frames is zero: otherwise a common factor of gains and colours would be undetermined.
 
     Attributes:
         knots: [F] ascending times in 0..1. log_gains: [F, 3], trained.

@@ -150,7 +150,7 @@ class GaussianScene(torch.nn.Module):
         means, quats, sh_dc = self.at(time, detach)
         values = self.gaussians
         sh = sh_dc if self.sh_degree == 0 else torch.cat([sh_dc, values["sh_rest"]], dim=1)
-        # Torch rounds the remainder beside whole vectors differently, and where it lies depends on the threads.
+        # Torch rounds elements outside of whole vectors differently; which ones these are depends on its threads.
         with one_torch_thread():
             scales, opacities = values["log_scales"].exp(), values["logits"].sigmoid()
         rendering = rasterize(

@@ -21,7 +21,11 @@ HALVED = ("means", "log_scales", "quats", "logits", "sh", DEFORMATION + "table",
 
 
 def scene_tensors(scene: GaussianScene) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """Tensors and metadata that rendering needs; footprints, which only training needs, are left out."""
+    """Tensors and metadata that rendering needs; footprints, which only training needs, are left out.
+
+    The tensors are those of `Cloud`, in its shapes, `background` [3], and those of motion, colours, gains and pose
+    corrections with their prefixes.
+    """
     cloud = scene.cloud()
     tensors = {name: value.cpu().numpy() for name, value in vars(cloud).items() if name != "footprints"}
     tensors["dynamic"] = tensors["dynamic"].astype(np.uint8)

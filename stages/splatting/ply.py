@@ -28,7 +28,7 @@ def write_ply(
 
 
 def read_ply(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Read means, quats, log_scales, logits and sh as `write_ply` takes them, float32.
+    """Read means [N, 3], quats [N, 4], log_scales [N, 3], logits [N] and sh [N, K, 3], float32, as in `write_ply`.
 
     Raises:
         InputError: if the file has another layout or is truncated.

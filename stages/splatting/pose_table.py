@@ -34,5 +34,5 @@ class PoseTable(torch.nn.Module):
         return torch.linalg.matrix_exp(torch.cat([generator, generator.new_zeros(1, 4)]))
 
     def size(self) -> Tensor:
-        """Mean square of the twists: a penalty that keeps poses at their estimates where the images do not decide."""
+        """Mean square of the twists (scalar), a penalty that keeps poses at their estimates if images do not decide."""
         return self.twists.square().mean()

@@ -43,7 +43,7 @@ def exp_minus(s: Any) -> Any:
 
 @njit(inline="always", **FAST)
 def block_corner(splat: np.ndarray, x0: int, y0: int) -> tuple[Any, Any]:
-    """f0 dx + f1 dy and f2 dy at the pixels of the first block of the tile whose first pixel is (x0, y0)."""
+    """f0 dx + f1 dy and f2 dy, vectors [LANES], at the first block of the tile whose first pixel is (x0, y0)."""
     dx = splat[0] - np.float32(x0) - load(LANE_X, 0)
     dy = splat[1] - np.float32(y0) - load(LANE_Y, 0)
     return splat[2] * dx + splat[3] * dy, splat[4] * dy
@@ -51,7 +51,7 @@ def block_corner(splat: np.ndarray, x0: int, y0: int) -> tuple[Any, Any]:
 
 @njit(inline="always", **FAST)
 def block_offset(splat: np.ndarray, block: int) -> tuple[Any, Any]:
-    """How much smaller both values of `block_corner` are at the pixels of another block of the tile."""
+    """Differences (scalars) of both values of `block_corner` between the first block of a tile and another one."""
     x, y = np.float32(BLOCK * (block % BLOCKS)), np.float32(BLOCK * (block // BLOCKS))
     return splat[2] * x + splat[3] * y, splat[4] * y
 

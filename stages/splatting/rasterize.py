@@ -70,7 +70,7 @@ def choose_device(device: str) -> torch.device:
     equal sums, are lost to rounding.
 
     Raises:
-        InputError: if CUDA is asked for and missing.
+        InputError: if "cuda" is chosen and CUDA or gsplat is missing.
     """
     from importlib.util import find_spec
 
