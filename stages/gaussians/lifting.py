@@ -225,9 +225,9 @@ def initial_cloud(
     """Gaussians of the whole scene; without a deformation every pixel is static.
 
     Each candidate is labelled by a vote over all frames in which it is visible. An unmasked pixel becomes dynamic if
-    more than half of these frames mask it. A masked pixel becomes static, at the place where it was lifted, if more
-    frames show it there unmasked than mask it along its motion. If the motion is wrong, few masks cover it on its way,
-    but then no frame shows it at rest either, and it stays dynamic.
+    more than half of these frames mask it. A masked pixel becomes static, at the place where it was lifted, if the
+    share of frames that show it there unmasked exceeds the share that mask it along its motion. If the motion is wrong,
+    few masks cover it on its way, but then no frame shows it at rest either, and it stays dynamic.
 
     Args:
         canonical: index (into the F training frames) of the canonical frame.
