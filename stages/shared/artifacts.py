@@ -17,6 +17,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from stages.shared.columns import array_of, column_of, tensor_column_of
 from stages.shared.digest import code_digest
 from stages.shared.errors import InputError
 from stages.shared.finite import is_finite
@@ -85,7 +86,7 @@ def _replacing(path: Path) -> Iterator[Path]:
 
 def write_table(path: Path, columns: Mapping[str, Any], metadata: Mapping[str, Any] | None = None) -> None:
     """Write columns of equal length (arrays [n], [n, k], lists of str) as Parquet."""
-    table = pa.table({name: _column(values) for name, values in columns.items()})
+    table = pa.table({name: column_of(values) for name, values in columns.items()})
     with atomic(path) as partial:
         pq.write_table(table.replace_schema_metadata(_encode(metadata)), partial)
 
@@ -93,12 +94,12 @@ def write_table(path: Path, columns: Mapping[str, Any], metadata: Mapping[str, A
 def read_table(path: Path) -> dict[str, np.ndarray]:
     """Read a Parquet table into arrays: [n] for scalars, [n, k] for lists; strings and nulls as objects."""
     table = _checked(path, "a Parquet table", lambda: pq.ParquetFile(path).read())
-    return {name: _to_numpy(table[name]) for name in table.column_names}
+    return {name: array_of(table[name]) for name in table.column_names}
 
 
 def write_dense(path: Path, columns: Mapping[str, np.ndarray], metadata: Mapping[str, Any] | None = None) -> None:
     """Write arrays [n] and [n, ...] row by row as Arrow IPC with fixed-shape-tensor columns."""
-    arrays = {name: _tensor_column(np.ascontiguousarray(values)) for name, values in columns.items()}
+    arrays = {name: tensor_column_of(np.ascontiguousarray(values)) for name, values in columns.items()}
     schema = pa.schema([(name, array.type) for name, array in arrays.items()]).with_metadata(_encode(metadata))
     with atomic(path) as partial, pa.OSFile(str(partial), "wb") as sink, pa.ipc.new_file(sink, schema) as writer:
         writer.write_batch(pa.record_batch(list(arrays.values()), schema=schema))
@@ -111,7 +112,7 @@ def read_dense(path: Path) -> dict[str, np.ndarray]:
         InputError: if it is not an Arrow IPC file, or holds NaN or infinity.
     """
     table = _checked(path, "an Arrow IPC file", lambda: pa.ipc.open_file(pa.memory_map(str(path))).read_all())
-    columns = {name: _to_numpy(table[name]) for name in table.column_names}
+    columns = {name: array_of(table[name]) for name in table.column_names}
     refuse_infinite(path, columns)
     return columns
 
@@ -200,48 +201,6 @@ def _encode(metadata: Mapping[str, Any] | None) -> dict[bytes, bytes]:
     stage = spec.name if spec and spec.name.startswith("stages.") else None
     stamp = {"format_version": FORMAT_VERSION, "code": code_digest(stage) if stage else None, **(metadata or {})}
     return {key.encode(): json.dumps(value).encode() for key, value in stamp.items()}
-
-
-def _column(values: Any) -> pa.Array:
-    """An Arrow array of a column. Numbers and lists of text avoid `pa.array`, which imports pandas: a slow start."""
-    if isinstance(values, np.ndarray) and values.dtype.kind in "biuf":
-        flat = _numbers(values.ravel())
-        return pa.FixedSizeListArray.from_arrays(flat, values.shape[1]) if values.ndim == 2 else flat
-    if isinstance(values, list) and values and all(isinstance(value, str) for value in values):
-        builder = pa.lib.StringBuilder()
-        builder.append_values(values)
-        return builder.finish()
-    return pa.array(values)
-
-
-def _tensor_column(values: np.ndarray) -> pa.Array:
-    flat = _numbers(values.ravel())
-    if values.ndim == 1:
-        return flat
-    kind = pa.fixed_shape_tensor(flat.type, values.shape[1:])
-    storage = pa.FixedSizeListArray.from_arrays(flat, int(np.prod(values.shape[1:])))
-    return pa.ExtensionArray.from_storage(kind, storage)
-
-
-def _numbers(values: np.ndarray) -> pa.Array:
-    """Numbers or booleans [n] as an Arrow array, without a copy if they are contiguous."""
-    values = np.ascontiguousarray(values)
-    kind = pa.uint8() if values.dtype == bool else pa.from_numpy_dtype(values.dtype)
-    array = pa.Array.from_buffers(kind, len(values), [None, pa.py_buffer(values)])
-    return array.cast(pa.bool_()) if values.dtype == bool else array
-
-
-def _to_numpy(column: pa.ChunkedArray) -> np.ndarray:
-    array = column.combine_chunks() if column.num_chunks != 1 else column.chunk(0)
-    if isinstance(array.type, pa.FixedShapeTensorType):
-        return np.from_dlpack(array.storage.flatten()).reshape(len(array), *array.type.shape)
-    if pa.types.is_fixed_size_list(array.type):
-        return np.from_dlpack(array.flatten()).reshape(len(array), array.type.list_size)
-    if pa.types.is_string(array.type):
-        return np.array(array.to_pylist(), object)
-    if array.null_count == 0 and (pa.types.is_integer(array.type) or pa.types.is_floating(array.type)):
-        return np.from_dlpack(array)
-    return np.asarray(array.to_numpy(zero_copy_only=False))
 
 
 def _remove(path: Path) -> None:
