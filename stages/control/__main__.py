@@ -1,7 +1,7 @@
 """Fit dynamic control points to tracks of dynamic pixels (stage 1)."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
@@ -15,6 +15,9 @@ from stages.shared.log import logger
 from stages.shared.masks import read_masks_on_grid
 from stages.shared.sequences import Sequence, read_sequence
 from stages.shared.split import held_out
+
+if TYPE_CHECKING:
+    from stages.deformation.motion_models import Deformation
 
 
 def main(
@@ -36,21 +39,11 @@ def main(
     plane. If nothing moves, nothing can be tracked or the poses failed, no control point is written; metadata and log
     give the reason.
     """
-    from stages.control import stage1
     from stages.control.figure import trajectories
     from stages.deformation.point_files import save_deformation, save_points
 
-    content, cameras, decision = read_sequence(sequence), read_cameras(poses), read_json(scene)
-    failed = "failed" in cameras.status
-    status = "the poses failed" if failed else "the scene has no moving parts"
-    model, metadata = None, {"status": status, "arap_weight": 0.0, "region": options.region}
-    if decision["dynamic"]["needed"] and not failed:
-        seen = _sightings(content, flow, masks, cameras, depth, options)
-        model, metadata = stage1.fit_sightings(seen, cameras, decision["non_rigid"], options)
-        if metadata["status"] != "fitted":
-            logger.warning(
-                "control points: %s; look at the figure and the residual in the metadata", metadata["status"]
-            )
+    content, cameras = read_sequence(sequence), read_cameras(poses)
+    model, metadata = _fit(content, cameras, (flow, masks, depth), read_json(scene), options)
     logger.info("control points: %s", metadata)
     save_points(points, model, {"status": metadata["status"]})
     save_deformation(deformation, model, metadata)
@@ -60,8 +53,29 @@ def main(
     return f"{len(model.points)} control points, residual {metadata['median_px']:.2f} px"
 
 
+def _fit(
+    sequence: Sequence, cameras: Cameras, files: tuple[Path, Path, Path], needs: dict[str, Any], options: ControlOptions
+) -> tuple["Deformation | None", dict[str, Any]]:
+    """The motion of the control points, None without any, and what the files say of it.
+
+    Args:
+        files: flow, masks and depth. needs: the content of scene.json.
+    """
+    from stages.control import stage1
+
+    failed = "failed" in cameras.status
+    if failed or not needs["dynamic"]["needed"]:
+        status = "the poses failed" if failed else "the scene has no moving parts"
+        return None, {"status": status, "arap_weight": 0.0, "region": options.region}
+    seen = _sightings(sequence, *files, cameras, options)
+    model, metadata = stage1.fit_sightings(seen, cameras, needs["non_rigid"], options)
+    if metadata["status"] != "fitted":
+        logger.warning("control points: %s; look at the figure and the residual in the metadata", metadata["status"])
+    return model, metadata
+
+
 def _sightings(
-    sequence: Sequence, flow: Path, masks: Path, cameras: Cameras, depth: Path, options: ControlOptions
+    sequence: Sequence, flow: Path, masks: Path, depth: Path, cameras: Cameras, options: ControlOptions
 ) -> sightings.Sightings:
     """Track dynamic pixels through the training frames and lift them to 3D."""
     T = len(sequence.frames)

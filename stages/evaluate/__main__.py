@@ -83,9 +83,7 @@ def main(
     inputs = read_run_inputs(flow, masks, poses)
     own = score_poses.own_candidates(poses, costs.spent_to_poses(times, len(poses)), inputs)
     candidates = [*own, *score_poses.colmap_candidates(*colmap)]
-    paths = _write_poses(frames, candidates, poses_table, trajectory_table)
-    with atomic(figure) as partial:
-        partial.write_bytes(draw_trajectories(paths, "png"))
+    _write_poses(frames, candidates, poses_table, trajectory_table, figure)
     own_masks = [read_masks(folder, frames) for folder in masks]
     pairs = read_dense(flow)
     by_round = dict(enumerate(zip(priors, own_masks, strict=True), inputs.masked_from))
@@ -95,8 +93,7 @@ def main(
     grid = read_dense(depth), read_metadata(depth)["stride_px"]
     checks = score_geometry.score_geometry(frames, pairs, read_cameras(poses[-1]), *grid, own_masks[-1])
     checks += score_models.model_rows(frames.name, len(frames.frames), deformation, model, half)
-    _log_rows("checks", checks)
-    write_rows(checks_table, _with(inputs.truth, checks), CHECKS, {})
+    _write_checks(checks, inputs, checks_table)
     return _result(poses_table, masks_table, images_table)
 
 
@@ -114,16 +111,17 @@ def _result(poses_table: Path, masks_table: Path, images_table: Path) -> str:
 
 
 def _write_poses(
-    frames: Sequence, candidates: Rows[score_poses.Candidate], poses_table: Path, trajectory_table: Path
-) -> list[Row]:
-    """Write the errors and paths of every method; returns the paths."""
+    frames: Sequence, candidates: Rows[score_poses.Candidate], poses_table: Path, trajectory_table: Path, figure: Path
+) -> None:
+    """Write the errors and paths of every method, and the picture of the paths."""
     truth = true_cameras(frames)
     rows = [score_poses.score(frames.name, candidate, truth) for candidate in candidates]
     _log_rows("poses", rows)
     write_rows(poses_table, rows, POSES, {"protocol": trajectory.PROTOCOL})
     paths = path_rows(candidates, truth)
     write_rows(trajectory_table, paths, TRAJECTORY, {"unit": "scene units of the truth, or of ours without truth"})
-    return paths
+    with atomic(figure) as partial:
+        partial.write_bytes(draw_trajectories(paths, "png"))
 
 
 def _write_masks(
@@ -157,6 +155,12 @@ def _write_images(
         table, _with(inputs.truth, rows), IMAGES, {"protocol": f"{image_metrics.PROTOCOL}. {_lpips_protocol(options)}"}
     )
     return _long(of_frames, "images", ("psnr_db", "ssim"))
+
+
+def _write_checks(checks: Rows[Row], inputs: RunInputs, table: Path) -> None:
+    """Write what was checked of flow, depth, motion and file sizes."""
+    _log_rows("checks", checks)
+    write_rows(table, _with(inputs.truth, checks), CHECKS, {})
 
 
 def _with(from_truth: str | None, rows: Rows[Row]) -> list[Row]:

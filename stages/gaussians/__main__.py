@@ -15,6 +15,7 @@ from stages.shared.log import logger
 
 if TYPE_CHECKING:
     from stages.deformation.motion_models import Deformation
+    from stages.gaussians.optimise import Trainer
     from stages.gaussians.training_frames import TrainingFrames
     from stages.splatting.colours import ColourTable
     from stages.splatting.gains import Exposure
@@ -44,10 +45,8 @@ def main(
     and metadata say so. A killed training resumes from the checkpoint beside the model.
     """
     from stages.gaussians.checkpoint import Checkpoint
-    from stages.gaussians.figure import training_figure
     from stages.gaussians.inputs import read_observations
     from stages.gaussians.optimise import Trainer
-    from stages.shared.images import write_figure
 
     needs, failed = read_json(scene), "failed" in read_cameras(poses).status
     if failed:
@@ -59,13 +58,27 @@ def main(
     checkpoint = Checkpoint(model, [sequence, masks, poses, depth, scene, points, deformation], options)
     checkpoint.resume(trainer)
     trainer.run(checkpoint.save_sometimes)
-    write_table(convergence, vars(trainer.history), {"units": "seconds of training, dB", "device": str(trainer.device)})
-    write_figure(figure, training_figure(trainer, seen))
+    _write_history(convergence, figure, trainer, seen)
     status = {"status": "poses failed" if failed else "trained", "options": options.model_dump()}
     _write_models((ply, model, half), gaussians, seen, status)
     checkpoint.remove()
+    return _result(trainer, seen)
+
+
+def _result(trainer: "Trainer", seen: "TrainingFrames") -> str:
+    """The number of Gaussians and the PSNR over the last turn of all training frames, in a few words."""
     psnr_db = float(np.mean(trainer.history.psnr[-len(seen.images) :])) if trainer.history.psnr else float("nan")
-    return f"{len(gaussians.anchors)} Gaussians, {psnr_db:.1f} dB on training frames"
+    return f"{len(trainer.scene.anchors)} Gaussians, {psnr_db:.1f} dB on training frames"
+
+
+def _write_history(convergence: Path, figure: Path, trainer: "Trainer", seen: "TrainingFrames") -> None:
+    """The table of all steps, and the picture for the report."""
+    from stages.gaussians.figure import training_figure
+    from stages.shared.images import write_figure
+
+    about = {"units": "seconds of training, dB", "device": str(trainer.device)}
+    write_table(convergence, vars(trainer.history), about)
+    write_figure(figure, training_figure(trainer, seen))
 
 
 def _write_models(
