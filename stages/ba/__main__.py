@@ -65,8 +65,8 @@ def main(
 ) -> str:
     """Estimate camera poses, one shared focal length and depth from flow and masks.
 
-    With the masks and all results of the round before, nothing is estimated where the static area is still the same:
-    these results are carried over.
+    With the masks and all results of the round before, itself not the first, nothing is estimated where the static area
+    is still the same: these results are carried over.
 
     Masks that leave too little static area, or a worse path, are ignored: `masks_trusted` in poses.parquet is false for
     these frames, and later stages follow it. A camera that only rotates, or hardly moves, is detected and solved with
@@ -76,7 +76,9 @@ def main(
     frames = read_sequence(sequence)
     matches = _read_matches(flow, len(frames.numbers), options)
     areas = static_areas(_read_masks(masks, frames), *matches.size)
-    if previous_masks and rounds.is_same(areas, static_areas(_read_masks(previous_masks, frames), *matches.size)):
+    if previous_masks and rounds.is_settled(
+        previous_poses, areas, static_areas(_read_masks(previous_masks, frames), *matches.size)
+    ):
         before = previous_poses, previous_depth, previous_convergence, previous_figure
         return rounds.carry_over(frames.name, before, (poses, depth, convergence, figure), trajectory)
     centre, known_focal_px = _known_intrinsics(frames, matches, options)
@@ -100,7 +102,8 @@ def main(
     if options.depth_from == "truth":
         maps = _true_depth(maps, solution.state, frames, stride_px, options)
     cameras = replace(_cameras(solution, graph, frames, matches.scale), masks_trusted=trusted)
-    write_cameras(poses, cameras, _pose_metadata(solution, flags, static[matches.shot], options))
+    started = {"from_previous_round": previous_poses is not None}
+    write_cameras(poses, cameras, _pose_metadata(solution, flags, static[matches.shot], options) | started)
     write_tum(trajectory, cameras)
     _write_depth(depth, maps, frames, stride_px)
     _write_convergence(convergence, solution)

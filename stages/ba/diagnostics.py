@@ -16,6 +16,7 @@ SAME_COST, SAME_PATH, SAME_ROUGHNESS = 0.05, 0.05, 2.0
 limit, and its path differs by more than the second (share of the path length)."""
 SHRINKING = 0.7
 """A static area below this share of that of the previous round suggests that masks grow without bound."""
+SHRANK = "static area shrank"
 MOVED = 3.0
 """Converged rounds change the focal length by less than this many predicted errors (measured: by at most 0.4)."""
 
@@ -89,7 +90,7 @@ def of_masks(static: np.ndarray, ignored: np.ndarray, share_before: float | None
     if share_before and static.mean() < SHRINKING * share_before:
         shares = f"from {share_before:.2f} to {static.mean():.2f}"
         readings = "either new movers were found or the masks grow without bound: compare the masks of both rounds"
-        found.append(f"static area shrank {shares} since the round before: {readings}")
+        found.append(f"{SHRANK} {shares} since the round before: {readings}")
     return found
 
 
