@@ -25,21 +25,27 @@ def held(setting, name):
 def gpus(section):
     """The resource function of a job's GPUs: one if its stage runs on CUDA, else None, which omits the resource."""
 
-    def of_job(wildcards):
-        options = configuration.section(setting_of(wildcards).config, section)
-        return 1 if takes_gpu(options.device) else None
+    return lambda wildcards: gpus_of(setting_of(wildcards), section)
 
-    return of_job
+
+@functools.cache
+def gpus_of(setting, section):
+    """The GPUs of a stage's jobs under a setting; remembered, as every job asks."""
+    options = configuration.section(setting.config, section)
+    return 1 if takes_gpu(options.device) else None
 
 
 def submission(name):
     """The function of a job's group: one submission to a cluster per sequence and setting. Local runs have no groups."""
 
-    def of_job(wildcards):
-        setting = getattr(wildcards, "setting", "").removeprefix("settings/")
-        return re.sub(r"\W+", "_", f"{name}/{setting}").rstrip("_")
+    return lambda wildcards: submission_of(name, getattr(wildcards, "setting", ""))
 
-    return of_job
+
+@functools.cache
+def submission_of(name, folder):
+    """The name of a group under the setting in a folder; remembered, as every job asks."""
+    setting = folder.removeprefix("settings/")
+    return re.sub(r"\W+", "_", f"{name}/{setting}").rstrip("_")
 
 
 def colmap_memory(wildcards, attempt):
