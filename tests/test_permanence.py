@@ -139,9 +139,9 @@ def test_windows_agree_with_the_whole_clip(monkeypatch: pytest.MonkeyPatch) -> N
 def test_instances_are_numbered_by_size() -> None:
     dynamic = np.array([True, True, False, True, True, True])
     joined = np.array([[0, 1, 3, 4], [1, 2, 4, 5]])
-    x, confidence = np.full(6, 0.8), np.full(6, 0.9)
-    np.testing.assert_array_equal(instances(dynamic, joined, x, confidence, np.ones(6)), [2, 2, 0, 1, 1, 1])
-    assert not instances(np.zeros(6, bool), joined, x, confidence, np.ones(6)).any()
+    evidence = np.full(6, 2.0), np.full(6, 0.7), np.ones(6)
+    np.testing.assert_array_equal(instances(dynamic, joined, *evidence), [2, 2, 0, 1, 1, 1])
+    assert not instances(np.zeros(6, bool), joined, *evidence).any()
 
 
 def test_links_count_borders_and_matches() -> None:

@@ -30,15 +30,15 @@ MATCH_COLOUR, BORDER_COLOUR = 20.0, 8.0
 WINDOW, OVERLAP = 100, 25
 """Frames that are solved together, and how many two windows share: memory does not grow with the clip."""
 TOLERANCE, MAX_ITERATIONS = 1e-3, 300
-SPREADING = 10
+SPREADING = 20
 """Steps in which the level of a mover spreads over its surroundings."""
 LEVEL_POWER = 4
-RELATIVE = 0.5
-"""A superpixel is dynamic from this share of the level of its surroundings on: weak and strong evidence alike end
+RELATIVE = 0.6
+"""A superpixel is dynamic from this share of the level of its surroundings on: weak and strong evidence alike end about
 halfway between a mover and what is behind it."""
-MIN_STRENGTH, MIN_SUPPORT = 0.43, 0.15
-"""Least mean x of an instance, and least product of it with the mean share of weight. Flow fails at occlusions and on
-textureless sky; what shows there is weak, or unsure, in every frame of it."""
+MIN_STRENGTH, MIN_SUPPORT = 1.3, 0.15
+"""Least mean x of an instance, in thresholds, and least mean of x times the share by which it counts. Flow fails at
+occlusions and on textureless sky; what shows there is weak, or unsure, in every frame of it."""
 
 
 def confidence_of(weight: np.ndarray) -> np.ndarray:
@@ -112,29 +112,30 @@ def persistent(
         joined.append(pixels.first[start] + np.stack([W.row[near], W.col[near]]))
     x, levels = x / blend, levels / blend
     sure = x / (2 * np.maximum(threshold, RELATIVE * levels))
-    instance = instances(sure >= 0.5, np.concatenate(joined, axis=1), x, confidence, pixels.areas)
+    evidence = x / threshold, x * confidence
+    instance = instances(sure >= 0.5, np.concatenate(joined, axis=1), *evidence, pixels.areas)
     return np.where((sure >= 0.5) & (instance == 0), 0, np.minimum(sure, 1)), instance
 
 
 def instances(
-    dynamic: np.ndarray, joined: np.ndarray, x: np.ndarray, confidence: np.ndarray, areas: np.ndarray
+    dynamic: np.ndarray, joined: np.ndarray, strength: np.ndarray, support: np.ndarray, areas: np.ndarray
 ) -> np.ndarray:
     """Numbers [N] of connected dynamic superpixels, 1 for the largest; 0 for static ones and for what is too weak.
 
     Args:
         dynamic: [N] bool; joined: [2, L] pairs of superpixels that are linked.
+        strength: [N] x in thresholds; support: [N] x times its confidence; areas: [N] px.
     """
     inner = joined[:, dynamic[joined[0]] & dynamic[joined[1]]]
-    graph = sparse.coo_matrix((np.ones(inner.shape[1]), tuple(inner)), (len(x), len(x)))
+    graph = sparse.coo_matrix((np.ones(inner.shape[1]), tuple(inner)), (len(areas), len(areas)))
     component = connected_components(graph, directed=False)[1]
     labels = np.unique(component[dynamic], return_inverse=True)[1]
-    sizes, total, sure = (np.bincount(labels, values[dynamic]) for values in (areas, areas * x, areas * confidence))
-    strength = total / sizes
-    kept = (strength >= MIN_STRENGTH) & (strength * sure / sizes >= MIN_SUPPORT)
+    sizes, *sums = (np.bincount(labels, (areas * values)[dynamic]) for values in (1, strength, support))
+    kept = (sums[0] >= MIN_STRENGTH * sizes) & (sums[1] >= MIN_SUPPORT * sizes)
     order = np.argsort(np.where(kept, -sizes, 0), kind="stable")
     numbers = np.zeros(len(sizes), np.int64)
     numbers[order[: kept.sum()]] = np.arange(1, kept.sum() + 1)
-    result = np.zeros(len(x), np.int64)
+    result = np.zeros(len(areas), np.int64)
     result[dynamic] = numbers[labels]
     return result
 
