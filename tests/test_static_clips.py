@@ -16,7 +16,7 @@ STILL = ("planar_wall", "rotation_static", "static_flight")
 DISTURBED = ("dark_fog", "night_alley", "fog_harbour", "blurred_karts", "exposure_drift")
 """Scenes with the strongest noise, fog, motion blur and exposure change of the library."""
 EFFECTS = ("fog", "noise", "motion_blur", "exposure")
-"""Not the vignette: it stays where it is in the picture, and where only fog is behind it, it moves against the world."""
+"""Not the vignette: it stays put in the picture, and where nothing but fog is behind it, it moves against the world."""
 FRAMES = 16
 MOST = 1e-3
 """Share of the pixels that may be called moving."""
