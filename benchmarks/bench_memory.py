@@ -2,8 +2,8 @@
 
 Run as `python -m benchmarks.bench_memory --frames 300 --width 1920 --height 1080`; without options on 30 frames of
 512 x 218 px, which takes three CPU minutes. Further words go to Snakemake: `--until control` stops before the training,
-which for 300 frames of that size takes more memory than most machines have; to there they take 20 CPU minutes.
-`--folder` keeps what was made.
+which for 300 frames of that size takes more memory than most machines have; to there they take 10 CPU minutes with
+`--config rounds=1`. `--folder` keeps what was made.
 
 The clip is the demo scene, drawn small, enlarged, and played forward and back: cameras and movers are real, and no more
 than DISTINCT frames are drawn. Optimisations take few steps, as what they hold does not grow with them (measured, see
@@ -124,7 +124,7 @@ def main() -> None:
         asked, used = asked_mb(folder, words), used_mb(folder)
     print(f"{given.frames} frames of {given.width} x {given.height} px; megabytes of 1e6 bytes")
     missed = []
-    for stage in used:
+    for stage in sorted(asked.keys() & used):
         ratio = asked[stage] / used[stage]
         missed += [stage] if misses(asked[stage], used[stage]) else []
         note = "  MISSES" if stage in missed else ""
