@@ -86,12 +86,10 @@ def main(
     _write_poses(frames, candidates, poses_table, trajectory_table, figure)
     own_masks = [read_masks(folder, frames) for folder in masks]
     pairs = read_dense(flow)
-    by_round = dict(enumerate(zip(priors, own_masks, strict=True), inputs.masked_from))
-    mask_frames = _write_masks(frames, by_round, inputs, masks_table)
+    mask_frames = _write_masks(frames, (priors, own_masks), inputs, masks_table)
     image_frames = _write_images(frames, renders, pairs, (own_masks[-1], inputs), images_table, options)
     write_rows(frames_table, [*image_frames, *mask_frames], FRAMES, {})
-    grid = read_dense(depth), read_metadata(depth)["stride_px"]
-    checks = score_geometry.score_geometry(frames, pairs, read_cameras(poses[-1]), *grid, own_masks[-1])
+    checks = _score_geometry(frames, pairs, poses[-1], depth, own_masks[-1])
     checks += score_models.model_rows(frames.name, len(frames.frames), deformation, model, half)
     _write_checks(checks, inputs, checks_table)
     return _result(poses_table, masks_table, images_table)
@@ -125,13 +123,13 @@ def _write_poses(
 
 
 def _write_masks(
-    frames: Sequence, by_round: Mapping[int, tuple[Path, dict[int, np.ndarray]]], inputs: RunInputs, table: Path
+    frames: Sequence, by_round: tuple[Rows[Path], Rows[dict[int, np.ndarray]]], inputs: RunInputs, table: Path
 ) -> list[Row]:
-    """Write scores of the prior and the masks of every round that has any; returns those of single frames."""
+    """Write scores of the priors and the masks of every round that has any; returns those of single frames."""
     size = frames.width, frames.height
     masks = {
         k: {score_masks.PRIOR: score_masks.read_prior_masks(prior, *size), inputs.masks: own}
-        for k, (prior, own) in by_round.items()
+        for k, (prior, own) in enumerate(zip(*by_round, strict=True), inputs.masked_from)
     }
     rows, of_frames = score_masks.score_masks(frames.name, masks, *true_masks(frames))
     write_rows(table, _with(inputs.truth, rows), MASKS, {"protocol": mask_metrics.PROTOCOL})
@@ -155,6 +153,14 @@ def _write_images(
         table, _with(inputs.truth, rows), IMAGES, {"protocol": f"{image_metrics.PROTOCOL}. {_lpips_protocol(options)}"}
     )
     return _long(of_frames, "images", ("psnr_db", "ssim"))
+
+
+def _score_geometry(
+    frames: Sequence, flow: Mapping[str, np.ndarray], poses: Path, depth: Path, masks: Mapping[int, np.ndarray]
+) -> list[Row]:
+    """Rows on flow and depth, of the last round."""
+    grid = read_dense(depth), read_metadata(depth)["stride_px"]
+    return score_geometry.score_geometry(frames, flow, read_cameras(poses), *grid, masks)
 
 
 def _write_checks(checks: Rows[Row], inputs: RunInputs, table: Path) -> None:
