@@ -13,7 +13,9 @@ from stages.motion import __main__ as motion_stage
 from stages.motion import epipolar, photometric, pooling, resweep
 from stages.motion.epipolar import Evidence, PairMatches
 from stages.segment.options import SegmentOptions
-from stages.segment.refinement import guarded_thresholds, smooth_along_edges, to_mask, vote
+from stages.segment.permanence import confidence_of, persistent
+from stages.segment.refinement import guarded_threshold, smooth_along_edges, to_mask
+from stages.segment.superpixels import superpixels
 from stages.shared import sintel
 from stages.shared.cameras import pixel_grid
 from stages.shared.images import read_mask, read_rgb
@@ -174,14 +176,14 @@ def test_the_unit_of_length_does_not_matter(scale: float) -> None:
 def test_an_empty_prior_gives_an_empty_mask() -> None:
     rgb = np.random.default_rng(0).integers(0, 255, (60, 80, 3), dtype=np.uint8)
     smoothed = smooth_along_edges(np.zeros((30, 40)), rgb, 1000.0, 3.0)
-    assert not to_mask(smoothed, *guarded_thresholds(smoothed, 0.7, 0.4, 0.85), 5e-4).any()
+    assert not to_mask(smoothed, guarded_threshold(smoothed, 0.5, 0.85), 5e-4).any()
 
 
 def test_a_wholly_dynamic_frame_keeps_static_ground() -> None:
     """Masks that swallow the frame would leave bundle adjustment nothing; the surest part is kept."""
     probability = np.linspace(0.9, 1.0, 60 * 80, dtype=np.float32).reshape(60, 80)
-    unguarded = to_mask(probability, 0.7, 0.4, 5e-4)
-    guarded = to_mask(probability, *guarded_thresholds(probability, 0.7, 0.4, 0.85), 5e-4)
+    unguarded = to_mask(probability, 0.5, 5e-4)
+    guarded = to_mask(probability, guarded_threshold(probability, 0.5, 0.85), 5e-4)
     assert unguarded.all()
     assert 0.5 < guarded.mean() <= 0.85
 
@@ -210,16 +212,14 @@ def test_masks_of_rendered_sequences(rendered: Path, name: str, least_iou: float
     rgb, projections = np.stack(frames), resweep.projections(pairs, *seen)
     evidence = photometric.corroborate(evidence, rgb, pairs, projections, inverse_depth)
     residual = pooling.pool(evidence, rgb, edges, flow, pairs["weights"])
-    probability = vote(motion_stage.to_probability(residual, *motion_stage.CAMERA_CURVE), edges, flow, confidence)
-    options = SegmentOptions()
-    masks = []
-    for p, rgb in zip(probability, frames, strict=True):
-        smoothed = smooth_along_edges(p, rgb, options.smoothness, options.colour_sigma)
-        masks.append(to_mask(smoothed, options.high, options.low, options.min_area))
-    found = np.stack(masks)
+    probability, options = motion_stage.to_probability(residual, *motion_stage.CAMERA_CURVE), SegmentOptions()
+    pixels = superpixels(len(frames), lambda k: frames[k])
+    sure_of = confidence_of(pixels.means(evidence.weight))
+    sure, _ = persistent(pixels, pairs, pixels.means(probability), sure_of, options.permanence, options.threshold)
+    found = np.stack([to_mask(pixels.paint(sure, k), 0.5, options.min_area) for k in range(len(frames))])
     truth = np.stack([read_mask(training / "motion_mask" / name / f"frame_{n:04d}.png") for n in numbers])
     if least_iou is None:
-        assert found.mean() < 0.01
+        assert found.mean() < 0.001
     else:
         assert (found & truth).sum() / (found | truth).sum() >= least_iou
 
