@@ -128,7 +128,7 @@ def test_depth_is_looked_up_where_a_grid_of_broken_pixels_has_it(tmp_path: Path)
     columns = {"inverse_depth": np.exp(ramp), "variance": (0.01 * np.exp(ramp)) ** 2}
     write_dense(paths["depth"], columns, {"stride_px": 4.5})
     sequence, cameras = read_sequence(paths["sequence"]), read_cameras(paths["poses"])
-    seen = control_stage._sightings(sequence, paths["flow"], paths["masks"], cameras, paths["depth"], ControlOptions())
+    seen = control_stage._sightings(sequence, paths["flow"], paths["masks"], paths["depth"], cameras, ControlOptions())
     assert seen.uv[seen.visible][:, 0].max() > 20
     np.testing.assert_allclose(np.log(seen.depth[seen.visible]), 0.02 * seen.uv[seen.visible][:, 0], atol=0.01)
 
@@ -141,7 +141,7 @@ def test_masks_that_the_poses_distrust_carry_no_tracks(tmp_path: Path) -> None:
         cameras = replace(read_cameras(paths["poses"]), masks_trusted=np.arange(clip.T) != 1)
         sequence = read_sequence(paths["sequence"])
         found.append(
-            control_stage._sightings(sequence, paths["flow"], paths["masks"], cameras, paths["depth"], ControlOptions())
+            control_stage._sightings(sequence, paths["flow"], paths["masks"], paths["depth"], cameras, ControlOptions())
         )
     np.testing.assert_array_equal(found[0].uv, found[1].uv)
 

@@ -46,7 +46,9 @@ def test_jobs_ask_for_the_memory_that_they_take(finished: Path) -> None:
     """No job takes more than it asks for, nor asks for far more."""
     plan = run(finished, "results/simulated/demo/eval/poses.parquet", "-n", "-F")
     asked = {rule: int(mb) for rule, mb in re.findall(r"rule (\w+):.*?mem_mb=(\d+)", plan, re.DOTALL)}
-    peaks = {path.stem: read_json(path)["peak_mb"] for path in finished.glob("results/*/demo/stats/*.json")}
+    peaks: dict[str, float] = {}  # of repeated stages, that of the round that took most
+    for path in (finished / "results/simulated/demo").rglob("stats/*.json"):
+        peaks[path.stem] = max(read_json(path)["peak_mb"], peaks.get(path.stem, 0.0))
     assert {"flow", "motion", "ba", "gaussians", "evaluate"} <= set(peaks)
     del peaks["colmap"]  # it was stopped after a second
     shares = {stage: asked[stage] / (1.048576 * peak) for stage, peak in peaks.items()}

@@ -9,8 +9,9 @@ from scipy import sparse
 
 from stages.shared.threads import threaded
 
-SIZE_PX = 8
-"""Of a superpixel, each way: small against a mover, large against the noise of a single pixel."""
+SIZE_PX, REFERENCE_WIDTH = 8.0, 512
+"""Size of a superpixel, each way, in frames of this width: small against movers, large against the noise of pixels."""
+MIN_SIZE_PX = 4
 RULER = 15.0
 ITERATIONS = 5
 MIN_SIZE_PERCENT = 25
@@ -70,7 +71,8 @@ def superpixels(T: int, picture: Callable[[int], np.ndarray]) -> Superpixels:
 def _of_frame(rgb: np.ndarray) -> tuple[np.ndarray, int, np.ndarray]:
     """Labels [h, w], their number n, and mean colours [n, 3] of a frame."""
     lab = cv2.cvtColor(rgb, cv2.COLOR_RGB2LAB)
-    slic = cv2.ximgproc.createSuperpixelSLIC(lab, cv2.ximgproc.SLIC, SIZE_PX, RULER)
+    size_px = max(MIN_SIZE_PX, round(SIZE_PX * rgb.shape[1] / REFERENCE_WIDTH))
+    slic = cv2.ximgproc.createSuperpixelSLIC(lab, cv2.ximgproc.SLIC, size_px, RULER)
     slic.iterate(ITERATIONS)
     slic.enforceLabelConnectivity(MIN_SIZE_PERCENT)
     labels, count = slic.getLabels(), slic.getNumberOfSuperpixels()
