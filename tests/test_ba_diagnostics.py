@@ -1,11 +1,13 @@
 """Diagnostics of a solution: each warning is raised by what it names, and by nothing else."""
 
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from stages.ba import diagnostics
+from stages.ba import diagnostics, rounds
 from stages.ba.classify import Statistics
 from stages.ba.dba import State
 from stages.ba.initialise import Candidate
@@ -123,3 +125,21 @@ def test_the_distance_of_paths_is_that_of_their_centres_after_alignment() -> Non
     steps = np.diff(lie.inverse(poses)[:, :3, 3], axis=0)
     assert length == pytest.approx(np.linalg.norm(steps, axis=1).sum())
     assert apart == pytest.approx(0.005, rel=0.05)
+
+
+@pytest.mark.parametrize(("share", "same"), [(0.004, True), (0.006, False)])
+def test_static_areas_are_the_same_within_half_a_per_cent(
+    share: float, same: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = np.ones((10, 10, 100), np.float32)
+    now = before.copy()
+    now[:, 0, : round(1000 * share)] = 0
+    about: dict[str, Any] = {"from_previous_round": True, "flags": []}
+    monkeypatch.setattr(rounds, "read_metadata", lambda _: about)
+    assert rounds.is_settled(Path("poses.parquet"), now, before) == same
+    one = np.ones((300, 10, 10), np.float32)
+    one[100] = 0
+    assert not rounds.is_settled(Path("poses.parquet"), one, np.ones_like(one)), "a frame that is now dynamic"
+    about["flags"] = ["focal length moved by +7 %, 4 times its predicted error: rounds have not converged"]
+    assert not rounds.is_settled(Path("poses.parquet"), before, before)
+    assert not rounds.is_settled(None, before, before)

@@ -95,7 +95,7 @@ def test_the_system_is_that_of_the_energy() -> None:
     N = 30
     links = np.triu(random.uniform(0, 2, (N, N)) * (random.uniform(size=(N, N)) < 0.2), 1)
     areas, prior, confidence = random.uniform(20, 60, N), random.uniform(0, 1, N), random.uniform(0.1, 1, N)
-    weight = areas * ((0.2 + 0.8 * prior) * confidence + permanence.TOLERANCE)
+    weight = areas * ((0.2 + 0.8 * prior) * confidence + permanence.LEAST_WEIGHT)
     rows = [np.sqrt(weight)[:, None] * np.eye(N)]
     for a, b in np.argwhere(links):
         rows.append(np.sqrt(links[a, b]) * (np.eye(N)[a] - np.eye(N)[b])[None])
@@ -117,6 +117,26 @@ def test_the_level_is_that_of_the_mover_near_by() -> None:
     assert found[0] < 0.05
 
 
+def test_dynamic_is_what_has_most_of_the_level_near_by() -> None:
+    """A row of superpixels of one colour: a mover, weaker evidence beside it, ground."""
+    N = 24
+    labels = np.repeat(np.arange(N, dtype=np.int32), 8)[None, None].repeat(8, axis=1)
+    pixels = Superpixels(labels, np.array([0, N]), np.full(N, 64.0), np.zeros((N, 3)))
+    none = {"source": np.zeros(0, int), "target": np.zeros(0, int)}
+    sure, _ = persistent(pixels, none, np.repeat([0.98, 0.4, 0.02], [8, 6, 10]), np.ones(N), 3.0, 0.33)
+    assert (sure[:8] >= 0.5).all()
+    assert not (sure[9:] >= 0.5).any()
+
+
+@pytest.mark.parametrize("threshold", [0.05, 0.33, 0.8, 0.95])
+def test_certain_motion_is_kept_at_every_threshold(threshold: float) -> None:
+    rgb, pairs, where = squares()
+    pixels = superpixels(T, lambda k: rgb[k])
+    means = pixels.means((where > 0).astype(float))
+    _, instance = persistent(pixels, pairs, means, np.ones(len(means)), 3.0, threshold)
+    assert set(np.unique(instance)) == {0, 1, 2}
+
+
 @given(st.integers(1, 700))
 def test_windows_cover_every_frame_with_a_weight_of_one(frames: int) -> None:
     total = np.zeros(frames)
@@ -134,6 +154,58 @@ def test_windows_agree_with_the_whole_clip(monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setattr(permanence, "OVERLAP", 2)
     for one, other in zip(whole, found_in(prior), strict=True):
         assert (one == other).mean() > 0.995
+
+
+def test_windows_read_their_own_pairs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pairs between the first frames say nothing; a later window has links all the same."""
+    rgb, pairs, where = squares()
+    pairs["confidence"][(pairs["source"] < 4) & (pairs["target"] < 4)] = 0
+    prior = np.full((T, H, W), 0.02)
+    prior[7][where[7] == 1] = 0.95
+    monkeypatch.setattr(permanence, "WINDOW", 5)
+    monkeypatch.setattr(permanence, "OVERLAP", 1)
+    pixels = superpixels(T, lambda k: rgb[k])
+    means = pixels.means(prior)
+    sure, _ = persistent(pixels, pairs, means, np.ones(len(means)), 10.0, 0.1)
+    assert all((pixels.paint(sure, k)[where[k] == 1] >= 0.5).mean() > 0.8 for k in (5, 6, 7, 8))
+
+
+def test_links_are_weaker_between_other_colours() -> None:
+    labels = np.array([[[0, 0, 1, 1]] * 4] * 2, np.int32)
+    colours = np.zeros((4, 3))
+    colours[3] = 20
+    pixels = Superpixels(labels, np.array([0, 2, 4]), np.full(4, 8.0), colours)
+    pairs = {"source": np.array([0]), "target": np.array([1])}
+    pairs |= {"flow": np.zeros((1, 4, 4, 2), np.float32), "confidence": np.ones((1, 4, 4))}
+    found = permanence.links(pixels, pairs, 0, 3.0).toarray()
+    assert found[0, 2] == pytest.approx(3 * 8)
+    assert found[1, 3] == pytest.approx(3 * 8 * np.exp(-3 * 20**2 / (2 * 20**2)))
+    assert found[2, 3] == pytest.approx(2.4 * 4 * (4 / 512) * np.exp(-3 * 20**2 / (2 * 8**2)))
+
+
+def test_matches_follow_vertical_flow_between_near_frames_only() -> None:
+    labels = np.array([[[0] * 4] * 2 + [[1] * 4] * 2] * 5, np.int32)
+    pixels = Superpixels(labels, np.arange(0, 11, 2), np.full(10, 8.0), np.zeros((10, 3)))
+    flow = np.zeros((1, 4, 4, 2), np.float32)
+    flow[..., 1] = 2
+    pairs = {"source": np.array([0]), "target": np.array([3]), "flow": flow, "confidence": np.ones((1, 4, 4))}
+    found = matches(pixels, pairs)
+    assert found[0, 7] == 8
+    assert found.nnz == 2
+    assert matches(pixels, pairs | {"target": np.array([4])}).nnz == 0
+    assert matches(pixels, pairs | {"confidence": np.full((1, 4, 4), 0.04)}).nnz == 0
+
+
+@pytest.mark.parametrize("size", [(1, 40), (3, 20), (4, 4), (8, 8), (20, 30)])
+def test_superpixels_of_tiny_frames_cover_every_pixel(size: tuple[int, int]) -> None:
+    rgb = np.random.default_rng(0).integers(0, 256, (2, *size, 3)).astype(np.uint8)
+    pixels = superpixels(2, lambda k: rgb[k])
+    assert pixels.areas.sum() == 2 * size[0] * size[1]
+    assert len(pixels.areas) == pixels.first[-1] == len(pixels.colours)
+
+
+def test_confidence_counts_half_at_a_weight_of_one() -> None:
+    np.testing.assert_allclose(permanence.confidence_of(np.array([0.0, 1.0, 3.0])), [0, 0.5, 0.75])
 
 
 def test_instances_are_numbered_by_size() -> None:

@@ -212,6 +212,25 @@ def test_each_instance_has_a_label_of_its_own() -> None:
     assert labels[1]["bending_px"] < rules.MIN_BENDING_PX < labels[2]["bending_px"]
 
 
+def test_touching_instances_are_apart() -> None:
+    """Two rigid squares side by side that go different ways."""
+    seen = observe()
+    dynamic, instances, flow = np.zeros_like(seen.dynamic), np.zeros_like(seen.instances), seen.flow.copy()
+    for number, columns, way in ((1, slice(5, 17), (3, 0)), (2, slice(17, 28), (-3, 2))):
+        dynamic[:, 50:60, columns] = True
+        instances[:, 50:60, columns] = number
+        flow[:, 50:60, columns] = way
+    regions = geometry.moving_regions(replace(seen, dynamic=dynamic, instances=instances, flow=flow))
+    labels = geometry.bending_of_instances(regions)
+    assert {n: of["bending_px"] < 1e-6 for n, of in labels.items()} == {1: True, 2: True}
+
+
+def test_labels_are_of_the_instances_alone() -> None:
+    bent, stiff = ({"bending_px": px, "flow_spread_px": 1.0} for px in (1.0, 0.1))
+    labels = rules.decide_non_rigid(stiff, {1: bent, 2: stiff}, "no")["instances"]
+    assert [labels[n]["label"] for n in "12"] == ["bending", "rigid"]
+
+
 def test_the_user_overrules_and_the_evidence_stays() -> None:
     evidence = geometry.dynamic_evidence(observe())
     decision = rules.decide_dynamic(evidence, "no")

@@ -1,6 +1,7 @@
 """Mask refinement: edges, specks, instances, and what the script writes."""
 
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -10,7 +11,7 @@ from conftest import write_frames
 from stages.segment import __main__ as segment_stage
 from stages.segment.options import SegmentOptions
 from stages.segment.refinement import guarded_threshold, smooth_along_edges, to_instances, to_mask
-from stages.shared.artifacts import read_json, write_dense, write_json
+from stages.shared.artifacts import read_dense, read_json, write_dense, write_json
 from stages.shared.errors import InputError
 from stages.shared.images import read_mask, write_image
 from stages.shared.sequences import check_sequence, sequence_to_json
@@ -58,6 +59,7 @@ def test_a_mask_over_nearly_the_whole_frame_keeps_its_surest_part() -> None:
     threshold = guarded_threshold(sureness, 0.5, max_share=0.6)
     assert (sureness > threshold).mean() == pytest.approx(0.6, abs=0.001)
     assert guarded_threshold(sureness, 0.9, max_share=0.6) == 0.9
+    assert guarded_threshold(np.full((9, 9), 0.9), 0.5, max_share=0.6) == 0.5, "no part is surer than the rest"
 
 
 def test_pixels_of_a_mask_take_the_nearest_instance() -> None:
@@ -109,6 +111,69 @@ def test_script_writes_full_size_masks_by_frame_number(moving_disc: tuple[Path, 
     seen = facts["instances"]["1"]
     assert (seen["first_frame"], seen["last_frame"], seen["frames"]) == (7, 9, 3)
     assert seen["pixels"] == pytest.approx(mask.sum(), rel=0.1)
+
+
+@pytest.fixture
+def passing_disc(moving_disc: tuple[Any, ...]) -> tuple[Path, Path, Path, list[np.ndarray]]:
+    """The same with a disc that goes 25 px to the right from frame to frame, and its true masks."""
+    sequence, flow, prior, disc = moving_disc
+    discs = [np.roll(disc, 25 * (k - 1), axis=1) for k in range(3)]
+    for k, path in enumerate(sorted((sequence.parent / "clip").iterdir())):
+        write_image(path, np.roll(painted()[0], 25 * (k - 1), axis=1))
+    small = np.stack([cv2.resize(of.astype(np.float32), (60, 40), interpolation=cv2.INTER_AREA) for of in discs])
+    pairs = dict(read_dense(flow))
+    shift = 12.5 * (pairs["target"] - pairs["source"])
+    moved = (small[pairs["source"]] > 0.5) * shift[:, None, None]
+    pairs["flow"] = np.stack([moved, np.zeros_like(moved)], axis=-1).astype(np.float16)
+    write_dense(flow, pairs, {"width": 60, "height": 40, "scale": 0.5})
+    columns = {"frame": np.array([7, 8, 9]), "probability": small.astype(np.float16)}
+    write_dense(prior, columns | {"weight": np.ones(small.shape, np.float16)})
+    return sequence, flow, prior, discs
+
+
+def test_each_frame_has_its_own_mask(passing_disc: tuple[Any, ...], tmp_path: Path) -> None:
+    *inputs, discs = passing_disc
+    segment_stage.main(*inputs, tmp_path / "masks", tmp_path / "segment.png", OPTIONS)
+    for number, disc in zip((7, 8, 9), discs, strict=True):
+        assert overlap(read_mask(tmp_path / f"masks/frame_{number:04d}.png"), disc) > 0.9
+        numbers = cv2.imread(str(tmp_path / f"masks/instances/frame_{number:04d}.png"), cv2.IMREAD_UNCHANGED)
+        assert overlap(numbers == 1, disc) > 0.9
+
+
+@pytest.mark.parametrize(("permanence", "found"), [(0, False), (3, True)])
+def test_the_options_reach_the_system(
+    passing_disc: tuple[Any, ...], tmp_path: Path, permanence: float, found: bool
+) -> None:
+    """The disc shows in the first frame alone."""
+    *inputs, _ = passing_disc
+    columns = {name: values.copy() for name, values in read_dense(inputs[2]).items()}
+    columns["probability"][1:] = 0.02
+    write_dense(inputs[2], columns)
+    options = SegmentOptions(permanence=permanence, threshold=0.2)
+    segment_stage.main(*inputs, tmp_path / "masks", tmp_path / "segment.png", options)
+    assert read_mask(tmp_path / "masks/frame_0008.png").any() == found
+
+
+def test_evidence_of_little_weight_is_none(passing_disc: tuple[Any, ...], tmp_path: Path) -> None:
+    *inputs, _ = passing_disc
+    write_dense(inputs[2], dict(read_dense(inputs[2])) | {"weight": np.full((3, 40, 60), 0.1, np.float16)})
+    segment_stage.main(*inputs, tmp_path / "masks", tmp_path / "segment.png", OPTIONS)
+    assert not read_mask(tmp_path / "masks/frame_0008.png").any()
+
+
+def test_frames_that_are_cut_back_are_named(passing_disc: tuple[Any, ...], tmp_path: Path) -> None:
+    *inputs, discs = passing_disc
+    segment_stage.main(*inputs, tmp_path / "masks", tmp_path / "segment.png", SegmentOptions(max_share=0.1))
+    assert read_json(tmp_path / "masks/masks.json")["guarded"] == [7, 8, 9]
+    assert 0.02 < read_mask(tmp_path / "masks/frame_0008.png").mean() < 0.105 < discs[1].mean()
+
+
+def test_a_prior_of_an_earlier_version_is_refused(moving_disc: tuple[Any, ...], tmp_path: Path) -> None:
+    *inputs, _ = moving_disc
+    columns = {name: values.copy() for name, values in read_dense(inputs[2]).items() if name != "weight"}
+    write_dense(inputs[2], columns)
+    with pytest.raises(InputError, match="run the motion stage again"):
+        segment_stage.main(*inputs, tmp_path / "masks", tmp_path / "segment.png", OPTIONS)
 
 
 def with_true_mask(sequence: Path, frames: list[int]) -> np.ndarray:

@@ -102,7 +102,7 @@ def main(
     if options.depth_from == "truth":
         maps = _true_depth(maps, solution.state, frames, stride_px, options)
     cameras = replace(_cameras(solution, graph, frames, matches.scale), masks_trusted=trusted)
-    started = {"from_previous_round": previous_poses is not None}
+    started = {"from_previous_round": previous is not None}
     write_cameras(poses, cameras, _pose_metadata(solution, flags, static[matches.shot], options) | started)
     write_tum(trajectory, cameras)
     _write_depth(depth, maps, frames, stride_px)

@@ -16,7 +16,7 @@ SAME_COST, SAME_PATH, SAME_ROUGHNESS = 0.05, 0.05, 2.0
 limit, and its path differs by more than the second (share of the path length)."""
 SHRINKING = 0.7
 """A static area below this share of that of the previous round suggests that masks grow without bound."""
-SHRANK = "static area shrank"
+SHRANK, NOT_CONVERGED = "static area shrank", "rounds have not converged"
 MOVED = 3.0
 """Converged rounds change the focal length by less than this many predicted errors (measured: by at most 0.4)."""
 
@@ -75,7 +75,7 @@ def of_rounds(now: Mapping[str, Any], before: Mapping[str, Any]) -> list[str]:
     if sigmas <= MOVED:
         return []
     words = f"focal length moved by {100 * np.expm1(moved):+.0f} % since the round before"
-    return [f"{words}, {sigmas:.0f} times its predicted error: rounds have not converged"]
+    return [f"{words}, {sigmas:.0f} times its predicted error: {NOT_CONVERGED}"]
 
 
 def of_masks(static: np.ndarray, ignored: np.ndarray, share_before: float | None) -> list[str]:

@@ -6,28 +6,31 @@ from pathlib import Path
 
 import numpy as np
 
-from stages.ba.diagnostics import SHRANK
+from stages.ba.diagnostics import NOT_CONVERGED, SHRANK
 from stages.shared.artifacts import atomic, read_metadata, read_table, write_table
 from stages.shared.cameras import read_cameras, write_tum
 from stages.shared.errors import InputError
 from stages.shared.log import logger
 
-SAME_SHARE = 0.005
-"""Static areas that differ in a smaller share of the pixels count as the same."""
+SAME_SHARE, SAME_SHARE_OF_A_FRAME = 0.005, 0.05
+"""Static areas that differ in a smaller share of the pixels, of the clip and of every frame, count as the same."""
 
 
 def is_settled(poses: Path | None, static: np.ndarray, before: np.ndarray) -> bool:
     """Whether another adjustment would find what the round before found.
 
     That round began from poses of an earlier one, as this one would: the first begins from guesses, and the next gains
-    on it with the same masks (a fast chase: path error .033 % to .020 %). And the static areas [T, h, w] (1 static, 0
-    dynamic) of the two differ in less than SAME_SHARE.
+    on it with the same masks (a fast chase: path error .033 % to .020 %). It has no
+    warning that rounds have not converged. The static areas [T, h, w] (1 static, 0 dynamic) of the two are the same.
 
     Args:
         poses: poses.parquet of the round before.
     """
-    continued = poses is not None and bool(read_metadata(poses).get("from_previous_round"))
-    return continued and float(np.abs(static - before).mean()) < SAME_SHARE
+    about = read_metadata(poses) if poses is not None else {}
+    if not about.get("from_previous_round") or any(NOT_CONVERGED in flag for flag in about["flags"]):
+        return False
+    changed = np.abs(static - before).mean(axis=(1, 2))
+    return bool(changed.mean() < SAME_SHARE and changed.max() < SAME_SHARE_OF_A_FRAME)
 
 
 def carry_over(name: str, before: Sequence[Path | None], files: Sequence[Path], trajectory: Path) -> str:

@@ -29,15 +29,13 @@ PRESETS: dict[Preset, Overrides] = {
 """`balanced` is the defaults. `snakemake sweep` compares the presets on any sequences (its group `presets`); with an
 option under `sweep: knobs:` it shows what that option contributes. Figures below are examples from a few sequences.
 
-`fast` takes a third of the CPU time of `balanced` from flow to poses (13 and 40 s for 30 frames, 512 x 218 px; the flow
-5 and 17 s). Its path error is 0.02 to 0.11 % of the path, that of `balanced` 0.02 to 0.06 % (six sequences); on a fast
-and blurred sequence 0.38 and 0.22 %. Masks of thin movers lose half of their area. Smaller frames lose less accuracy
-than a coarser finest scale. The first poses are estimated without masks. This does no harm unless movers fill nearly
-half of the view: there the error is 0.75 instead of 0.05 %, and flagged. Two rounds are kept: with one, the mask of a
-large mover has an IoU of 0.11 instead of 0.98.
+`fast` takes about a third of the CPU time of `balanced` from flow to poses. Its path error was 0.02 to 0.11 % of the path,
+that of `balanced` 0.02 to 0.06 % (six sequences); on a fast and blurred sequence 0.38 and 0.22 %. Masks of thin movers
+lose area. Smaller frames lose less accuracy than a coarser finest scale. The first poses are estimated without masks. This
+does no harm unless movers fill nearly half of the view: there the error was 0.75 instead of 0.05 %, and flagged.
 
 `accurate` halves the stride of the adjustment. This doubles its time and lowers the path error by at most a tenth (four
-sequences). Its third round raises the mask IoU from 0.65 to 0.97 on a scene half of which moves.
+sequences). It has one round more for scenes half of which moves.
 """
 
 

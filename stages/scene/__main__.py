@@ -81,7 +81,7 @@ def _observe(sequence: Sequence, flow: Path, masks: Path, poses: Path, depth: Pa
         rgb=np.stack([images.reduce(image, (w, h)) / 255 for image in rgb]),
         dynamic=read_masks_on_grid(masks, sequence, frames, (w, h)) & cameras.masks_used[frames, None, None],
         instances=np.stack(
-            [images.reduce(read_instances(masks, sequence, int(k)), (w, h), cv2.INTER_NEAREST) for k in frames]
+            [images.reduce(read_instances(masks, sequence, int(k)), (w, h), cv2.INTER_NEAREST_EXACT) for k in frames]
         ),
         depth=depth_on_grid(dense["inverse_depth"][frames], stride_px, scale, h, w),
         cam_from_world=cameras.cam_from_world[frames],

@@ -69,15 +69,22 @@ def moving_regions(seen: Observed) -> list[Region]:
     regions = []
     for edge in _spread_edges(seen, 1):
         frame = seen.edges[edge, 0]
-        count, labels = cv2.connectedComponents(seen.dynamic[frame].astype(np.uint8))
-        for label in range(1, count):
-            chosen = (labels == label) & (seen.confidence[edge] >= MIN_CONFIDENCE)
-            if chosen.sum() >= MIN_REGION_PX:
-                flow = seen.flow[edge][chosen].astype(float)
-                instance = int(np.bincount(seen.instances[frame][chosen]).argmax())
-                residual = planar_residual(np.argwhere(chosen)[:, ::-1], flow)
-                regions.append(Region(instance, residual, np.linalg.norm(flow - np.median(flow, axis=0), axis=1)))
+        confident = seen.confidence[edge] >= MIN_CONFIDENCE
+        numbers = seen.instances[frame] * seen.dynamic[frame]
+        for instance in np.unique(numbers[numbers > 0]).tolist():
+            count, labels = cv2.connectedComponents((numbers == instance).astype(np.uint8))
+            for label in range(1, count):
+                chosen = (labels == label) & confident
+                if chosen.sum() >= MIN_REGION_PX:
+                    regions.append(
+                        _region(instance, np.argwhere(chosen)[:, ::-1], seen.flow[edge][chosen].astype(float))
+                    )
     return regions
+
+
+def _region(instance: int, uv: np.ndarray, flow: np.ndarray) -> Region:
+    spread = np.linalg.norm(flow - np.median(flow, axis=0), axis=1)
+    return Region(instance, planar_residual(uv, flow), spread)
 
 
 def bending_evidence(seen: Observed, regions: Sequence[Region]) -> dict[str, float]:
@@ -96,7 +103,7 @@ def bending_of(regions: Sequence[Region]) -> dict[str, float]:
 
 def bending_of_instances(regions: Sequence[Region]) -> dict[int, dict[str, float]]:
     """The same by instance."""
-    numbers = sorted({region.instance for region in regions} - {0})
+    numbers = sorted({region.instance for region in regions})
     return {n: bending_of([region for region in regions if region.instance == n]) for n in numbers}
 
 

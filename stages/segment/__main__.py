@@ -108,6 +108,9 @@ def _masks(options: SegmentOptions, frames: Sequence, flow: Path, prior: Path) -
 
 def _refined(options: SegmentOptions, frames: Sequence, flow: Path, prior: Path) -> Masks:
     evidence = read_dense(prior)
+    if "weight" not in evidence or len(evidence["weight"]) != len(frames.frames):
+        expected = f"columns 'probability' and 'weight' of {len(frames.frames)} frames"
+        raise InputError(prior, expected, f"columns {sorted(evidence)}", "run the motion stage again")
     size = evidence["probability"].shape[:0:-1]
     pixels = superpixels(len(frames.frames), lambda k: reduce(read_rgb(frames.frames[k]), size))
     probability, weight = (pixels.means(evidence[name]) for name in ("probability", "weight"))

@@ -17,14 +17,14 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import cg
 
-from stages.segment.superpixels import Superpixels, borders, matches
+from stages.segment.superpixels import REFERENCE_WIDTH, Superpixels, borders, matches
 
-LOW_WEIGHT = 0.2
-"""Weight of evidence that nothing moves, of that of certain motion."""
+LOW_WEIGHT, LEAST_WEIGHT = 0.2, 1e-3
+"""Weight of evidence that nothing moves, relative to that of certain motion; weight of a pixel without any evidence."""
 HALF_WEIGHT = 1.0
 """Summed weight of the flow at which evidence counts half."""
 BORDER_WEIGHT = 2.4
-"""Of a pixel of shared border; a pixel of evidence weighs 1."""
+"""Of a pixel of shared border in frames of REFERENCE_WIDTH; a pixel of evidence weighs 1."""
 MATCH_COLOUR, BORDER_COLOUR = 20.0, 8.0
 """Standard deviation of colour differences (CIELAB, 0..255) along the flow and across borders."""
 WINDOW, OVERLAP = 100, 25
@@ -33,12 +33,14 @@ TOLERANCE, MAX_ITERATIONS = 1e-3, 300
 SPREADING = 20
 """Steps in which the level of a mover spreads over its surroundings."""
 LEVEL_POWER = 4
+"""The larger, the more the largest values decide on the level."""
 RELATIVE = 0.6
 """A superpixel is dynamic from this share of the level of its surroundings on: weak and strong evidence alike end about
 halfway between a mover and what is behind it."""
 MIN_STRENGTH, MIN_SUPPORT = 1.3, 0.15
-"""Least mean x of an instance, in thresholds, and least mean of x times the share by which it counts. Flow fails at
-occlusions and on textureless sky; what shows there is weak, or unsure, in every frame of it."""
+"""Least mean x of an instance, in thresholds (at most halfway from the threshold to 1), and least mean of x times the
+share by which it counts. Flow fails at occlusions and on textureless sky; what shows there is weak, or unsure, in every
+frame of it."""
 
 
 def confidence_of(weight: np.ndarray) -> np.ndarray:
@@ -47,9 +49,13 @@ def confidence_of(weight: np.ndarray) -> np.ndarray:
 
 
 def links(pixels: Superpixels, pairs: Mapping[str, np.ndarray], start: int, permanence: float) -> sparse.csr_matrix:
-    """W [N, N] of the superpixels of the frames from `start` on; `permanence` weighs links along the flow."""
+    """W [N, N] of the superpixels of the frames from `start` on; `permanence` weighs links along the flow.
+
+    With the width of the frames, areas grow with its square and borders with itself: hence the factor.
+    """
     along = permanence * _alike(matches(pixels, pairs, start), pixels.colours, MATCH_COLOUR)
-    return along + BORDER_WEIGHT * _alike(borders(pixels), pixels.colours, BORDER_COLOUR)
+    border = BORDER_WEIGHT * pixels.labels.shape[2] / REFERENCE_WIDTH
+    return along + border * _alike(borders(pixels), pixels.colours, BORDER_COLOUR)
 
 
 def solve(W: sparse.csr_matrix, areas: np.ndarray, prior: np.ndarray, confidence: np.ndarray) -> np.ndarray:
@@ -57,7 +63,7 @@ def solve(W: sparse.csr_matrix, areas: np.ndarray, prior: np.ndarray, confidence
 
     Conjugate gradients with the diagonal as preconditioner; the system is positive definite, as every area is positive.
     """
-    weight = areas * ((LOW_WEIGHT + (1 - LOW_WEIGHT) * prior) * confidence + TOLERANCE)
+    weight = areas * ((LOW_WEIGHT + (1 - LOW_WEIGHT) * prior) * confidence + LEAST_WEIGHT)
     degrees = np.asarray(W.sum(axis=1)).ravel()
     system, inverse = sparse.diags(weight + degrees) - W, sparse.diags(1 / (weight + degrees))
     x, _ = cg(system, weight * prior, x0=prior, rtol=TOLERANCE, maxiter=MAX_ITERATIONS, M=inverse)
@@ -97,7 +103,7 @@ def persistent(
         Instances 1, 2, ... from the largest to the smallest, 0 where static. An instance is what is connected in space
         and time.
     """
-    x, levels, blend = np.zeros((3, len(pixels.areas)))
+    x, levels = np.zeros((2, len(pixels.areas)))
     joined = []
     for start, stop, taper in windows(len(pixels.labels)):
         nodes, part = slice(pixels.first[start], pixels.first[stop]), pixels.part(start, stop)
@@ -106,13 +112,12 @@ def persistent(
         share = np.repeat(taper, np.diff(part.first))
         x[nodes] += share * found
         levels[nodes] += share * level(W, part.areas, found)
-        blend[nodes] += share
         W = W.tocoo()
         near = (found[W.row] > threshold / 2) & (found[W.col] > threshold / 2) & (W.row < W.col)
         joined.append(pixels.first[start] + np.stack([W.row[near], W.col[near]]))
-    x, levels = x / blend, levels / blend
     sure = x / (2 * np.maximum(threshold, RELATIVE * levels))
-    evidence = x / threshold, x * confidence
+    least = min(MIN_STRENGTH * threshold, (1 + threshold) / 2)
+    evidence = x / least, x * confidence
     instance = instances(sure >= 0.5, np.concatenate(joined, axis=1), *evidence, pixels.areas)
     return np.where((sure >= 0.5) & (instance == 0), 0, np.minimum(sure, 1)), instance
 
@@ -124,14 +129,15 @@ def instances(
 
     Args:
         dynamic: [N] bool; joined: [2, L] pairs of superpixels that are linked.
-        strength: [N] x in thresholds; support: [N] x times its confidence; areas: [N] px.
+        strength: [N] x in units of the least that an instance needs; support: [N] x times its confidence.
+        areas: [N] px.
     """
     inner = joined[:, dynamic[joined[0]] & dynamic[joined[1]]]
     graph = sparse.coo_matrix((np.ones(inner.shape[1]), tuple(inner)), (len(areas), len(areas)))
     component = connected_components(graph, directed=False)[1]
     labels = np.unique(component[dynamic], return_inverse=True)[1]
     sizes, *sums = (np.bincount(labels, (areas * values)[dynamic]) for values in (1, strength, support))
-    kept = (sums[0] >= MIN_STRENGTH * sizes) & (sums[1] >= MIN_SUPPORT * sizes)
+    kept = (sums[0] >= sizes) & (sums[1] >= MIN_SUPPORT * sizes)
     order = np.argsort(np.where(kept, -sizes, 0), kind="stable")
     numbers = np.zeros(len(sizes), np.int64)
     numbers[order[: kept.sum()]] = np.arange(1, kept.sum() + 1)
@@ -157,5 +163,7 @@ def windows(T: int) -> Iterator[tuple[int, int, np.ndarray]]:
 def _alike(weights: sparse.csr_matrix, colours: np.ndarray, sigma: float) -> sparse.csr_matrix:
     """Link weights [N, N] times a Gaussian of the difference of the colours [N, 3] that they link."""
     found = weights.tocoo()
-    squared = ((colours[found.row] - colours[found.col]) ** 2).sum(axis=1)
+    squared = np.zeros(found.nnz, np.float32)
+    for channel in colours.T.astype(np.float32):  # one by one: all at once would be most of the memory of a window
+        squared += (channel[found.row] - channel[found.col]) ** 2
     return sparse.csr_matrix((found.data * np.exp(-squared / (2 * sigma**2)), (found.row, found.col)), found.shape)

@@ -36,8 +36,12 @@ def guarded_threshold(sureness: np.ndarray, threshold: float, max_share: float) 
     """The threshold raised, where needed, so that at most `max_share` of the frame [H, W] lies above it.
 
     A mask over nearly the whole frame leaves no static area to estimate poses from; only its surest part is kept.
+    Where nothing is surer than the rest the threshold stays: the adjustment ignores masks of whole frames.
     """
-    return max(threshold, float(np.quantile(sureness, 1 - max_share)))
+    if (sureness > threshold).mean() <= max_share:
+        return threshold
+    raised = max(threshold, float(np.quantile(sureness, 1 - max_share)))
+    return raised if (sureness > raised).mean() > max_share / 2 else threshold
 
 
 def to_instances(mask: np.ndarray, instances: np.ndarray) -> np.ndarray:

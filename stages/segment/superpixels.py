@@ -72,10 +72,13 @@ def _of_frame(rgb: np.ndarray) -> tuple[np.ndarray, int, np.ndarray]:
     """Labels [h, w], their number n, and mean colours [n, 3] of a frame."""
     lab = cv2.cvtColor(rgb, cv2.COLOR_RGB2LAB)
     size_px = max(MIN_SIZE_PX, round(SIZE_PX * rgb.shape[1] / REFERENCE_WIDTH))
+    if min(lab.shape[:2]) < size_px:  # OpenCV crashes on less than half of one
+        return np.zeros(lab.shape[:2], np.int32), 1, lab.reshape(1, -1, 3).mean(axis=1)
     slic = cv2.ximgproc.createSuperpixelSLIC(lab, cv2.ximgproc.SLIC, size_px, RULER)
     slic.iterate(ITERATIONS)
     slic.enforceLabelConnectivity(MIN_SIZE_PERCENT)
-    labels, count = slic.getLabels(), slic.getNumberOfSuperpixels()
+    labels = slic.getLabels()
+    count = int(labels.max()) + 1  # OpenCV's own count may be one short
     areas = np.bincount(labels.ravel(), minlength=count)
     colours = [np.bincount(labels.ravel(), lab[..., c].ravel(), count) / areas for c in range(3)]
     return labels, count, np.stack(colours, axis=1)
