@@ -128,18 +128,26 @@ def test_the_distance_of_paths_is_that_of_their_centres_after_alignment() -> Non
 
 
 @pytest.mark.parametrize(("share", "same"), [(0.004, True), (0.006, False)])
-def test_static_areas_are_the_same_within_half_a_per_cent(
-    share: float, same: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_static_areas_are_the_same_within_half_a_per_cent(share: float, same: bool) -> None:
     before = np.ones((10, 10, 100), np.float32)
     now = before.copy()
     now[:, 0, : round(1000 * share)] = 0
-    about: dict[str, Any] = {"from_previous_round": True, "flags": []}
-    monkeypatch.setattr(rounds, "read_metadata", lambda _: about)
-    assert rounds.is_settled(Path("poses.parquet"), now, before) == same
+    assert rounds.is_same(now, before) == same
     one = np.ones((300, 10, 10), np.float32)
     one[100] = 0
-    assert not rounds.is_settled(Path("poses.parquet"), one, np.ones_like(one)), "a frame that is now dynamic"
-    about["flags"] = ["focal length moved by +7 %, 4 times its predicted error: rounds have not converged"]
-    assert not rounds.is_settled(Path("poses.parquet"), before, before)
-    assert not rounds.is_settled(None, before, before)
+    assert not rounds.is_same(one, np.ones_like(one)), "a frame that is now dynamic"
+
+
+@pytest.mark.parametrize(
+    ("about", "converged"),
+    [
+        ({"from_previous_round": True, "flags": ["rough camera path"]}, True),
+        ({"from_previous_round": False, "flags": []}, False),
+        ({"from_previous_round": True, "flags": ["focal length moved: rounds have not converged"]}, False),
+    ],
+)
+def test_only_a_continued_round_without_the_warning_has_converged(
+    about: dict[str, Any], converged: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(rounds, "read_metadata", lambda _: about)
+    assert rounds.has_converged(rounds.complete(*[Path("x")] * 4)) == converged

@@ -90,7 +90,8 @@ def test_results_are_carried_over_only_where_the_static_area_is_the_same(
     assert read_metadata(three["poses"]) == read_metadata(two["poses"]) | {"flags": ["carried"]}
     assert_allclose(np.loadtxt(three["trajectory"]), np.loadtxt(two["trajectory"]), atol=1e-12)
     with pytest.raises(InputError, match="give all or none"):
-        main(**artifacts, **one, options=options, previous_poses=two["poses"], previous_masks=masks)
+        main(**artifacts, **(four := outputs(tmp_path / "four")), options=options, previous_masks=masks)
+    assert not any(path.exists() for path in four.values())
     for k in (1, 2):
         write_image(masks / f"frame_{k:04d}.png", np.zeros((64, 96), bool))
     assert "focal length" in main(**artifacts, **three, options=options, **before, previous_masks=masks)

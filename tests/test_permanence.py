@@ -69,19 +69,6 @@ def test_movers_keep_their_number_through_the_clip_and_the_largest_is_first() ->
     assert set(np.unique(numbers)) == {0, 1, 2}
 
 
-def test_weak_evidence_ends_halfway_between_the_mover_and_the_ground() -> None:
-    """Beside strong evidence, its halo of half that strength is ground; the same strength alone is a mover."""
-    *_, where = squares()
-    halo = np.zeros((T, H, W), bool)
-    for k in range(T):
-        halo[k, 8:44, 44 + STEP * k : 60 + STEP * k] = True
-    prior = np.where(where == 1, 0.98, np.where(halo, 0.4, 0.02))
-    prior[where == 2] = 0.5
-    found, _ = found_in(prior)
-    assert found[halo].mean() < 0.35
-    assert found[where == 2].mean() > 0.9
-
-
 @pytest.mark.parametrize(("prior", "confidence", "kept"), [(0.4, 1.0, False), (0.6, 1.0, True), (0.6, 0.2, False)])
 def test_an_instance_needs_strength_and_confidence(prior: float, confidence: float, kept: bool) -> None:
     *_, where = squares()

@@ -75,12 +75,11 @@ def main(
     """
     frames = read_sequence(sequence)
     matches = _read_matches(flow, len(frames.numbers), options)
-    areas = static_areas(_read_masks(masks, frames), *matches.size)
-    if previous_masks and rounds.is_settled(
-        previous_poses, areas, static_areas(_read_masks(previous_masks, frames), *matches.size)
-    ):
-        before = previous_poses, previous_depth, previous_convergence, previous_figure
-        return rounds.carry_over(frames.name, before, (poses, depth, convergence, figure), trajectory)
+    areas = _static_areas(masks, frames, matches)
+    if previous_masks:
+        before = rounds.complete(previous_poses, previous_depth, previous_convergence, previous_figure)
+        if rounds.has_converged(before) and rounds.is_same(areas, _static_areas(previous_masks, frames, matches)):
+            return rounds.carry_over(frames.name, before, rounds.Results(poses, depth, convergence, figure), trajectory)
     centre, known_focal_px = _known_intrinsics(frames, matches, options)
     static, ignored = trusted_static_areas(areas)
     everything = with_texture(matches.graph(options.stride_px, centre), _read_texture(frames, matches.size))
@@ -172,11 +171,12 @@ def _read_texture(frames: Sequence, size: tuple[int, int]) -> np.ndarray:
     return np.stack(threaded(texture_weights, grey))
 
 
-def _read_masks(folder: Path | None, frames: Sequence) -> np.ndarray:
-    """Masks [T, H, W] bool, true where dynamic; without a folder all false."""
-    if folder is None:
-        return np.zeros((len(frames.numbers), frames.height, frames.width), bool)
-    return np.stack(list(read_masks(folder, frames).values()))
+def _static_areas(masks: Path | None, frames: Sequence, matches: _Matches) -> np.ndarray:
+    """Static area [T, height, width] on the flow grid that a folder of masks leaves; without one, everything."""
+    dynamic = np.zeros((len(frames.numbers), frames.height, frames.width), bool)
+    if masks is not None:
+        dynamic = np.stack(list(read_masks(masks, frames).values()))
+    return static_areas(dynamic, *matches.size)
 
 
 def _known_intrinsics(frames: Sequence, matches: _Matches, options: BAOptions) -> tuple[np.ndarray, float | None]:

@@ -1,8 +1,8 @@
 """Rounds that find what the round before found: where the static area has not changed, neither has the solution."""
 
 import shutil
-from collections.abc import Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,40 +16,57 @@ SAME_SHARE, SAME_SHARE_OF_A_FRAME = 0.005, 0.05
 """Static areas that differ in a smaller share of the pixels, of the clip and of every frame, count as the same."""
 
 
-def is_settled(poses: Path | None, static: np.ndarray, before: np.ndarray) -> bool:
-    """Whether another adjustment would find what the round before found.
+class Results(NamedTuple):
+    """Files of a round besides its trajectory."""
 
-    That round began from poses of an earlier one, as this one would: the first begins from guesses, and the next gains
-    on it with the same masks (a fast chase: path error .033 % to .020 %). It has no
-    warning that rounds have not converged. The static areas [T, h, w] (1 static, 0 dynamic) of the two are the same.
+    poses: Path
+    depth: Path
+    convergence: Path
+    figure: Path
 
-    Args:
-        poses: poses.parquet of the round before.
+
+def complete(*files: Path | None) -> Results:
+    """The results of the round before, which are given with its masks.
+
+    Raises:
+        InputError: if one of them is missing.
     """
-    about = read_metadata(poses) if poses is not None else {}
-    if not about.get("from_previous_round") or any(NOT_CONVERGED in flag for flag in about["flags"]):
-        return False
+    found = [file for file in files if file is not None]
+    if len(found) < len(files):
+        every = "--previous-poses, -depth, -convergence and -figure"
+        raise InputError("--previous-masks", f"together with {every}", "only some of them", "give all or none")
+    return Results(*found)
+
+
+def has_converged(before: Results) -> bool:
+    """Whether another adjustment with the same masks would find what the round before found.
+
+    That round began from the poses of an earlier one, as this one would: the first begins from guesses, and the next
+    gains on it with the same masks (a fast chase: path error .033 % to .020 %). And it has no warning that rounds have
+    not converged.
+    """
+    about = read_metadata(before.poses)
+    converged = not any(NOT_CONVERGED in flag for flag in about.get("flags", []))
+    return bool(about.get("from_previous_round")) and converged
+
+
+def is_same(static: np.ndarray, before: np.ndarray) -> bool:
+    """Whether the static areas [T, h, w] (1 static, 0 dynamic) of two rounds are the same but for a few pixels."""
     changed = np.abs(static - before).mean(axis=(1, 2))
     return bool(changed.mean() < SAME_SHARE and changed.max() < SAME_SHARE_OF_A_FRAME)
 
 
-def carry_over(name: str, before: Sequence[Path | None], files: Sequence[Path], trajectory: Path) -> str:
-    """Write the results of the round before again, poses.parquet first, and their trajectory; the result in words.
+def carry_over(name: str, before: Results, after: Results, trajectory: Path) -> str:
+    """Write the results of the round before again, with their trajectory; the result in words.
 
     The warning that the static area shrank is left out: it has not shrunk since.
-
-    Raises:
-        InputError: if one of the results before is missing.
     """
-    for source, target in zip(before, files, strict=True):
-        if source is None:
-            every = "--previous-poses, -depth, -convergence and -figure"
-            raise InputError("--previous-masks", f"together with {every}", "only some of them", "give all or none")
+    about = read_metadata(before.poses)
+    flags = [flag for flag in about["flags"] if not flag.startswith(SHRANK)]
+    write_table(after.poses, read_table(before.poses), about | {"flags": flags})
+    write_tum(trajectory, read_cameras(after.poses))
+    for source, target in zip(before[1:], after[1:], strict=True):
         with atomic(target) as file:
             shutil.copyfile(source, file)
-    about = read_metadata(files[0])
-    flags = [flag for flag in about["flags"] if not flag.startswith(SHRANK)]
-    write_table(files[0], read_table(files[0]), about | {"flags": flags})
-    write_tum(trajectory, read_cameras(files[0]))
     logger.info("%s: the static area is that of the round before, and so are the poses", name)
     return "static area unchanged: the poses of the round before"

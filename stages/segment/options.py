@@ -14,8 +14,12 @@ class SegmentOptions(Options):
         "refined",
         description="masks for all later stages: refined, the prior above one half, none, or the true motion masks",
     )
-
-    threshold: float = Field(0.33, ge=0.05, le=0.95, description="least probability, over the clip, of what is dynamic")
+    threshold: float = Field(
+        0.33,
+        ge=0.05,
+        le=0.95,
+        description="least probability, over the clip, of what is dynamic; a whole mover needs 1.3 times as much",
+    )
     permanence: float = Field(
         3.0,
         ge=0,
@@ -23,7 +27,7 @@ class SegmentOptions(Options):
         description="weight of links along the flow against evidence; 0: each frame alone",
     )
     smoothness: float = Field(
-        1000.0, ge=0, le=1e5, description="weight of edge-aware smoothing against the prior, for frames 512 px wide"
+        1000.0, ge=0, le=1e5, description="weight of edge-aware smoothing of the mask's borders, for frames 512 px wide"
     )
     colour_sigma: float = Field(
         3.0, gt=0, le=100, description="colour step (0..255) that stops the smoothing; smaller follows finer edges"

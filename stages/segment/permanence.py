@@ -17,7 +17,9 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import cg
 
-from stages.segment.superpixels import REFERENCE_WIDTH, Superpixels, borders, matches
+from stages.segment.refinement import REFERENCE_WIDTH
+from stages.segment.superpixels import Superpixels, borders, matches
+from stages.shared.log import logger
 
 LOW_WEIGHT, LEAST_WEIGHT = 0.2, 1e-3
 """Weight of evidence that nothing moves, relative to that of certain motion; weight of a pixel without any evidence."""
@@ -28,7 +30,7 @@ BORDER_WEIGHT = 2.4
 MATCH_COLOUR, BORDER_COLOUR = 20.0, 8.0
 """Standard deviation of colour differences (CIELAB, 0..255) along the flow and across borders."""
 WINDOW, OVERLAP = 100, 25
-"""Frames that are solved together, and how many two windows share: memory does not grow with the clip."""
+"""Frames that are solved together, and how many two windows share: the system does not grow with the clip."""
 TOLERANCE, MAX_ITERATIONS = 1e-3, 300
 SPREADING = 20
 """Steps in which the level of a mover spreads over its surroundings."""
@@ -66,7 +68,9 @@ def solve(W: sparse.csr_matrix, areas: np.ndarray, prior: np.ndarray, confidence
     weight = areas * ((LOW_WEIGHT + (1 - LOW_WEIGHT) * prior) * confidence + LEAST_WEIGHT)
     degrees = np.asarray(W.sum(axis=1)).ravel()
     system, inverse = sparse.diags(weight + degrees) - W, sparse.diags(1 / (weight + degrees))
-    x, _ = cg(system, weight * prior, x0=prior, rtol=TOLERANCE, maxiter=MAX_ITERATIONS, M=inverse)
+    x, unsolved = cg(system, weight * prior, x0=prior, rtol=TOLERANCE, maxiter=MAX_ITERATIONS, M=inverse)
+    if unsolved:
+        logger.warning("masks: the system over the clip is not solved after %d iterations", MAX_ITERATIONS)
     return np.asarray(np.clip(x, 0, 1))
 
 

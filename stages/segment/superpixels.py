@@ -7,10 +7,11 @@ import cv2
 import numpy as np
 from scipy import sparse
 
+from stages.segment.refinement import REFERENCE_WIDTH
 from stages.shared.threads import threaded
 
-SIZE_PX, REFERENCE_WIDTH = 8.0, 512
-"""Size of a superpixel, each way, in frames of this width: small against movers, large against the noise of pixels."""
+SIZE_PX = 8.0
+"""Size of a superpixel, each way, in frames of REFERENCE_WIDTH: small against movers, large against noise."""
 MIN_SIZE_PX = 4
 RULER = 15.0
 ITERATIONS = 5
