@@ -5,6 +5,7 @@ from pathlib import Path
 import finished_run as clip
 import numpy as np
 
+from stages.scene.observed import Observed
 from stages.shared.artifacts import write_dense, write_json
 from stages.shared.cameras import make_cameras, pixel_grid, write_cameras
 from stages.shared.images import write_image
@@ -12,6 +13,28 @@ from stages.shared.sequences import check_sequence, sequence_to_json
 
 HELD_OUT = 4
 STRIDE = 4
+
+
+def observe(rgb: np.ndarray | None = None, dynamic: np.ndarray | None = None) -> Observed:
+    """The wall and its square, all frames, exact flow between neighbours, with other colours or masks if given."""
+    T = clip.T
+    pairs = [(i, j) for i in range(T) for j in range(T) if 0 < abs(i - j) <= 2]
+    points = [clip.wall(k)[0] for k in range(T)]
+    colours = np.stack([clip.picture(k) for k in range(T)]).astype(np.float32) / 255
+    masks = np.stack([clip.moving(points[k], k) for k in range(T)])
+    flow = np.stack([clip.flow(i, j) for i, j in pairs]).astype(np.float32)
+    return Observed(
+        rgb=colours if rgb is None else rgb.astype(np.float32),
+        dynamic=masks if dynamic is None else dynamic,
+        instances=(masks if dynamic is None else dynamic).astype(np.uint16),
+        depth=np.stack([clip.wall(k)[1] for k in range(T)]),
+        cam_from_world=clip.CAM_FROM_WORLD,
+        Ks=np.broadcast_to(clip.K, (T, 3, 3)),
+        edges=np.array(pairs),
+        flow=flow,
+        confidence=np.ones(flow.shape[:3], np.float32),
+        offsets=np.array([j - i for i, j in pairs]),
+    )
 
 
 def write_inputs(folder: Path, poison: bool = False, motion: bool = True) -> dict[str, Path]:
