@@ -31,8 +31,9 @@ results: $(INSTALLED)
 		--scenes stages/simulate/scenes --output docs/results.md --readme README.md \
 		--command "make results PRESET=$(PRESET)" && exit $$ended
 
+# Two processes, each with whole files: much of a test is one thread, or waits for Slurm or Snakemake.
 test: lint
-	$(BIN)/pytest
+	$(BIN)/pytest --numprocesses 2 --dist loadfile --no-loadscope-reorder
 
 lint: $(INSTALLED)
 	$(BIN)/ruff check .

@@ -11,7 +11,7 @@ Of the 300 frames, `inspect` to `control` asked for 1.04 to 1.26 times what they
 machine of the measurements: it ran on 75 of them, as many as of a clip of 86 frames (8.2 GB used, 1.24 times as much
 asked); 24.9 GB for all follow from there and from 24 frames, 1.3 times as much is asked. `evaluate` was measured on 24
 frames of 1080p at most, `colmap` on small frames alone. What `control` holds grows with what moves: 8 % of the pixels
-here. Training held no more in 150 steps than in 5, `control` as much in 100 as in 5. The bases of `motion` and
+here. Training held no more in 150 steps than in 5, `control` as much in 100 as in 5. The bases of `motion`, `ba` and
 `gaussians` leave room for a process that compiles its kernels.
 `simulate` and `report`, which read no sequence, have a constant.
 """
@@ -51,11 +51,11 @@ class Need:
 
 NEEDS = {
     "simulate": Need(520),
-    "inspect": Need(120, per_frame=17),
+    "inspect": Need(135, per_frame=17),
     "flow": Need(150, per_edges=18.5),
     "motion": Need(325, per_edges=27.6),
     "segment": Need(230, per_edges=9.2),
-    "ba": Need(350, per_edges=8.9),
+    "ba": Need(380, per_edges=8.9),
     "scene": Need(215, per_edges=19.2),
     "control": Need(535, per_edges=8.1),
     "gaussians": Need(785, per_frames=43.5, per_frame=120),
