@@ -166,6 +166,19 @@ def test_truth_that_appears_later_is_noticed(repo_copy: Path) -> None:
     assert {"inspect", "evaluate", "report"} <= planned(run_snakemake(repo_copy, "-n", *options))
 
 
+def test_a_frame_that_is_rewritten_is_noticed(repo_copy: Path) -> None:
+    """The time of its folder stays as it was."""
+    clip = write_frames(repo_copy / "clips" / "clip")
+    options = with_options(repo_copy, "dataset: clips")[1:]
+    write_outputs(repo_copy, run_snakemake(repo_copy, "-n", *options))
+    assert run_snakemake(repo_copy, "-F", "--touch", *options).returncode == 0
+    assert planned(run_snakemake(repo_copy, "-n", *options)) == set()
+    before = clip.stat().st_mtime_ns
+    (clip / "frame_0002.png").write_bytes((clip / "frame_0003.png").read_bytes())
+    assert clip.stat().st_mtime_ns == before
+    assert {"inspect", "flow", "report"} <= planned(run_snakemake(repo_copy, "-n", *options))
+
+
 @pytest.mark.parametrize(
     ("target", "message"),
     [

@@ -1,6 +1,7 @@
 """Find and check image sequences: MPI-Sintel folders, a folder of frame folders, or one folder of frames."""
 
 import difflib
+import hashlib
 import os
 import re
 from collections.abc import Iterable
@@ -145,6 +146,13 @@ def check_headers(sequence: Sequence) -> set[str]:
             raise InputError(path, expected, f"{width} x {height}", "resize the frames")
         modes.add(mode)
     return modes
+
+
+def frames_digest(frames: list[Path]) -> str:
+    """A number that changes when a frame is rewritten: of the names, sizes and times of the files."""
+    found = [(path.name, path.stat()) for path in frames]
+    content = "".join(f"{name} {of.st_size} {of.st_mtime_ns} " for name, of in found)
+    return hashlib.sha1(content.encode(), usedforsecurity=False).hexdigest()[:12]
 
 
 def truth_folders(folder: Path) -> dict[str, Path]:

@@ -1,6 +1,7 @@
 # Shared by all stages: the checked configuration, the sequences, settings, artifacts and flags.
 import functools
 import gc
+import inspect
 import math
 import os
 import re
@@ -9,6 +10,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+from snakemake.common import overwrite_function_params
 from snakemake.common.configfile import load_configfile
 from snakemake.exceptions import WorkflowError
 from snakemake.utils import update_config
@@ -32,7 +34,7 @@ from stages.shared.digest import code_digest
 from stages.shared.errors import InputError
 from stages.shared.images import reduced_size
 from stages.shared.memory import Held, megabytes
-from stages.shared.sequences import find_truth, truth_folders
+from stages.shared.sequences import find_truth, frames_digest, truth_folders
 
 # A plan of a thousand sequences consists of a million permanent objects. Searching all of them for garbage again and
 # again delays the first job considerably.
@@ -111,6 +113,12 @@ def known_sequence(wildcards):
     return wildcards.seq
 
 
+def of_job(function):
+    """The function, its arguments noted where Snakemake would inspect it anew for every job."""
+    overwrite_function_params(function, inspect.signature(function).parameters)
+    return function
+
+
 @functools.cache
 def flags_of(setting, section):
     """The command-line flags of one script under a setting; cached, since every job asks."""
@@ -119,7 +127,7 @@ def flags_of(setting, section):
 
 def flags(section):
     """The params function of a script's command-line flags: Snakemake reruns the script when they change."""
-    return lambda wildcards: flags_of(setting_of(wildcards), section)
+    return of_job(lambda wildcards: flags_of(setting_of(wildcards), section))
 
 
 def round_number(wildcards):
@@ -142,14 +150,15 @@ def artifact_path(wildcards, stage, name, number):
 
 def artifact(stage, name):
     """The input function of a file or folder that a stage makes, under the job's setting and in its round."""
-    return lambda wildcards: artifact_path(
-        wildcards, stage, name, round_number(wildcards)
+    return of_job(
+        lambda wildcards: artifact_path(wildcards, stage, name, round_number(wildcards))
     )
 
 
 def artifacts(stage, name):
     """The input function of a stage's results in all of its rounds, in order (one, if rounds do not repeat it)."""
 
+    @of_job
     def of_rounds(wildcards):
         numbers = plan.rounds_of(setting_of(wildcards), stage)
         return [artifact_path(wildcards, stage, name, number) for number in numbers]
@@ -160,25 +169,27 @@ def artifacts(stage, name):
 def optional(stage, name, before=0):
     """The input function of a stage's results `before` rounds ago; empty if the stage does not run in that round."""
 
-    def of_job(wildcards):
+    @of_job
+    def of_round(wildcards):
         number = round_number(wildcards) - before
         if number not in plan.rounds_of(setting_of(wildcards), stage):
             return []
         return artifact_path(wildcards, stage, name, number)
 
-    return of_job
+    return of_round
 
 
 def optional_flags(*names):
     """The params function of the flags for those optional inputs, out of `names`, that a job has."""
 
-    def of_job(wildcards, input):
+    @of_job
+    def of_paths(wildcards, input):
         paths = {f"--{name.replace('_', '-')}": input.get(name) for name in names}
         return " ".join(
             f"{flag} {shlex.quote(path)}" for flag, path in paths.items() if path
         )
 
-    return of_job
+    return of_paths
 
 
 def scene_file(wildcards):
@@ -192,16 +203,21 @@ def frame_folder(wildcards):
 
 
 def frame_source(wildcards):
-    """The inputs of `inspect`: frames and the folders of ground truth beside them, or the simulator's manifest.
+    """The inputs of `inspect`: the folders of frames and of ground truth beside it, or the simulator's manifest.
 
-    The simulator writes the manifest last. A folder of truth stands for its files: its time changes when files are
-    added or removed, and hundreds of files more per sequence would slow down every plan.
+    The simulator writes the manifest last. A folder stands for its files: its time changes when files are added or
+    removed, and hundreds of files per sequence would slow down every plan.
     """
     name = known_sequence(wildcards)
     if CONFIG.dataset == configuration.SIMULATED:
         return {"manifest": f"simulated/{name}.json"}
-    truth = truth_folders(Path(FOLDERS[name])).values()
-    return {
-        "frames": [str(path) for path in SEQUENCES[name].frames],
-        "truth": [str(folder) for folder in truth],
-    }
+    folder = Path(FOLDERS[name])
+    truth = truth_folders(folder).values()
+    return {"frames": str(folder), "truth": [str(folder) for folder in truth]}
+
+
+def frame_times(wildcards):
+    """What changes when a frame is rewritten; nothing for simulated frames, which a job of this run may still write."""
+    if CONFIG.dataset == configuration.SIMULATED:
+        return ""
+    return frames_digest(SEQUENCES[known_sequence(wildcards)].frames)

@@ -21,6 +21,7 @@ rule inspect:
     params:
         code=code_digest("stages.inspect"),
         folder=frame_folder,
+        times=frame_times,
         flags=flags("inspect"),
     shell:
         "{{ python -m stages.inspect --frames {params.folder:q} --output {output.sequence:q}"

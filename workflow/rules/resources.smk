@@ -4,10 +4,11 @@
 def memory(stage):
     """The params function of a job's memory in megabytes, from the pixels of its stage; more at each attempt."""
 
-    def of_job(wildcards, attempt):
+    @of_job
+    def of_attempt(wildcards, attempt):
         return megabytes(stage, held(setting_of(wildcards), wildcards.seq), attempt)
 
-    return of_job
+    return of_attempt
 
 
 @functools.cache
@@ -25,7 +26,7 @@ def held(setting, name):
 def gpus(section):
     """The resource function of a job's GPUs: one if its stage runs on CUDA, else None, which omits the resource."""
 
-    return lambda wildcards: gpus_of(setting_of(wildcards), section)
+    return of_job(lambda wildcards: gpus_of(setting_of(wildcards), section))
 
 
 @functools.cache
@@ -38,7 +39,9 @@ def gpus_of(setting, section):
 def submission(name):
     """The function of a job's group: one submission to a cluster per sequence and setting. Local runs have no groups."""
 
-    return lambda wildcards: submission_of(name, getattr(wildcards, "setting", ""))
+    return of_job(
+        lambda wildcards: submission_of(name, getattr(wildcards, "setting", ""))
+    )
 
 
 @functools.cache
