@@ -8,7 +8,8 @@ from gaussian_training import CANONICAL, TRAIN, image_at, new_scene, psnr
 
 from stages.gaussians.lifting import cloud_within, dynamic_share, initial_cloud, lift, near_plane_of
 from stages.gaussians.skinning import skin, to_canonical
-from stages.gaussians.training_frames import dense_depth, nearest_on_frame, with_movers
+from stages.gaussians.training_frames import with_movers
+from stages.shared.dense_depth import dense_depth, nearest_on_frame
 from stages.splatting.gaussian_model import GaussianScene
 
 

@@ -4,9 +4,10 @@ from pathlib import Path
 
 import numpy as np
 
-from stages.gaussians.training_frames import TrainingFrames, dense_depth, nearest_on_frame
+from stages.gaussians.training_frames import TrainingFrames
 from stages.shared.artifacts import read_dense, read_metadata
 from stages.shared.cameras import Cameras, read_cameras
+from stages.shared.dense_depth import dense_depth, nearest_on_frame
 from stages.shared.images import read_rgb
 from stages.shared.log import logger
 from stages.shared.masks import read_mask
