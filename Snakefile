@@ -20,6 +20,7 @@ include: "workflow/rules/scene.smk"
 include: "workflow/rules/control.smk"
 include: "workflow/rules/gaussians.smk"
 include: "workflow/rules/render.smk"
+include: "workflow/rules/export.smk"
 include: "workflow/rules/colmap.smk"
 include: "workflow/rules/evaluate.smk"
 include: "workflow/rules/sweep.smk"
@@ -31,6 +32,7 @@ localrules:
     poses,
     masks,
     splats,
+    export,
     sweep,
     scaling,
 
@@ -62,6 +64,11 @@ rule splats:
             dataset=DATASET,
             seq=SEQUENCES,
         ),
+
+
+rule export:
+    input:
+        expand("<results>/{dataset}/{seq}/export", dataset=DATASET, seq=SEQUENCES),
 
 
 rule sweep:

@@ -11,6 +11,7 @@ COMMON = {"shared", "deformation", "splatting"}
 LATER = {
     "simulate": COMMON,
     "colmap": COMMON,
+    "export": COMMON,
     "comparisons": {*COMMON, "evaluate", "configuration"},
     "report": {*COMMON, "evaluate", "comparisons"},
     "results": {*COMMON, "evaluate", "comparisons", "report"},

@@ -76,6 +76,19 @@ def test_plain_snakemake_plans_every_stage(repo_copy: Path) -> None:
 
 
 @pytest.mark.parametrize(
+    ("formats", "besides"),
+    [
+        ("[colmap, npz, depth_png, masks]", set()),
+        ("[spz, video]", {"scene", "control", "gaussians", "render"}),
+    ],
+)
+def test_an_export_runs_what_its_formats_need(repo_copy: Path, formats: str, besides: set[str]) -> None:
+    poses = {"simulate", "inspect", "flow", "motion", "segment", "ba", "export_sequence", "export"}
+    plan = run_snakemake(repo_copy, "-n", "export", "--config", f"export={{formats: {formats}}}")
+    assert planned(plan) == poses | besides
+
+
+@pytest.mark.parametrize(
     ("override", "rerun"),
     [
         ("flow: {max_width_px: 300}", AFTER_FLOW | {"flow"}),

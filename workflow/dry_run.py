@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 REPO = Path(__file__).parents[1]
-PLAN = ("-n", "-p", "sweep", "scaling", "--configfile")
+PLAN = ("-n", "-p", "sweep", "scaling", "export", "--configfile")
 OPTIONS = {"dataset": "simulated", "scenes": ["demo"], "colmap": {"upsample_masked": [1]}}
 """Everything there is, on one scene of the library."""
 LEFT_OUT = ("stats/", "figures/")

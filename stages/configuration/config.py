@@ -11,6 +11,7 @@ from stages.configuration.comparison_options import ScalingOptions, SweepOptions
 from stages.configuration.presets import PRESETS, Preset, override, value_of
 from stages.control.options import ControlOptions
 from stages.evaluate.options import EvaluateOptions
+from stages.export.options import ExportOptions
 from stages.flow.options import FlowOptions
 from stages.gaussians.options import GaussiansOptions
 from stages.inspect.options import InspectOptions
@@ -60,6 +61,7 @@ class Config(Options):
     control: ControlOptions = ControlOptions()
     gaussians: GaussiansOptions = GaussiansOptions()
     render: RenderOptions = RenderOptions()
+    export: ExportOptions = ExportOptions()
     evaluate: EvaluateOptions = EvaluateOptions()
     colmap: ColmapOptions = ColmapOptions()
     report: ReportOptions = ReportOptions()

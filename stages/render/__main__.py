@@ -12,14 +12,14 @@ from stages.shared.log import progress
 from stages.shared.sequences import read_sequence
 
 SECONDS_PER_FRAME = 1 / 12
-FILES = (*(f"{split}/frame_*.png" for split in ("train", "test", "novel", "right")), "splats/frame_*.ply")
+FILES = tuple(f"{split}/frame_*.png" for split in ("train", "test", "novel", "right"))
 
 
 def main(
     sequence: Annotated[Path, In("sequence.json of the input check")],
     poses: Annotated[Path, In("ba/poses.parquet")],
     model: Annotated[Path, In("gaussians/model.safetensors")],
-    output: Annotated[Path, Out("folder of renders: train, test, novel, right; and splats of export_frames")],
+    output: Annotated[Path, Out("folder of renders: train, test, novel, right")],
     video: Annotated[Path, Out("fly-through as GIF")],
     options: RenderOptions,
 ) -> str:
@@ -31,7 +31,6 @@ def main(
     from stages.render.video import write_gif
     from stages.shared.artifacts import atomic_folder
     from stages.shared.images import write_image
-    from stages.splatting.model_files import write_splats
 
     content, cameras = read_sequence(sequence), read_cameras(poses)
     shots = planned_shots(content, cameras, float(read_metadata(model)["median_depth"]), options)
@@ -43,8 +42,6 @@ def main(
             write_image(folder / shot.split / f"frame_{shot.number:04d}.png", image)
             if shot.split == "novel":
                 novel.append(image)
-            elif shot.split != "right" and options.exports(shot.number):
-                write_splats(folder / "splats" / f"frame_{shot.number:04d}.ply", scene, shot.time)
     write_gif(video, novel, SECONDS_PER_FRAME * len(novel))
     return f"{len(shots)} views"
 

@@ -18,14 +18,7 @@ class RenderOptions(SplitOptions):
         le=1,
         description="distance of the fly-through from the estimated path, as a share of the median depth",
     )
-    export_frames: Literal["all"] | tuple[int, ...] = Field(
-        (), description="numbers of the frames whose splats, moved to that time, are written as PLY; or all"
-    )
     device: Literal["auto", "cpu", "cuda"] = Field("auto", description="where to render")
-
-    def exports(self, number: int) -> bool:
-        """Whether the splats of the frame with this number are written."""
-        return self.export_frames == "all" or number in self.export_frames
 
 
 class ViewOptions(Options):

@@ -10,15 +10,13 @@ from stages.render.options import RenderOptions
 from stages.render.viewpoints import novel_path, right_eye
 from stages.shared import sintel
 from stages.shared.alignment import DegenerateError
-from stages.shared.artifacts import read_metadata, read_model
 from stages.shared.cameras import Cameras
-from stages.shared.errors import complete
 from stages.shared.images import to_uint8
 from stages.shared.log import logger
 from stages.shared.sequences import Sequence
 from stages.shared.split import frame_times, held_out
 from stages.splatting.gaussian_model import GaussianScene
-from stages.splatting.model_files import scene_from_tensors
+from stages.splatting.model_files import read_scene
 from stages.splatting.rasterize import backend_name, choose_device
 
 
@@ -86,8 +84,7 @@ def load_scene(model: Path, device: str) -> GaussianScene:
     """
     chosen = choose_device(device)
     logger.info("rendering by %s", backend_name(chosen))
-    with complete(model, "a model of the Gaussians", "give gaussians/model.safetensors"):
-        return scene_from_tensors(read_model(model), read_metadata(model)).to(chosen)
+    return read_scene(model).to(chosen)
 
 
 @torch.no_grad()

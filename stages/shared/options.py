@@ -3,8 +3,9 @@
 import difflib
 import shlex
 import textwrap
+import types
 from collections.abc import Mapping
-from typing import Any, TypeVar, get_args
+from typing import Any, Literal, TypeVar, Union, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo, field_validator
 from pydantic.fields import FieldInfo
@@ -25,10 +26,12 @@ class Options(BaseModel):
     @field_validator("*", mode="before")
     @classmethod
     def _no_surprises(cls, value: Any, info: ValidationInfo) -> Any:
-        """Refuse true and false for a number; read an empty section as one with default values."""
+        """Refuse true and false for a number; read an empty section as one with default values, and [all] as all."""
         annotation = cls.model_fields[str(info.field_name)].annotation
         if isinstance(value, bool) and annotation in (int, float):
             raise ValueError(f"a number of type {annotation.__name__}")
+        if isinstance(value, list) and len(value) == 1 and value[0] in _words(annotation):
+            return value[0]  # a flag that takes several values holds a word as a list of one
         is_section = isinstance(annotation, type) and issubclass(annotation, Options)
         return {} if value is None and is_section else value
 
@@ -95,6 +98,13 @@ def _fields(model: type[Options], path: list[str]) -> list[dict[str, FieldInfo]]
         inner = [found for m in models if part in m.model_fields for found in _models(m.model_fields[part].annotation)]
         models = inner or [m for m in models if m.__name__.lower() == part] or models
     return [m.model_fields for m in models]
+
+
+def _words(annotation: Any) -> list[Any]:
+    """The words that an annotation allows in place of other values, as in Literal["all"] | tuple[int, ...]."""
+    if get_origin(annotation) not in (Union, types.UnionType):
+        return []
+    return [word for part in get_args(annotation) if get_origin(part) is Literal for word in get_args(part)]
 
 
 def _models(annotation: Any) -> list[type[Options]]:

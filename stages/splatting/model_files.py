@@ -8,11 +8,14 @@ import numpy as np
 import torch
 
 from stages.deformation.point_files import deformation_from_tensors, deformation_tensors
+from stages.shared.artifacts import read_metadata, read_model
+from stages.shared.errors import complete
 from stages.splatting.colours import ColourTable
 from stages.splatting.gains import Exposure
 from stages.splatting.gaussian_model import Cloud, GaussianScene
 from stages.splatting.ply import write_ply
 from stages.splatting.pose_table import PoseTable
+from stages.splatting.spz import write_spz
 
 DEFORMATION, COLOURS, EXPOSURE, POSES = "deformation.", "colours.", "exposure.", "poses."
 """Prefixes of the tensors of the motion, of the colours over time, of the gains and of the pose corrections."""
@@ -83,10 +86,21 @@ def scene_from_tensors(tensors: Mapping[str, np.ndarray], metadata: Mapping[str,
     return GaussianScene(cloud, deformation, values["background"], *settings, colours, exposure, poses)
 
 
+def read_scene(path: Path) -> GaussianScene:
+    """The scene of a model file in full or half precision, for rendering.
+
+    Raises:
+        InputError: if the file is not the model of a scene.
+    """
+    with complete(path, "a model of the Gaussians", "give gaussians/model.safetensors"):
+        return scene_from_tensors(read_model(path), read_metadata(path))
+
+
 @torch.no_grad()
 def write_splats(path: Path, scene: GaussianScene, time: float) -> None:
-    """Write the Gaussians, moved to `time` 0..1, as PLY, without exposure gains."""
+    """Write the Gaussians, moved to `time` 0..1, as .ply or .spz, as the suffix says, without exposure gains."""
     means, quats, sh_dc = scene.at(time)
     values = scene.gaussians
     sh = torch.cat([sh_dc, values["sh_rest"]], dim=1)
-    write_ply(path, *(x.cpu().numpy() for x in (means, quats, values["log_scales"], values["logits"], sh)))
+    write = write_spz if path.suffix == ".spz" else write_ply
+    write(path, *(x.cpu().numpy() for x in (means, quats, values["log_scales"], values["logits"], sh)))

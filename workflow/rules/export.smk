@@ -1,0 +1,31 @@
+def for_formats(stage, name, *formats):
+    """The input function of what a stage makes; empty if none of the export's formats that need it is asked for."""
+    wanted = set(formats) & set(CONFIG.export.formats)
+    return artifact(stage, name) if wanted else []
+
+
+rule export_sequence:
+    input:
+        sequence=artifact("inspect", "sequence.json"),
+        poses=artifact("ba", "ba/poses.parquet"),
+        masks=artifact("segment", "masks"),
+        depth=artifact("ba", "ba/depth.arrow"),
+        model=for_formats("gaussians", "gaussians/model.safetensors", "ply", "spz"),
+        renders=for_formats("render", "renders", "video"),
+    output:
+        folder=directory("<results>/{dataset}/{seq}/export"),
+        stats="<results>/{dataset}/{seq}/stats/export.json",
+    log:
+        "<logs>/{dataset}/{seq}/export.log",
+    conda:
+        "../envs/motionsplat.yaml"
+    resources:
+        mem_mb=memory("export"),
+    params:
+        code=code_digest("stages.export"),
+        flags=flags("export"),
+        optional=optional_flags("model", "renders"),
+    shell:
+        "{{ python -m stages.export --sequence {input.sequence:q} --poses {input.poses:q} --masks {input.masks:q}"
+        " --depth {input.depth:q} {params.optional} --output {output.folder:q} {params.flags}"
+        " --log {log:q} --stats {output.stats:q}; }} 2>> {log:q}"
