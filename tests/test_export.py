@@ -52,7 +52,11 @@ def test_colmap_projects_points_where_we_do(exported: Path, folder: str) -> None
         pixels = np.array([image.project_point(point) for point in GIVEN])
         assert np.allclose(pixels, ours(k) + 0.5, atol=1e-9)
         assert (exported / "images" / image.name).is_file()
-    assert model.compute_mean_reprojection_error() < 0.2
+        seen = [point for point in image.points2D if point.has_point3D()]
+        there = [image.project_point(model.points3D[point.point3D_id].xyz) for point in seen]
+        assert len(seen) == len(image.points2D) > 200
+        assert np.allclose(there, [point.xy for point in seen], atol=1e-6)
+    assert min(point.track.length() for point in model.points3D.values()) >= 2
     assert model.compute_mean_track_length() > 4
 
 
