@@ -12,6 +12,7 @@ LATER = {
     "simulate": COMMON,
     "colmap": COMMON,
     "export": COMMON,
+    "viewer": COMMON,
     "comparisons": {*COMMON, "evaluate", "configuration"},
     "report": {*COMMON, "evaluate", "comparisons"},
     "results": {*COMMON, "evaluate", "comparisons", "report"},

@@ -126,7 +126,7 @@ class GaussianScene(torch.nn.Module):
             return means, quats, sh_dc
         with torch.set_grad_enabled(torch.is_grad_enabled() and not detach):
             point_quats, translations = self.deformation(means.new_tensor([time]))
-            weights = self._weights(means[n:])
+            weights = self.skinning_weights(means[n:])
         motion = (self.deformation.points, point_quats[0], translations[0], weights, self.index)
         parts = [n, len(means) - n]  # the backward pass of a split copies once, that of two slices five times
         (still, means), (unturned, quats) = means.split_with_sizes(parts), quats.split_with_sizes(parts)
@@ -171,7 +171,7 @@ class GaussianScene(torch.nn.Module):
             return rendering
         return rendering._replace(colour=rendering.colour * self.exposure(time))
 
-    def _weights(self, means: Tensor) -> Tensor:
+    def skinning_weights(self, means: Tensor) -> Tensor:
         """Skinning weights [N, K] of the dynamic Gaussians at canonical means [N, 3], without gradient to the means.
 
         With it, Gaussians would move in order to change their weights.
