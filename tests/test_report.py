@@ -19,7 +19,7 @@ from PIL import Image
 
 from stages.comparisons import made_under
 from stages.report import __main__ as report_stage
-from stages.report import embedding, overview
+from stages.report import embedding, overview, scene_pages
 from stages.report.options import ReportOptions
 from stages.report.sections import STAGE_FIGURES, build_section
 from stages.shared import charts
@@ -27,6 +27,7 @@ from stages.shared.artifacts import read_metadata, write_json, write_table
 from stages.shared.cameras import read_cameras, write_cameras
 
 PUBLISHED = REPO / "workflow" / "resources" / "published.yaml"
+SCENE = "<!DOCTYPE html><title>a scene</title><script>document.title += 1 < 2;</script>"
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 
 
@@ -50,6 +51,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A report over one sequence with truth, one without, and one that was never evaluated."""
     root = tmp_path_factory.mktemp("report")
     folders = [run.finish(root, "wall"), run.finish(root / "blind", "blind_wall", truth=False)]
+    (folders[0] / "gaussians" / "scene.html").write_text(SCENE)
     unfinished = root / "results" / "unfinished"
     shutil.copytree(folders[0], unfinished, ignore=shutil.ignore_patterns("eval", "renders", "masks"))
     content = json.loads((unfinished / "sequence.json").read_text())
@@ -80,6 +82,8 @@ def page(results: Path) -> str:
 def test_page_is_one_self_contained_file(page: str) -> None:
     elements = _Elements(page)
     sources = [a.get("src") for a in elements.of("img")] + [a.get("href") for a in elements.of("a")]
+    beside = [f"results/{name}/gaussians/scene.html" for name in ("wall", "unfinished")]  # they are inside too
+    sources = [source for source in sources if source not in beside]
     assert all(str(source).startswith(("data:", "#")) for source in sources)
     assert all(str(a.get("href")).startswith("data:") for a in elements.of("link"))
     assert not any(a.get("src") for a in elements.of("script"))
@@ -109,6 +113,20 @@ def test_every_table_is_also_csv_and_parquet(results: Path, page: str) -> None:
     table = pq.read_table(results / "tables" / "poses.parquet")
     assert len(rows) == table.num_rows == 10
     assert b"Sim(3)" in table.schema.metadata[b"protocol"]
+
+
+def test_scenes_are_inside_while_there_is_room(results: Path, page: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On the first screen; `unfinished` is a copy of `wall`, `blind_wall` has no scene."""
+    assert page.index("Walk into the 4D scenes:") < page.index("<nav")
+    folders = [results / "results" / "wall", results / "blind" / "blind_wall", results / "results" / "unfinished"]
+    pages = scene_pages.find_scene_pages(folders, [], results / "report" / "index.html")
+    assert [(found.name, found.link) for found in pages] == [
+        (name, f"../results/{name}/gaussians/scene.html") for name in ("wall", "unfinished")
+    ]
+    assert [json.loads(found.content) for found in pages] == [SCENE, SCENE]
+    monkeypatch.setattr(scene_pages, "ROOM_BYTES", scene_pages.REST_BYTES + len(pages[0].content) + 10)
+    pages = scene_pages.find_scene_pages(folders, [], results / "index.html")
+    assert [bool(found.content) for found in pages] == [True, False]
 
 
 def test_failures_and_missing_parts_are_told(page: str) -> None:
@@ -241,11 +259,14 @@ addEventListener("load", () => {
   document.querySelectorAll("details").forEach((part) => { part.open = true; });
   const clipped = [...document.querySelectorAll(".scroll")].filter((box) => box.scrollWidth > box.clientWidth + 1);
   const loaded = performance.getEntriesByType("resource").map((entry) => entry.name);
+  document.querySelector("[data-scene]").click();
+  const scene = document.querySelector("dialog[open] iframe").srcdoc;
+  document.querySelector("dialog").close();
   const broken = [...document.images].filter((image) => image.complete && !image.naturalWidth);
   parent.postMessage(JSON.stringify({ascending, descending: column(), width: innerWidth,
     scroll: document.documentElement.scrollWidth, outside: outside.map((element) => element.outerHTML.slice(0, 80)),
     clipped: clipped.map((box) => box.previousElementSibling.id),
-    loaded: loaded.filter((name) => !name.startsWith("data:")), broken: broken.length}), "*");
+    loaded: loaded.filter((name) => !name.startsWith("data:")), broken: broken.length, scene}), "*");
 });
 </script></body>"""
 FRAME = """<body><script>addEventListener("message", (event) => { document.body.dataset.found = event.data; });</script>
@@ -270,6 +291,7 @@ def test_in_a_browser(results: Path, page: str, width: int) -> None:
     assert found["clipped"] == [] or width < 1280  # a phone scrolls tables sideways, a desktop shows them whole
     assert found["loaded"] == []
     assert found["broken"] == 0
+    assert found["scene"] == SCENE
     numbers = [float(value) for value in found["ascending"] if value != "n/a"]
     assert numbers == sorted(numbers)
     assert len(set(numbers)) > 1

@@ -13,6 +13,7 @@ from stages.report import overview, provenance, tradeoff_report
 from stages.report.effect_tables import decision_rows, simulation_rows
 from stages.report.options import ReportOptions
 from stages.report.overview import Group
+from stages.report.scene_pages import find_scene_pages
 from stages.report.sections import Section, build_section
 from stages.shared import cli
 from stages.shared.artifacts import atomic, atomic_folder, read_metadata
@@ -21,7 +22,7 @@ from stages.shared.log import logger, progress
 from stages.shared.tables import Row, Table, read_rows
 
 TEMPLATES = Path(__file__).parent / "templates"
-ASSETS = {"style": "style.css", "script": "sort.js"}
+ASSETS = {"style": "style.css", "script": "sort.js", "scene_script": "scene.js"}
 KINDS = ("poses", "images", "masks", "checks", "time")
 SECTION_TABLES = ("poses", "adjustment", "images", "masks", "checks", "time", "decisions", "simulation")
 FOLDED_TABLES = ("statistics",)
@@ -37,7 +38,10 @@ def main(
     sweep: Annotated[Path | None, In("table of the sweep: accuracy and cost of every setting")] = None,
     growth: Annotated[Path | None, In("table of the scaling: cost of every stage over sizes")] = None,
 ) -> str:
-    """Write the report. The page needs neither network nor other files; missing results are left out."""
+    """Write the report. The page needs neither network nor other files; missing results are left out.
+
+    It only links to 4D scenes for which it has no room.
+    """
     rows, protocols = gather(sequences, manifests)
     names = [folder.name for folder in sequences]
     swept = [row for row in read_rows(sweep) if row["sequence"] in names] if sweep else []
@@ -54,13 +58,15 @@ def main(
     with atomic_folder(tables, [f"{table.name}.*" for table in written]) as target:
         for table in written:
             table.write(target)
+    sections = build_sections(sequences, every)
     page = render(
         title=options.title,
         summary=overview.summary(rows),
         tiles=overview.tiles(rows),
         problems=overview.problems(rows, names),
         groups=groups,
-        sections=build_sections(sequences, every),
+        sections=sections,
+        scenes=find_scene_pages(sequences, sections, output),
         provenance=about,
     )
     with atomic(output) as partial:
