@@ -21,6 +21,7 @@ include: "workflow/rules/control.smk"
 include: "workflow/rules/gaussians.smk"
 include: "workflow/rules/render.smk"
 include: "workflow/rules/export.smk"
+include: "workflow/rules/viewer.smk"
 include: "workflow/rules/colmap.smk"
 include: "workflow/rules/evaluate.smk"
 include: "workflow/rules/sweep.smk"
@@ -33,6 +34,8 @@ localrules:
     masks,
     splats,
     export,
+    scenes,
+    view,
     sweep,
     scaling,
 
@@ -69,6 +72,20 @@ rule splats:
 rule export:
     input:
         expand("<results>/{dataset}/{seq}/export", dataset=DATASET, seq=SEQUENCES),
+
+
+rule scenes:
+    input:
+        SCENE_PAGES,
+
+
+rule view:
+    input:
+        SCENE_PAGES,
+    log:
+        f"<logs>/{DATASET}/view.log",
+    run:
+        open_page(input)
 
 
 rule sweep:

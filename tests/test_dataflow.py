@@ -30,7 +30,7 @@ def test_the_picture_draws_every_rule_and_every_artifact(rules: list[dry_run.Rul
 
 def test_the_picture_follows_files_within_and_between_rounds(rules: list[dry_run.Rule]) -> None:
     lanes = {name: lane for lane in dataflow.lanes_of(rules) for name in lane.artifacts}
-    readers = {"ba", "scene", "control", "gaussians", "colmap_masked", "evaluate", "export_sequence"}
+    readers = {"ba", "scene", "control", "gaussians", "viewer", "colmap_masked", "evaluate", "export_sequence"}
     assert set(lanes["masks/"].readers) == readers
     assert set(lanes["ba/poses.parquet"].before) == {"motion", "ba"}
     assert set(lanes["ba/depth.arrow"].before) == {"motion", "ba"}

@@ -71,6 +71,7 @@ def test_every_artifact_is_there_with_its_metadata(finished: Path, name: str) ->
         images = sorted((folder / "renders" / split).glob("frame_*.png"))
         assert images, split
         assert read_rgb(images[0]).shape == (HEIGHT, WIDTH, 3)
+    assert f"<title>{name}: 4D scene</title>" in (folder / "gaussians/scene.html").read_text()
     assert len(list((folder / "masks").glob("frame_*.png"))) == FRAMES
     assert not list(finished.rglob("*.partial"))
 

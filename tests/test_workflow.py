@@ -12,7 +12,7 @@ from conftest import copy_sources, run_snakemake, write_frames
 
 EVERY_RULE = {
     *("simulate", "inspect", "flow", "motion", "segment", "ba", "scene", "control", "gaussians", "render"),
-    *("colmap", "evaluate", "report", "all"),
+    *("viewer", "colmap", "evaluate", "report", "all"),
 }
 AFTER_FLOW = EVERY_RULE - {"simulate", "inspect", "flow", "colmap"}
 AFTER_SCENE = AFTER_FLOW - {"motion", "segment", "ba", "scene"}
@@ -126,6 +126,12 @@ def test_a_changed_function_reruns_its_users_only(finished: Path) -> None:
     assert planned(run_snakemake(finished, "-n")) == {"render", "evaluate", "report", "all"}
 
 
+def test_a_changed_script_of_the_page_makes_the_pages_again(finished: Path) -> None:
+    path = finished / "stages/viewer/templates/order.js"
+    path.write_text(path.read_text() + "// changed")
+    assert planned(run_snakemake(finished, "-n")) == {"viewer", "report", "all"}
+
+
 def test_forced_rule_and_until(finished: Path) -> None:
     assert planned(run_snakemake(finished, "-n", "-R", "evaluate")) == {"evaluate", "report", "all"}
     forced = planned(run_snakemake(finished, "-n", "-R", "segment"))
@@ -136,7 +142,8 @@ def test_forced_rule_and_until(finished: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("target", "last"), [("poses", "ba"), ("masks", "segment"), ("splats", "gaussians"), ("report", "report")]
+    ("target", "last"),
+    [("poses", "ba"), ("masks", "segment"), ("splats", "gaussians"), ("scenes", "viewer"), ("report", "report")],
 )
 def test_targets_stop_at_their_stage(repo_copy: Path, target: str, last: str) -> None:
     rules = planned(run_snakemake(repo_copy, "-n", target))
@@ -261,7 +268,8 @@ def test_on_a_cluster_short_stages_travel_together_and_settings_apart(repo_copy:
     own = {"scene", "control"}  # of settings that share the poses of another
     poses = {"poses": {"simulate", "inspect", "flow", "motion", "segment", "ba"} | own, "poses_rounds_1": own}
     poses |= {"poses_presets_fast": poses["poses"] - {"simulate", "inspect"}, "poses_claims_static": own}
-    assert rules == poses | {name.replace("poses", "gaussians"): {"gaussians", "render"} for name in poses}
+    splats = {name.replace("poses", "gaussians"): {"gaussians", "render"} for name in poses}
+    assert rules == poses | splats | {"gaussians": {"gaussians", "render", "viewer"}}
 
 
 def test_a_job_on_a_cluster_asks_for_what_is_known_before_it_runs(repo_copy: Path) -> None:
@@ -282,7 +290,7 @@ def test_a_job_on_a_cluster_asks_for_what_is_known_before_it_runs(repo_copy: Pat
 @pytest.mark.parametrize(
     ("target", "override", "rerun"),
     [
-        ("sweep", "gaussians: {steps: 33}", {"gaussians", "render", "evaluate", *COLLECTED}),
+        ("sweep", "gaussians: {steps: 33}", {"gaussians", "render", "viewer", "evaluate", *COLLECTED}),
         ("sweep", "colmap: {seed: 5}", {"colmap", "colmap_masked", "evaluate", *COLLECTED}),
         ("scaling", "control: {steps: 3}", {*AFTER_SCENE, "collect_scaling", "scaling"} - {"all"}),
         ("all", "sweep: {knobs: {rounds: [3]}}", set()),

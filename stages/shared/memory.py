@@ -60,6 +60,7 @@ NEEDS = {
     "control": Need(535, per_edges=8.1),
     "gaussians": Need(785, per_frames=43.5, per_frame=120),
     "render": Need(555, per_frame=100),
+    "viewer": Need(580, per_frames=0.35, per_frame=20),
     "colmap": Need(260, per_frames=10, per_frame=250),
     "evaluate": Need(225, per_edges=6.5, per_frames=10, per_frame=140),
     "export": Need(555, per_frame=138),

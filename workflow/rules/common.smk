@@ -7,6 +7,7 @@ import os
 import re
 import shlex
 import sys
+import webbrowser
 from dataclasses import replace
 from pathlib import Path
 
@@ -164,6 +165,11 @@ def artifacts(stage, name):
         return [artifact_path(wildcards, stage, name, number) for number in numbers]
 
     return of_rounds
+
+
+def page_parts(stage):
+    """Template, styles and scripts of a page that a stage writes: Snakemake sees Python code by its digest alone."""
+    return sorted(map(str, (REPO / "stages" / stage / "templates").iterdir()))
 
 
 def optional(stage, name, before=0):

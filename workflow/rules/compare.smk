@@ -3,6 +3,9 @@ TABLES = {
     "sweep": f"<results>/{DATASET}/sweep/costs.parquet",
     "scaling": f"<results>/{DATASET}/scaling/growth.parquet",
 }
+SCENE_PAGES = expand(
+    "<results>/{dataset}/{seq}/gaussians/scene.html", dataset=DATASET, seq=SEQUENCES
+)
 os.environ.update(MOTIONSPLAT_REPORT=f"results/{DATASET}/report/index.html")
 
 
@@ -53,6 +56,15 @@ def stage_stats(wildcards):
         for stage in MEASURED
         for path in artifacts(stage, f"stats/{stage}.json")(wildcards)
     ]
+
+
+def open_page(pages):
+    """Open the first page in the browser and name the others, each of which is a tab that needs memory of the GPU."""
+    first, *others = (Path(page).absolute().as_uri() for page in pages)
+    opened = webbrowser.open(first)
+    print(
+        *([] if opened else ["no browser found; open one of"]), first, *others, sep="\n"
+    )
 
 
 def asked_tables(wildcards):

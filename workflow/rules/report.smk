@@ -2,11 +2,9 @@ rule report:
     input:
         unpack(asked_tables),
         tables=expand(rules.evaluate.output, seq=SEQUENCES, dataset=DATASET, setting=""),
+        scenes=SCENE_PAGES,
         published=str(REPO / "workflow/resources/published.yaml"),
-        page=expand(
-            str(REPO / "stages/report/templates/{file}"),
-            file=["report.html.j2", "style.css", "sort.js"],
-        ),
+        page=page_parts("report"),
     output:
         html=report(
             f"<results>/{DATASET}/report/index.html",
