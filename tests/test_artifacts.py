@@ -197,7 +197,7 @@ def test_cameras_round_trip(tmp_path: Path) -> None:
 
 def test_trajectory_opens_in_evo_as_world_from_camera(tmp_path: Path) -> None:
     cameras = random_cameras()
-    write_tum(tmp_path / "trajectory.tum", cameras)  # type: ignore[arg-type]
+    write_tum(tmp_path / "trajectory.tum", cameras, cameras.numbers)  # type: ignore
     trajectory = file_interface.read_tum_trajectory_file(str(tmp_path / "trajectory.tum"))
     assert trajectory.check()[0]
     assert np.allclose(trajectory.positions_xyz, cameras.centres, atol=1e-12)  # type: ignore[attr-defined]

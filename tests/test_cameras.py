@@ -99,11 +99,11 @@ def test_a_table_of_cameras_is_read_back(tmp_path: Path) -> None:
 def test_evo_reads_the_same_trajectory(tmp_path: Path) -> None:
     file_interface = pytest.importorskip("evo.tools.file_interface")
     cameras = make_cameras(random_cameras(), np.eye(3), np.arange(1, 6))
-    write_tum(tmp_path / "trajectory.tum", cameras)
+    write_tum(tmp_path / "trajectory.tum", cameras, [0, 1 / 30, 2 / 30, 0.1, 0.2])
     trajectory = file_interface.read_tum_trajectory_file(str(tmp_path / "trajectory.tum"))
     assert_allclose(trajectory.positions_xyz, cameras.centres, atol=1e-12)
     assert_allclose(np.stack(trajectory.poses_se3), lie.inverse(cameras.cam_from_world), atol=1e-12)
-    assert trajectory.timestamps.tolist() == [1, 2, 3, 4, 5]
+    assert trajectory.timestamps.tolist() == [0, 1 / 30, 2 / 30, 0.1, 0.2]
 
 
 def test_centres_are_where_the_camera_sees_itself_at_zero() -> None:

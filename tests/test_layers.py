@@ -10,6 +10,7 @@ COMMON = {"shared", "deformation", "splatting"}
 """What every stage may use."""
 LATER = {
     "simulate": COMMON,
+    "video": COMMON,
     "colmap": COMMON,
     "export": COMMON,
     "viewer": COMMON,

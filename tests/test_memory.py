@@ -42,6 +42,7 @@ MEASURED = [
         ("colmap", 24, (854, 480), 512, 424),
         ("inspect", 300, (1920, 1080), 512, 144),
     ],
+    *[("video", 90, (1920, 1080), 512, 219), ("video", 40, (3840, 2160), 512, 395)],
 ]
 """Stage, frames, their size, width of the flow, and the peak of the job in MiB."""
 

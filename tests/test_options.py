@@ -22,7 +22,7 @@ from stages.shared.options import Options, to_flags, validate
 SECTIONS = [name for name, field in configuration.Config.model_fields.items() if isinstance(field.default, Options)]
 LIGHT_SCRIPTS = [
     *("inspect", "flow", "motion", "segment", "ba", "scene"),
-    *("colmap", "evaluate", "export", "report", "simulate", "viewer"),
+    *("colmap", "evaluate", "export", "report", "simulate", "video", "viewer"),
 ]
 SCRIPTS = [*LIGHT_SCRIPTS, "control", "gaussians", "render"]
 

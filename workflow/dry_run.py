@@ -5,14 +5,18 @@ import re
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+
+import numpy as np
 
 REPO = Path(__file__).parents[1]
 PLAN = ("-n", "-p", "sweep", "scaling", "export", "--configfile")
 OPTIONS = {"dataset": "simulated", "scenes": ["demo"], "colmap": {"upsample_masked": [1]}}
 """Everything there is, on one scene of the library."""
+FROM_VIDEO = ("-n", "-p", "results/demo/demo/sequence.json", "--configfile")
+"""What is before all else if the dataset is a video."""
 LEFT_OUT = ("stats/", "figures/")
 """What every rule writes beside its artifacts: time and memory, and a picture for the report."""
 
@@ -39,13 +43,33 @@ class Rule:
 
 def planned_rules() -> list[Rule]:
     """Every rule that makes a file, readers after makers, from a dry run of the workflow in an empty folder."""
-    command = [sys.executable, "-m", "snakemake", "--snakefile", str(REPO / "Snakefile")]
     with tempfile.TemporaryDirectory() as folder:
-        asked = Path(folder) / "asked.json"
-        asked.write_text(json.dumps(OPTIONS))
-        command += ["--directory", folder, *PLAN, str(asked)]
-        plan = subprocess.run(command, cwd=REPO, capture_output=True, text=True, check=True)
-    return _in_order(_read_plan(plan.stdout + plan.stderr))
+        video = Path(folder) / "demo.mp4"
+        _encode(video)
+        plan = _dry_run(folder, PLAN, OPTIONS)
+        before = _dry_run(folder, FROM_VIDEO, {"dataset": str(video)})
+    return _in_order(_read_plan(plan + before.replace("results/demo/", "results/simulated/")))
+
+
+def _dry_run(folder: str, arguments: Iterable[str], options: Mapping[str, object]) -> str:
+    """What Snakemake says of a plan under these options."""
+    asked = Path(folder) / "asked.json"
+    asked.write_text(json.dumps(options))
+    command = [sys.executable, "-m", "snakemake", "--snakefile", str(REPO / "Snakefile"), "--directory", folder]
+    plan = subprocess.run([*command, *arguments, str(asked)], cwd=REPO, capture_output=True, text=True, check=True)
+    return plan.stdout + plan.stderr
+
+
+def _encode(path: Path) -> None:
+    """A video of a few frames of growing brightness."""
+    import av
+
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("mpeg4", rate=25, width=64, height=48, pix_fmt="yuv420p")
+        for level in (40, 80, 120, 160):
+            frame = av.VideoFrame.from_ndarray(np.full((48, 64, 3), level, np.uint8), format="rgb24")
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode(None))
 
 
 def described(rules: Iterable[Rule]) -> str:
@@ -92,7 +116,7 @@ def _round(path: str) -> str:
 def _artifact(path: str) -> str:
     """The name of a file within the folder of its sequence or dataset; "" for what is left out of the picture."""
     name = re.sub(r"settings/[^/]+/|round\d+/", "", path.removeprefix("results/simulated/").removeprefix("demo/"))
-    name = name.replace("demo.json", "<sequence>.json")
+    name = name.replace("decoded/demo/demo", "decoded/<sequence>").replace("demo.json", "<sequence>.json")
     return "" if name.startswith(LEFT_OUT) else name if Path(name).suffix or not name else f"{name}/"
 
 

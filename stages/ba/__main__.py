@@ -79,7 +79,7 @@ def main(
     if previous_masks:
         before = rounds.complete(previous_poses, previous_depth, previous_convergence, previous_figure)
         if rounds.has_converged(before) and rounds.is_same(areas, _static_areas(previous_masks, frames, matches)):
-            return rounds.carry_over(frames.name, before, rounds.Results(poses, depth, convergence, figure), trajectory)
+            return rounds.carry_over(frames, before, rounds.Results(poses, depth, convergence, figure), trajectory)
     centre, known_focal_px = _known_intrinsics(frames, matches, options)
     static, ignored = trusted_static_areas(areas)
     everything = with_texture(matches.graph(options.stride_px, centre), _read_texture(frames, matches.size))
@@ -103,7 +103,7 @@ def main(
     cameras = replace(_cameras(solution, graph, frames, matches.scale), masks_trusted=trusted)
     started = {"from_previous_round": previous is not None}
     write_cameras(poses, cameras, _pose_metadata(solution, flags, static[matches.shot], options) | started)
-    write_tum(trajectory, cameras)
+    write_tum(trajectory, cameras, frames.stamps)
     _write_depth(depth, maps, frames, stride_px)
     _write_convergence(convergence, solution)
     _draw(figure, frames.name, solution, graph, cameras, maps)

@@ -11,6 +11,7 @@ from stages.shared.artifacts import atomic, read_metadata, read_table, write_tab
 from stages.shared.cameras import read_cameras, write_tum
 from stages.shared.errors import InputError
 from stages.shared.log import logger
+from stages.shared.sequences import Sequence
 
 SAME_SHARE, SAME_SHARE_OF_A_FRAME = 0.005, 0.05
 """Static areas that differ in a smaller share of the pixels, of the clip and of every frame, count as the same."""
@@ -56,7 +57,7 @@ def is_same(static: np.ndarray, before: np.ndarray) -> bool:
     return bool(changed.mean() < SAME_SHARE and changed.max() < SAME_SHARE_OF_A_FRAME)
 
 
-def carry_over(name: str, before: Results, after: Results, trajectory: Path) -> str:
+def carry_over(frames: Sequence, before: Results, after: Results, trajectory: Path) -> str:
     """Write the results of the round before again, with their trajectory; the result in words.
 
     The warning that the static area shrank is left out: it has not shrunk since.
@@ -64,9 +65,9 @@ def carry_over(name: str, before: Results, after: Results, trajectory: Path) -> 
     about = read_metadata(before.poses)
     flags = [flag for flag in about["flags"] if not flag.startswith(SHRANK)]
     write_table(after.poses, read_table(before.poses), about | {"flags": flags})
-    write_tum(trajectory, read_cameras(after.poses))
+    write_tum(trajectory, read_cameras(after.poses), frames.stamps)
     for source, target in zip(before[1:], after[1:], strict=True):
         with atomic(target) as file:
             shutil.copyfile(source, file)
-    logger.info("%s: the static area is that of the round before, and so are the poses", name)
+    logger.info("%s: the static area is that of the round before, and so are the poses", frames.name)
     return "static area unchanged: the poses of the round before"

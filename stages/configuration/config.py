@@ -22,6 +22,7 @@ from stages.scene.options import SceneOptions
 from stages.segment.options import SegmentOptions
 from stages.shared.options import Options, to_flags, validate
 from stages.simulate.options import SimulateOptions
+from stages.video.options import VideoOptions
 
 SIMULATED = "simulated"
 """The dataset of the scenes that the simulator renders."""
@@ -30,7 +31,9 @@ SIMULATED = "simulated"
 class Config(Options):
     """config.yaml. Keys that several stages share are at the top level; a section may override them."""
 
-    dataset: str = Field(SIMULATED, description="'simulated', or a folder: MPI-Sintel, frame folders, or frames")
+    dataset: str = Field(
+        SIMULATED, description="'simulated', a video, or a folder: MPI-Sintel, frame folders, frames, videos"
+    )
     scenes: Literal["all", "tuned", "test"] | list[str] = Field(
         ["demo"], description="if simulated: library scenes or YAML files to render; or all, tuned or test ones"
     )
@@ -52,6 +55,7 @@ class Config(Options):
     device: Literal["auto", "cpu", "cuda"] = Field("auto", description="where to train and render")
     seed: int = Field(0, ge=0, description="seed of everything random")
     simulate: SimulateOptions = SimulateOptions()
+    video: VideoOptions = VideoOptions()
     inspect: InspectOptions = InspectOptions()
     flow: FlowOptions = FlowOptions()
     motion: MotionOptions = MotionOptions()

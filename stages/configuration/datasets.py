@@ -1,12 +1,17 @@
-"""The sequences of the chosen dataset: folders of frames, or scenes that the simulator will render."""
+"""The sequences of the chosen dataset: folders of frames, shots of videos, or scenes that the simulator will render."""
 
 import functools
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from stages.configuration.config import SIMULATED, Config
 from stages.shared.errors import InputError
-from stages.shared.sequences import Sequence, check_headers, choose, list_sequence, sequence_folders
+from stages.shared.sequences import Sequence, check_headers, choose, list_sequence, sequence_folders, video_files
+
+if TYPE_CHECKING:
+    from stages.video.index import Index
 
 SCENES = Path(__file__).parents[1] / "simulate" / "scenes"
 """The scene library."""
@@ -19,11 +24,16 @@ Thousands of headers take seconds, and minutes on the file systems of clusters. 
 
 def dataset_name(config: Config) -> str:
     """The folder name under results/."""
-    return SIMULATED if config.dataset == SIMULATED else Path(config.dataset).resolve().name
+    if config.dataset == SIMULATED:
+        return SIMULATED
+    dataset = Path(config.dataset).resolve()
+    return dataset.stem if dataset.is_file() else dataset.name
 
 
 def find_sequences(config: Config, folders: Mapping[str, str], headers: bool = True) -> dict[str, Sequence]:
-    """The chosen sequences with frames and sizes, without truth; those of simulated ones are taken from scene files.
+    """The chosen sequences with frames and sizes, without truth.
+
+    Those of simulated sequences are taken from scene files, those of videos from their indexes.
 
     Args:
         folders: the folder of frames of every chosen sequence.
@@ -35,6 +45,8 @@ def find_sequences(config: Config, folders: Mapping[str, str], headers: bool = T
     if config.dataset == SIMULATED:
         scenes = scene_files(config)
         return {name: _promised(name, scenes[name]) for name in folders}
+    if shots := video_shots(config):
+        return {name: _decoded(name, Path(folders[name]), shots[name].index) for name in folders}
     sequences = {name: list_sequence(name, Path(folder)) for name, folder in folders.items()}
     if headers and sum(len(sequence.frames) for sequence in sequences.values()) <= EARLY_FRAMES:
         for sequence in sequences.values():
@@ -43,13 +55,50 @@ def find_sequences(config: Config, folders: Mapping[str, str], headers: bool = T
 
 
 def frame_folders(config: Config) -> dict[str, str]:
-    """The folder of frames of every chosen sequence; that of a simulated one is under simulated/."""
+    """The folder of frames of every chosen sequence; under simulated/ for a scene, under decoded/ for a video."""
     dataset = Path(config.dataset)
     if config.dataset == SIMULATED:
         folders = {name: Path(SIMULATED, "training", config.pass_, name) for name in scene_files(config)}
+    elif shots := video_shots(config):
+        folders = {name: _decoded_folder(config) / name for name in shots}
     else:
         folders = sequence_folders(dataset, config.pass_)
     return {name: str(folder) for name, folder in choose(config.sequences, folders, dataset).items()}
+
+
+@dataclass(frozen=True)
+class VideoShot:
+    """A sequence of a video: its shot `number`, 1, 2, ..., and the index of all shots."""
+
+    video: Path
+    number: int
+    index: "Index"
+
+
+def video_shots(config: Config) -> dict[str, VideoShot]:
+    """The sequences of the dataset's videos, by name; empty if it is no video. Each video is looked through once.
+
+    Raises:
+        InputError: for a video that cannot be used.
+    """
+    videos = {} if config.dataset == SIMULATED else video_files(Path(config.dataset))
+    if not videos:
+        return {}
+    from stages.video.index import load_index
+
+    kept = _decoded_folder(config) / ".index"
+    if config.sequences != "all":
+        names = config.sequences
+        named = [stem for stem in videos if any(name == stem or name.startswith(f"{stem}_shot") for name in names)]
+        videos = {stem: videos[stem] for stem in named} or videos  # an unknown name is told from all that there are
+    shots: dict[str, VideoShot] = {}
+    for video in videos.values():
+        index = load_index(video, config.video, kept)
+        for number, name in enumerate(index.shots, start=1):
+            if name in shots:
+                raise InputError(video, "a name of its own", f"a shot '{name}' of {shots[name].video}", "rename one")
+            shots[name] = VideoShot(video, number, index)
+    return shots
 
 
 def scene_files(config: Config) -> dict[str, Path]:
@@ -84,6 +133,16 @@ def zooms(config: Config, name: str) -> bool:
     from stages.simulate.scene import load_scene
 
     return len({key.zoom for key in load_scene(scene_files(config)[name]).camera.keys}) > 1
+
+
+def _decoded_folder(config: Config) -> Path:
+    """Where frames of videos are written, a folder per sequence."""
+    return Path("decoded", dataset_name(config))
+
+
+def _decoded(name: str, folder: Path, index: "Index") -> Sequence:
+    numbers = list(range(1, len(index.shots[name].pts) + 1))
+    return Sequence(name, [folder / f"frame_{n:04d}.png" for n in numbers], numbers, index.width, index.height)
 
 
 def _promised(name: str, scene: Path) -> Sequence:

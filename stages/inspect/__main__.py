@@ -8,9 +8,10 @@ from typing import Annotated
 
 import numpy as np
 
+from stages.inspect.blur import blurred, detail
 from stages.inspect.options import InspectOptions
 from stages.shared import cli, sintel
-from stages.shared.artifacts import write_json
+from stages.shared.artifacts import read_json, write_json
 from stages.shared.cli import In, Out
 from stages.shared.drawing import contact_sheet, overlay_mask, spread
 from stages.shared.errors import InputError
@@ -24,13 +25,22 @@ def main(
     output: Annotated[Path, Out("sequence.json: frames, size, conversions, truth and its gaps")],
     figure: Annotated[Path, Out("picture for the report")],
     options: InspectOptions,
+    video: Annotated[Path | None, In("what `video` found, if the frames are of one: time stamps, warnings")] = None,
 ) -> str:
     """Check all files of one sequence, so that no later stage fails on them."""
-    sequence = first_frames(check_sequence(folder_name(frames), frames), options)
-    digest = frames_digest(sequence)
+    sequence, source = check_sequence(folder_name(frames), frames), str(frames)
+    if video:
+        about = read_json(video)
+        source = about["video"]
+        sequence = replace(sequence, times_s=about["times_s"], warnings=about["warnings"] + sequence.warnings)
+    sequence = first_frames(sequence, options)
+    digest, details = read_all(sequence)
+    if soft := [sequence.numbers[k] for k in blurred(details)]:
+        warning = f"blurred beside their neighbours: frames {', '.join(map(str, soft))}"
+        sequence = replace(sequence, warnings=[*sequence.warnings, warning])
     check_truth(sequence)
     for warning in sequence.warnings:
-        logger.warning("%s: %s", frames, warning)
+        logger.warning("%s: %s", source, warning)
     write_figure(figure, draw(sequence))
     write_json(output, sequence_to_json(sequence) | {"frames_sha256": digest, "missing_truth": missing_truth(sequence)})
     return f"{len(sequence.frames)} frames of {sequence.width} x {sequence.height} px"
@@ -42,23 +52,25 @@ def first_frames(sequence: Sequence, options: InspectOptions) -> Sequence:
         return sequence
     numbers = sequence.numbers[: options.max_frames]
     truth = {kind: {n: path for n, path in files.items() if n in numbers} for kind, files in sequence.truth.items()}
-    return replace(sequence, frames=sequence.frames[: options.max_frames], numbers=numbers, truth=truth)
+    frames, times_s = sequence.frames[: options.max_frames], sequence.times_s and sequence.times_s[: options.max_frames]
+    return replace(sequence, frames=frames, numbers=numbers, truth=truth, times_s=times_s)
 
 
-def frames_digest(sequence: Sequence) -> str:
-    """SHA-256 over the pixels of all frames, as hexadecimal digits; decodes every frame.
+def read_all(sequence: Sequence) -> tuple[str, list[float]]:
+    """SHA-256 over the pixels of all frames, as hexadecimal digits, and the detail [T] of each; decodes every frame.
 
     Raises:
         InputError: for a frame that cannot be decoded or whose size differs from that of the sequence.
     """
-    digest = hashlib.sha256()
+    digest, details = hashlib.sha256(), []
     for path in progress(sequence.frames, "frames"):
         image = read_rgb(path)
         if image.shape != (sequence.height, sequence.width, 3):
             expected = f"{sequence.width} x {sequence.height}"
             raise InputError(path, expected, f"{image.shape[1]} x {image.shape[0]}", "export the frame again")
         digest.update(image.tobytes())
-    return digest.hexdigest()
+        details.append(detail(image))
+    return digest.hexdigest(), details
 
 
 def check_truth(sequence: Sequence) -> None:

@@ -1,5 +1,6 @@
 """Pinhole cameras and the camera tables. OpenCV axes, pixel centres at integers, cam_from_world [4, 4]."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -111,11 +112,15 @@ def has_pose(cameras: Cameras) -> np.ndarray:
     return ~np.isin(cameras.status.astype(str), WITHOUT_POSE)
 
 
-def write_tum(path: Path, cameras: Cameras) -> None:
-    """Write world_from_camera as TUM lines: timestamp (the frame number) tx ty tz qx qy qz qw."""
+def write_tum(path: Path, cameras: Cameras, stamps: Sequence[float]) -> None:
+    """Write world_from_camera as TUM lines: timestamp tx ty tz qx qy qz qw.
+
+    Args:
+        stamps: [T] time stamps of the frames: seconds, or their numbers for frames without.
+    """
     world_from_cam = lie.inverse(cameras.cam_from_world)
     quats_wxyz = lie.quat_from_matrix(world_from_cam[:, :3, :3])
-    rows = np.column_stack([cameras.numbers, world_from_cam[:, :3, 3], np.roll(quats_wxyz, -1, axis=1)])
+    rows = np.column_stack([stamps, world_from_cam[:, :3, 3], np.roll(quats_wxyz, -1, axis=1)])
     with atomic(path) as partial:
         partial.write_text("".join(" ".join(f"{value:.17g}" for value in row) + "\n" for row in rows))
 

@@ -3,7 +3,7 @@
 import logging
 import os
 import sys
-from collections.abc import Collection, Iterator
+from collections.abc import Iterable, Iterator, Sized
 from pathlib import Path
 from typing import TypeVar
 
@@ -59,10 +59,17 @@ def warnings() -> list[str]:
     return [line for handler in logger.handlers if isinstance(handler, _Kept) for line in handler.lines]
 
 
-def progress(items: Collection[ItemT], title: str) -> Iterator[ItemT]:
-    """Yield `items`, with a progress bar on a terminal and a log line after every tenth of them."""
-    total, last_tenth = len(items), 0
-    bar = tqdm(items, desc=title, leave=False, disable=not sys.stderr.isatty())
+def progress(items: Iterable[ItemT], title: str, total: int | None = None) -> Iterator[ItemT]:
+    """Yield `items`, with a progress bar on a terminal and a log line after every tenth of them.
+
+    Args:
+        total: their number, which may be an estimate; None for a collection, which knows it.
+    """
+    if total is None:
+        assert isinstance(items, Sized)
+        total = len(items)
+    last_tenth = 0
+    bar = tqdm(items, desc=title, total=total, leave=False, disable=not sys.stderr.isatty())
     for done, item in enumerate(bar, start=1):
         yield item
         if done * 10 // total > last_tenth:

@@ -15,6 +15,21 @@ from stages.shared.artifacts import read_json
 from stages.shared.errors import InputError
 
 SUFFIXES = (".png", ".jpg", ".jpeg")
+VIDEO_SUFFIXES = (
+    ".mp4",
+    ".mov",
+    ".m4v",
+    ".mkv",
+    ".webm",
+    ".avi",
+    ".mpg",
+    ".mpeg",
+    ".mts",
+    ".m2ts",
+    ".ts",
+    ".wmv",
+    ".3gp",
+)
 MIN_FRAMES = 3
 TRUTH_KINDS = {
     "camdata_left": ".cam",
@@ -35,7 +50,8 @@ class Sequence:
     Attributes:
         frames: T image files. numbers: [T] the frame numbers in their names. width, height: px.
         truth: kind (a key of TRUTH_KINDS) -> frame number -> file.
-        warnings: conversions of the image files, as sentences.
+        warnings: conversions of the image files, blurred frames, what was found about the video, as sentences.
+        times_s: [T] seconds since the first frame of the video; None for a folder of frames, which has no time stamps.
     """
 
     name: str
@@ -45,6 +61,12 @@ class Sequence:
     height: int
     truth: dict[str, dict[int, Path]] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
+    times_s: list[float] | None = None
+
+    @property
+    def stamps(self) -> list[float]:
+        """The time stamps [T] of the frames in seconds; their numbers if there are none."""
+        return list(self.numbers) if self.times_s is None else self.times_s
 
     def has_truth(self, kind: str) -> bool:
         """Whether every frame has this kind of truth (flow: every frame but the last)."""
@@ -62,9 +84,9 @@ def sequence_folders(dataset: Path, pass_name: str) -> dict[str, Path]:
     Raises:
         InputError: if the folder or the pass is missing, or nothing in it is a sequence.
     """
-    advice = "set `dataset:` to an MPI-Sintel folder, a folder of frame folders, or a folder of frames"
+    advice = "set `dataset:` to a video, an MPI-Sintel folder, or a folder of frames, of frame folders or of videos"
     if not dataset.is_dir():
-        raise InputError(dataset, "a folder", "a file" if dataset.exists() else "nothing there", advice)
+        raise InputError(dataset, "a folder or a video", "nothing there", advice)
     if _frame_files(dataset):
         return {folder_name(dataset): dataset}
     training = dataset / "training" if (dataset / "training").is_dir() else dataset
@@ -74,8 +96,31 @@ def sequence_folders(dataset: Path, pass_name: str) -> dict[str, Path]:
     parent = training / pass_name if passes else dataset
     folders = {folder.name: folder for folder in sorted(parent.iterdir()) if folder.is_dir() and _frame_files(folder)}
     if not folders:
-        raise InputError(parent, "folders of PNG or JPG frames", "none", advice)
+        raise InputError(parent, "folders of PNG or JPG frames, or videos", "none", advice)
     return folders
+
+
+def video_files(dataset: Path) -> dict[str, Path]:
+    """The videos of `dataset`, a video itself or a folder of videos, by name; empty for what holds frames.
+
+    Raises:
+        InputError: for a folder with videos and folders of frames, or with two videos of one name.
+    """
+    if dataset.is_file():
+        return {dataset.stem: dataset}
+    if not dataset.is_dir() or _frame_files(dataset):
+        return {}
+    entries = sorted(dataset.iterdir())
+    files = [path for path in entries if path.suffix.lower() in VIDEO_SUFFIXES and path.is_file()]
+    frames = [path for path in entries if path.is_dir() and (path.name == "training" or _frame_files(path))]
+    if files and frames:
+        advice = f"name the one that you want, as in `dataset: {files[0]}`"
+        raise InputError(dataset, "videos or folders of frames", f"'{files[0].name}' and '{frames[0].name}/'", advice)
+    videos = {path.stem: path for path in files}
+    if len(videos) < len(files):
+        twice = next(path for path in files if videos[path.stem] != path)
+        raise InputError(twice, "a name of its own", f"'{videos[twice.stem].name}' beside it", "rename one of the two")
+    return videos
 
 
 def folder_name(folder: Path) -> str:
@@ -182,6 +227,7 @@ def sequence_to_json(sequence: Sequence) -> dict[str, Any]:
         "frames": [str(path.resolve()) for path in sequence.frames],
         "truth": truth,
         "warnings": sequence.warnings,
+        "times_s": sequence.times_s,
     }
 
 
@@ -197,6 +243,7 @@ def read_sequence(path: Path) -> Sequence:
         content["height"],
         truth,
         content["warnings"],
+        content["times_s"],
     )
 
 

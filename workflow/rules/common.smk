@@ -64,6 +64,7 @@ try:
     MINE = own_values()
     CONFIGURED = settings.configured(config, MINE)
     CONFIG = CONFIGURED.config
+    VIDEO_SHOTS = datasets.video_shots(CONFIG)
     FOLDERS = datasets.frame_folders(CONFIG)
     # Jobs on a cluster read this file again; checking all headers once is enough.
     SEQUENCES = datasets.find_sequences(
@@ -203,13 +204,20 @@ def scene_file(wildcards):
     return datasets.scene_files(CONFIG)[known_sequence(wildcards)]
 
 
+def video_file(wildcards):
+    """The video of a sequence."""
+    if known_sequence(wildcards) not in VIDEO_SHOTS:
+        raise WorkflowError(f"sequence '{wildcards.seq}' is not of a video")
+    return str(VIDEO_SHOTS[wildcards.seq].video)
+
+
 def frame_folder(wildcards):
     """The folder of frames of a sequence."""
     return FOLDERS[wildcards.seq]
 
 
 def frame_source(wildcards):
-    """The inputs of `inspect`: the folders of frames and of ground truth beside it, or the simulator's manifest.
+    """The inputs of `inspect`: the folders of frames and of ground truth beside it, or what makes the frames writes.
 
     The simulator writes the manifest last. A folder stands for its files: its time changes when files are added or
     removed, and hundreds of files per sequence would slow down every plan.
@@ -217,13 +225,15 @@ def frame_source(wildcards):
     name = known_sequence(wildcards)
     if CONFIG.dataset == configuration.SIMULATED:
         return {"manifest": f"simulated/{name}.json"}
+    if name in VIDEO_SHOTS:
+        return {"frames": FOLDERS[name], "video": f"{FOLDERS[name]}.json"}
     folder = Path(FOLDERS[name])
     truth = truth_folders(folder).values()
     return {"frames": str(folder), "truth": [str(folder) for folder in truth]}
 
 
 def frame_times(wildcards):
-    """What changes when a frame is rewritten; nothing for simulated frames, which a job of this run may still write."""
-    if CONFIG.dataset == configuration.SIMULATED:
+    """What changes when a frame is rewritten; nothing for frames that a job of this run may still write."""
+    if CONFIG.dataset == configuration.SIMULATED or VIDEO_SHOTS:
         return ""
     return frames_digest(SEQUENCES[known_sequence(wildcards)].frames)

@@ -23,6 +23,7 @@ rule inspect:
         folder=frame_folder,
         times=frame_times,
         flags=flags("inspect"),
+        video=optional_flags("video"),
     shell:
         "{{ python -m stages.inspect --frames {params.folder:q} --output {output.sequence:q}"
-        " --figure {output.figure:q} {params.flags} --log {log:q} --stats {output.stats:q}; }} 2>> {log:q}"
+        " --figure {output.figure:q} {params.video} {params.flags} --log {log:q} --stats {output.stats:q}; }} 2>> {log:q}"

@@ -51,6 +51,12 @@ def submission_of(name, folder):
     return re.sub(r"\W+", "_", f"{name}/{setting}").rstrip("_")
 
 
+def video_memory(wildcards, attempt):
+    """The memory of decoding a video, whose own frames may be larger than those that are written."""
+    size = VIDEO_SHOTS[wildcards.seq].index.findings["coded_size"]
+    return megabytes("video", Held(frame=math.prod(size)), attempt)
+
+
 def colmap_memory(wildcards, attempt):
     """The memory of COLMAP, which may see enlarged frames."""
     setting = setting_of(wildcards)

@@ -1,0 +1,56 @@
+"""Decode one shot of a video into a folder of frames, with their time stamps and what was found about the video."""
+
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import Field
+
+from stages.shared import cli
+from stages.shared.cli import In, Out
+from stages.video.options import VideoOptions
+
+
+class DecodeOptions(VideoOptions):
+    """Options of this script; `shot` is a flag only."""
+
+    shot: int = Field(1, ge=1, description="which shot of the video, by its number, if cuts divide it")
+
+
+def main(
+    video: Annotated[Path, In("video file")],
+    output: Annotated[Path, Out("folder of frames, frame_0001.png, ...")],
+    findings: Annotated[Path, Out("JSON: time stamps of the frames, and what was found about the video")],
+    options: DecodeOptions,
+    indexes: Annotated[Path | None, In("folder of the indexes that the workflow made when it looked for cuts")] = None,
+) -> str:
+    """Write the frames of one shot upright, with square pixels, and without those that repeat others."""
+    from stages.shared.artifacts import atomic_folder, write_json
+    from stages.shared.errors import InputError
+    from stages.shared.images import write_image
+    from stages.shared.log import logger, progress
+    from stages.video import decode
+    from stages.video.index import load_index
+
+    index = load_index(video, VideoOptions(**options.model_dump(exclude={"shot"})), indexes)
+    if options.shot > len(index.shots):
+        raise InputError(video, f"a shot {options.shot}", f"{len(index.shots)}", "choose another --shot")
+    name, shot = list(index.shots.items())[options.shot - 1]
+    for warning in index.warnings:
+        logger.info("%s: %s", video, warning)  # `inspect` warns of them
+    header, wanted, number = decode.read_header(video), set(shot.pts), 0
+    with atomic_folder(output, ["frame_*.png"]) as folder:
+        frames = decode.read_frames(video, shot.times_s[0], shot.times_s[-1])
+        used = (frame for frame in frames if frame.pts in wanted)
+        for number, frame in enumerate(progress(used, name, len(wanted)), start=1):
+            write_image(folder / f"frame_{number:04d}.png", decode.upright(frame, header, options.max_width))
+        if number != len(wanted):
+            advice = "the file has changed since it was indexed: run again"
+            raise InputError(video, f"{len(wanted)} frames", f"{number}", advice)
+    write_json(findings, {"name": name, "times_s": shot.times_s, "warnings": index.warnings} | index.findings)
+    return (
+        f"{len(wanted)} frames of {index.width} x {index.height} px, {shot.times_s[0]:.2f} to {shot.times_s[-1]:.2f} s"
+    )
+
+
+if __name__ == "__main__":
+    cli.run(main)

@@ -1,0 +1,210 @@
+"""What a video holds, found by decoding it once: its shots, the frames to use of each, and what is wrong with it.
+
+The workflow needs names, sizes and numbers of frames of all sequences before it plans a job, and a cut makes two
+sequences of one video. Hence the video is looked through while the rules are read. What is found is kept in a file,
+named by all that it depends on: later runs find it there, and so do jobs on a cluster, which read the rules again. A
+checkpoint, the other way, would plan every rule twice; `snakemake -n`, memory and names would wait for the decoding.
+"""
+
+import hashlib
+import json
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stages.shared.artifacts import read_json, write_json
+from stages.shared.digest import code_digest
+from stages.shared.errors import InputError
+from stages.shared.log import progress
+from stages.shared.sequences import MIN_FRAMES
+from stages.video import decode
+from stages.video.options import VideoOptions
+from stages.video.shots import Found, Look, Shot, find_shots, irregular, spans
+
+LOOK_WIDTH_PX = 512
+
+
+@dataclass(frozen=True)
+class Index:
+    """What a video holds.
+
+    Attributes:
+        shots: name of a sequence -> its frames. width, height: of the frames as written, px.
+        findings: codec, rotation, frame rate, repeated frames, cuts, ... by name. warnings: for the user, as sentences.
+    """
+
+    shots: dict[str, Shot]
+    width: int
+    height: int
+    findings: dict[str, Any]
+    warnings: list[str] = field(default_factory=list)
+
+
+def load_index(video: Path, options: VideoOptions, cache: Path | None = None) -> Index:
+    """The index of a video, from the folder `cache` if it is there and still true, else made and kept there.
+
+    Raises:
+        InputError: as `make_index`.
+    """
+    file = cache and cache / f"{video.stem}-{_key(video, options)}.json"
+    if file and file.is_file():
+        content = read_json(file)
+        content.pop("format_version")
+        shots = {name: Shot(**shot) for name, shot in content.pop("shots").items()}
+        return Index(shots=shots, **content)
+    index = make_index(video, options)
+    if file:
+        write_json(file, asdict(index))
+    return index
+
+
+def make_index(video: Path, options: VideoOptions) -> Index:
+    """Look through a video.
+
+    Raises:
+        InputError: for a file that is no video, is incomplete, ends before `start`, or has too few frames that differ.
+    """
+    header = decode.read_header(video)
+    first: list[decode.Frame] = []
+    interlaced: list[float] = []
+
+    def looks() -> Iterator[Look]:
+        for frame in decode.read_frames(video, options.start, options.end):
+            if not first:
+                first.append(frame)
+            if frame.interlaced:
+                interlaced.append(frame.time_s)
+            yield Look(frame.pts, frame.time_s, decode.grey(frame, LOOK_WIDTH_PX))
+
+    expected = _expected_frames(header, options)
+    limit = None if options.max_frames == "all" else options.max_frames
+    found = find_shots(progress(looks(), f"reading {video.name}", expected), options.every, limit)
+    _refuse_incomplete(video, header, options, found)
+    width, height = decode.upright_size(first[0], header, options.max_width)
+    return Index(
+        shots=_named(video.stem, found.shots),
+        width=width,
+        height=height,
+        findings=_findings(video, header, first[0], found, bool(interlaced)),
+        warnings=_warnings(header, first[0], found, options, bool(interlaced)),
+    )
+
+
+def _named(stem: str, shots: list[Shot]) -> dict[str, Shot]:
+    """Shots by the names of their sequences: that of the video, with a number if there are several."""
+    return {stem: shots[0]} if len(shots) == 1 else {f"{stem}_shot{k}": shot for k, shot in enumerate(shots, start=1)}
+
+
+def _refuse_incomplete(video: Path, header: decode.Header, options: VideoOptions, found: Found) -> None:
+    if not found.times_s:
+        length = f"{header.length_s:.3f} s" if header.length_s else "no frames"
+        if options.start > 0:
+            advice = "set `video: {start: ...}` to a time within the video"
+            raise InputError(video, f"frames after `start`, {options.start:g} s", f"a video of {length}", advice)
+        raise InputError(video, f"at least {MIN_FRAMES} frames", "none that can be decoded", "export the video again")
+    last_s, interval_s = found.times_s[-1], _interval_s(header, found)
+    wanted = options.end is None or options.end > last_s + 2 * interval_s
+    if wanted and found.complete and decode.is_cut_short(header, last_s, interval_s):
+        advice = f"copy or export the video again, or use what there is by `video: {{end: {last_s:.3f}}}`"
+        raise InputError(video, f"{header.length_s:.3f} s, as its header says", f"{last_s + interval_s:.3f} s", advice)
+    if not found.shots:
+        total = len(found.times_s)
+        less = f" ({len(found.duplicates_s)} of them repeat others)" if found.duplicates_s else ""
+        cut = f" with cuts at {_times(found.cuts_s)}" if found.cuts_s else ""
+        advice = "give a longer part, or a smaller `video: {every: ...}`"
+        expected = f"at least {MIN_FRAMES} frames that differ, without a cut between them"
+        raise InputError(video, expected, f"{total} frame{'s' * (total != 1)}{less}{cut}", advice)
+
+
+def _findings(
+    video: Path, header: decode.Header, first: decode.Frame, found: Found, interlaced: bool
+) -> dict[str, Any]:
+    return {
+        "video": str(video.resolve()),
+        "codec": header.codec,
+        "pixel_format": first.image.format.name,
+        "bits": first.image.format.components[0].bits,
+        "coded_size": [first.image.width, first.image.height],
+        "pixel_aspect": header.aspect,
+        "rotation_deg": first.image.rotation,
+        "interlaced": interlaced,
+        "length_s": header.length_s,
+        "frame_rate_hz": header.rate_hz,
+        "variable_frame_rate": irregular(found.times_s),
+        "frames_read": len(found.times_s),
+        "complete": found.complete,
+        "duplicates_s": found.duplicates_s,
+        "cuts_s": found.cuts_s,
+        "left_out_s": found.left_out_s,
+    }
+
+
+def _warnings(
+    header: decode.Header, first: decode.Frame, found: Found, options: VideoOptions, interlaced: bool
+) -> list[str]:
+    warnings = []
+    if interlaced:
+        warnings.append("the video is interlaced: one field of each frame is interpolated")
+    if first.image.color_trc in decode.HDR_TRANSFERS:
+        kind = decode.HDR_TRANSFERS[first.image.color_trc]
+        warnings.append(f"HDR video ({kind}): its colours are used as they are coded, and look flat")
+    if first.image.rotation % 90:
+        warnings.append(f"its metadata ask for a rotation by {first.image.rotation} degrees, which is left out")
+    if irregular(found.times_s):
+        steps = np.diff(found.times_s)
+        warnings.append(f"frames are {steps.min():.3f} to {steps.max():.3f} s apart: their own time stamps are kept")
+    if found.duplicates_s:
+        warnings.append(
+            f"{len(found.duplicates_s)} frames repeat the one before and are left out: {_times(found.duplicates_s)}"
+        )
+    if found.cuts_s:
+        warnings.append(f"cuts at {_times(found.cuts_s)}: each shot is a sequence of its own")
+    if found.left_out_s:
+        runs = spans(found.left_out_s, 2 * options.every * _interval_s(header, found))
+        parts = [f"{a:.3f}" if a == b else f"{a:.3f}..{b:.3f}" for a, b in runs]
+        warnings.append(f"shots of fewer than {MIN_FRAMES} frames, or flashes, are left out: {_few(parts)} s")
+    if not found.complete:
+        warnings.append(_cut_off(header, found, options))
+    return warnings
+
+
+def _cut_off(header: decode.Header, found: Found, options: VideoOptions) -> str:
+    """That `max_frames` ended the video early, and which `every` would take in all of it."""
+    until = found.shots[-1].times_s[-1]
+    said = f"the first {options.max_frames} frames are used, up to {until:.3f} s"
+    end = options.end or header.length_s
+    if end is None or end <= until:
+        return f"{said}: see `video: {{max_frames: ...}}`"
+    every = int(np.ceil(options.every * (end - options.start) / (until - options.start)))
+    return f"{said} of {end:.3f} s: `video: {{every: {every}}}` covers all of it, `max_frames: all` uses all"
+
+
+def _interval_s(header: decode.Header, found: Found) -> float:
+    """Seconds between frames."""
+    return float(np.median(np.diff(found.times_s))) if len(found.times_s) > 1 else 1 / (header.rate_hz or 25)
+
+
+def _expected_frames(header: decode.Header, options: VideoOptions) -> int:
+    """About as many frames as will be looked at, for the progress bar."""
+    length_s, rate_hz = header.length_s or 0, header.rate_hz or 25
+    count = rate_hz * max(0, min(options.end or length_s, length_s) - options.start)
+    wanted = count if options.max_frames == "all" else options.every * options.max_frames
+    return int(min(count, wanted)) or 1
+
+
+def _times(times_s: list[float]) -> str:
+    return _few([f"{time:.3f}" for time in times_s]) + " s"
+
+
+def _few(words: list[str], most: int = 8) -> str:
+    return ", ".join(words[:most]) + (f" and {len(words) - most} more" if len(words) > most else "")
+
+
+def _key(video: Path, options: VideoOptions) -> str:
+    """A digest of all that an index depends on: the file, by its size and time, the options and the code."""
+    status = video.stat()
+    about = [str(video.resolve()), status.st_size, status.st_mtime_ns, options.model_dump(), code_digest(__name__)]
+    return hashlib.sha256(json.dumps(about).encode()).hexdigest()[:12]

@@ -1,0 +1,252 @@
+"""Videos become sequences of frames: pixels, time stamps, shots and findings against what was encoded."""
+
+import re
+import struct
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from conftest import REPO, run_snakemake, write_frames
+from encoded_video import SIZE, encode, encode_sound, moving
+
+from stages.configuration import config as configuration
+from stages.configuration import datasets
+from stages.inspect import __main__ as inspect_stage
+from stages.inspect.options import InspectOptions
+from stages.shared.artifacts import read_json
+from stages.shared.errors import InputError
+from stages.shared.images import read_rgb
+from stages.shared.sequences import read_sequence
+from stages.video import __main__ as video_stage
+from stages.video.index import Index, load_index, make_index
+from stages.video.options import VideoOptions
+
+
+def indexed(video: Path, **options: object) -> Index:
+    return make_index(video, VideoOptions(**options))  # type: ignore[arg-type]
+
+
+def decoded(video: Path, folder: Path, **options: object) -> list[np.ndarray]:
+    """The frames that the stage writes for the first shot of a video."""
+    video_stage.main(video, folder / "frames", folder / "frames.json", video_stage.DecodeOptions(**options))  # type: ignore[arg-type]
+    return [read_rgb(path) for path in sorted((folder / "frames").glob("frame_*.png"))]
+
+
+def psnr(images: list[np.ndarray], truth: list[np.ndarray]) -> float:
+    """The least PSNR of all frames."""
+    assert [image.shape for image in images] == [image.shape for image in truth]
+    return min(cv2.PSNR(image, true) for image, true in zip(images, truth, strict=True))
+
+
+def test_frames_and_times_are_those_that_were_encoded(tmp_path: Path) -> None:
+    images = moving(8)
+    written = decoded(encode(tmp_path / "clip.mp4", images), tmp_path)
+    assert psnr(written, images) > 38
+    assert min(psnr([a], [b]) for a, b in zip(written, images[1:], strict=False)) < 30  # each is its own frame
+    about = read_json(tmp_path / "frames.json")
+    assert about["times_s"] == [k / 25 for k in range(8)]
+    assert (about["codec"], about["bits"], about["warnings"]) == ("h264", 8, [])
+
+
+def test_ten_bit_frames_are_rounded_to_eight(tmp_path: Path) -> None:
+    images = moving(5)
+    video = encode(tmp_path / "clip.mkv", images, codec="ffv1", pix_fmt="yuv444p10le")
+    assert psnr(decoded(video, tmp_path), images) > 45
+    assert read_json(tmp_path / "frames.json")["bits"] == 10
+
+
+@pytest.mark.parametrize("turn_deg", [90, 180, -90])
+def test_rotation_in_the_metadata_is_carried_out(tmp_path: Path, turn_deg: int) -> None:
+    images = moving(4)
+    video = encode(tmp_path / "clip.mp4", images, rotation_deg=turn_deg)
+    upright = [np.rot90(image, turn_deg // 90).copy() for image in images]
+    assert psnr(decoded(video, tmp_path), upright) > 38
+    index = indexed(video)
+    assert (index.width, index.height) == upright[0].shape[1::-1]
+
+
+def test_the_matrix_of_a_phone_held_upright_turns_clockwise(tmp_path: Path) -> None:
+    """ISO 14496-12, track header: x' = a x + c y, y' = b x + d y, in 16.16 bits and the order a, b, u, c, d, v."""
+    images = moving(4)
+    content = bytearray(encode(tmp_path / "clip.mp4", images).read_bytes())
+    at = content.index(b"tkhd") + 4 + 40  # version 0: 40 bytes before the matrix
+    content[at : at + 24] = struct.pack(">6i", 0, 1 << 16, 0, -1 << 16, 0, 0)
+    (tmp_path / "phone.mp4").write_bytes(content)
+    clockwise = [cv2.rotate(image, cv2.ROTATE_90_CLOCKWISE) for image in images]
+    assert psnr(decoded(tmp_path / "phone.mp4", tmp_path), clockwise) > 38
+
+
+def test_variable_frame_rate_keeps_every_time_stamp(tmp_path: Path) -> None:
+    times_ms = [0, 33, 67, 167, 200, 233, 300]
+    index = indexed(encode(tmp_path / "clip.mkv", moving(7), times_ms))
+    assert index.shots["clip"].times_s == [ms / 1000 for ms in times_ms]
+    assert any("0.033 to 0.100 s apart" in warning for warning in index.warnings)
+
+
+def test_pixels_that_are_not_square_are_stretched(tmp_path: Path) -> None:
+    images = moving(4)
+    video = encode(tmp_path / "clip.mp4", images, aspect=2)
+    assert (indexed(video).width, indexed(video).height) == (2 * SIZE[0], SIZE[1])
+
+
+def test_fields_of_interlaced_frames_are_taken_apart(tmp_path: Path) -> None:
+    images = moving(12, step=(4, 0))
+    fields = [
+        np.where(np.arange(SIZE[1])[:, None, None] % 2, b, a) for a, b in zip(images[::2], images[1::2], strict=True)
+    ]
+    video = encode(tmp_path / "clip.mkv", fields, pix_fmt="yuv420p", **{"x264-params": "tff=1"})
+    written = decoded(video, tmp_path)
+    comb = [np.abs(np.diff(image.astype(float), 2, axis=0)).mean() for image in (written[3], fields[3], images[6])]
+    assert comb[2] < comb[0] < comb[1] / 4
+    assert any("interlaced" in warning for warning in indexed(video).warnings)
+
+
+def test_a_cut_makes_two_sequences(tmp_path: Path) -> None:
+    first, second = moving(5), moving(6, seed=1)
+    video = encode(tmp_path / "clip.mp4", first + second)
+    index = indexed(video)
+    assert {name: shot.times_s[0] for name, shot in index.shots.items()} == {"clip_shot1": 0, "clip_shot2": 0.2}
+    assert psnr(decoded(video, tmp_path, shot=2), second) > 38
+
+
+def test_a_flash_is_no_cut_and_a_lone_frame_no_shot(tmp_path: Path) -> None:
+    images = moving(10)
+    images[4] = np.full_like(images[4], 255)
+    index = indexed(encode(tmp_path / "clip.mkv", [*images, *moving(2, seed=1)]))
+    assert list(index.shots) == ["clip"]
+    assert index.shots["clip"].times_s == [k / 25 for k in range(10) if k != 4]
+    assert index.findings["left_out_s"] == [4 / 25, 10 / 25, 11 / 25]
+
+
+def test_fast_motion_and_changing_brightness_are_no_cut(tmp_path: Path) -> None:
+    images = [
+        np.round(image * share).astype(np.uint8)
+        for image, share in zip(moving(6, step=(9, 3)), (1, 0.5) * 3, strict=True)
+    ]
+    assert list(indexed(encode(tmp_path / "clip.mp4", images)).shots) == ["clip"]
+
+
+def test_repeated_frames_are_left_out_with_their_times(tmp_path: Path) -> None:
+    order = [0, 1, 1, 2, 3, 3, 3, 4]
+    images = moving(5)
+    video = encode(tmp_path / "clip.mp4", [images[k] for k in order], crf="20")
+    assert psnr(decoded(video, tmp_path), images) > 28
+    about = read_json(tmp_path / "frames.json")
+    assert about["times_s"] == [0, 0.04, 0.12, 0.16, 0.28]
+    assert about["duplicates_s"] == [0.08, 0.2, 0.24]
+
+
+def test_options_choose_frames_and_size(tmp_path: Path) -> None:
+    images = moving(20)
+    video = encode(tmp_path / "clip.mp4", images, g="6")
+    index = indexed(video, start=0.2, end=0.6, every=2, max_width=64)
+    assert index.shots["clip"].times_s == [k / 25 for k in range(5, 16, 2)]
+    assert (index.width, index.height) == (64, 42)
+    written = decoded(video, tmp_path, start=0.2, end=0.6, every=2)
+    assert psnr(written, images[5:16:2]) > 38
+    first = indexed(video, max_frames=8)
+    assert len(first.shots["clip"].pts) == 8
+    assert any("0.280 s of 0.800 s: `video: {every: 3}`" in warning for warning in first.warnings)
+    assert not indexed(video, max_frames=20).warnings
+
+
+def test_a_truncated_video_says_what_is_left_of_it(tmp_path: Path) -> None:
+    whole = encode(tmp_path / "whole.mp4", moving(30), container={"movflags": "faststart"}).read_bytes()
+    cut = tmp_path / "cut.mp4"
+    cut.write_bytes(whole[: len(whole) * 2 // 3])
+    with pytest.raises(InputError, match=r"cut\.mp4: expected .*end: ") as refused:
+        indexed(cut)
+    end = float(re.search(r"end: ([\d.]+)", str(refused.value))[1])  # type: ignore[index]
+    assert indexed(cut, end=end).shots["cut"].times_s[-1] == end > 0.2
+
+
+@pytest.mark.parametrize(
+    ("make", "options", "phrases"),
+    [
+        (lambda path: path.write_bytes(b""), {}, ("an empty file",)),
+        (lambda path: path.write_text("not a video " * 99), {}, ("a video", "cannot be opened")),
+        (encode_sound, {}, ("a video", "sound alone")),
+        (lambda path: encode(path, moving(1)), {}, ("at least 3 frames", "found 1 frame;")),
+        (lambda path: encode(path, moving(1) * 9), {}, ("9 frames (8 of them repeat others)",)),
+        (lambda path: encode(path, moving(9)), {"start": 2}, ("frames after `start`, 2 s", "0.360 s")),
+        (lambda path: encode(path, moving(9)), {"every": 5}, ("at least 3 frames", "smaller `video: {every")),
+    ],
+)
+def test_what_is_no_video_gets_one_line(tmp_path: Path, make: object, options: dict, phrases: tuple[str, ...]) -> None:
+    video = tmp_path / "clip.mp4"
+    make(video)  # type: ignore[operator]
+    with pytest.raises(InputError) as refused:
+        indexed(video, **options)
+    assert str(refused.value).startswith(f"{video}: expected ")
+    assert "\n" not in str(refused.value)
+    assert all(phrase in str(refused.value) for phrase in phrases), str(refused.value)
+
+
+def test_an_end_before_the_start_is_refused() -> None:
+    with pytest.raises(InputError, match=r"video\.end: expected a time after `start`, 3 s"):
+        configuration.load({"video": {"start": 3, "end": 2}})
+
+
+def test_an_index_is_made_once_for_a_file_and_its_options(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    video, kept = encode(tmp_path / "clip.mp4", moving(6)), tmp_path / "kept"
+    made = load_index(video, VideoOptions(), kept)
+    with monkeypatch.context() as patch:
+        patch.setattr("stages.video.index.make_index", None)
+        assert load_index(video, VideoOptions(), kept) == made
+    assert len(load_index(video, VideoOptions(every=2), kept).shots["clip"].pts) == 3
+    encode(video, moving(4))
+    assert len(load_index(video, VideoOptions(), kept).shots["clip"].pts) == 4
+
+
+def test_a_folder_of_videos(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    folder = tmp_path / "data"
+    folder.mkdir()
+    encode(folder / "a.mp4", moving(4))
+    encode(folder / "b.MOV", moving(4) + moving(4, seed=1))
+    config = configuration.load({"dataset": "data"})
+    folders = datasets.frame_folders(config)
+    assert folders == {name: f"decoded/data/{name}" for name in ("a", "b_shot1", "b_shot2")}
+    sequences = datasets.find_sequences(config, folders)
+    assert (sequences["b_shot2"].numbers, sequences["a"].width) == ([1, 2, 3, 4], SIZE[0])
+    assert list(datasets.frame_folders(configuration.load({"dataset": "data", "sequences": ["b_shot2"]}))) == [
+        "b_shot2"
+    ]
+    with pytest.raises(InputError, match="did you mean 'b_shot"):
+        datasets.frame_folders(configuration.load({"dataset": "data", "sequences": ["b_shot3"]}))
+    encode(folder / "a.mkv", moving(4))
+    with pytest.raises(InputError, match=r"a\.m(kv|p4): expected a name of its own"):
+        datasets.frame_folders(config)
+    write_frames(folder / "frames")
+    with pytest.raises(InputError, match=r"expected videos or folders of frames, found 'a.mkv' and 'frames/'"):
+        datasets.frame_folders(config)
+
+
+def test_times_and_warnings_reach_the_sequence(tmp_path: Path) -> None:
+    images = moving(8)
+    images[5] = cv2.blur(images[5], (9, 1))
+    decoded(encode(tmp_path / "clip.mp4", images, [0, 40, 80, 120, 200, 240, 280, 320]), tmp_path)
+    inspect_stage.main(
+        tmp_path / "frames",
+        tmp_path / "sequence.json",
+        tmp_path / "inspect.png",
+        InspectOptions(max_frames=7),
+        tmp_path / "frames.json",
+    )
+    sequence = read_sequence(tmp_path / "sequence.json")
+    assert sequence.stamps == [0, 0.04, 0.08, 0.12, 0.2, 0.24, 0.28]
+    assert sequence.warnings[-1] == "blurred beside their neighbours: frames 6"
+
+
+def test_the_workflow_plans_every_shot_and_refuses_a_broken_video(tmp_path: Path) -> None:
+    encode(tmp_path / "clip.mp4", moving(4) + moving(4, seed=1))
+    arguments = ("-s", str(REPO / "Snakefile"), "-n", "poses", "--config")
+    plan = run_snakemake(tmp_path, *arguments, "dataset=clip.mp4", "preset=fast")
+    assert plan.returncode == 0, plan.stderr
+    assert set(re.findall(r"results/clip/(\w+)/ba/poses", plan.stdout + plan.stderr)) == {"clip_shot1", "clip_shot2"}
+    (tmp_path / "broken.mp4").write_bytes((tmp_path / "clip.mp4").read_bytes()[:-200])
+    refused = run_snakemake(tmp_path, *arguments, "dataset=broken.mp4")
+    assert refused.returncode == 2
+    assert [line for line in refused.stderr.splitlines() if "broken.mp4: expected a video" in line]
+    assert not (tmp_path / "decoded/broken").exists()
