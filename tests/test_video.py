@@ -90,6 +90,24 @@ def test_pixels_that_are_not_square_are_stretched(tmp_path: Path) -> None:
     assert (indexed(video).width, indexed(video).height) == (2 * SIZE[0], SIZE[1])
 
 
+def test_black_bars_are_cut_off_on_both_sides_alike(tmp_path: Path) -> None:
+    images = moving(5)
+    framed = [np.pad(image, ((16, 16), (8, 0), (0, 0))) for image in images]
+    video = encode(tmp_path / "clip.mp4", framed)
+    inner = [image[18:-18] for image in framed]  # the bar at the left alone stays
+    written = decoded(video, tmp_path)
+    assert psnr(written, inner) > 38
+    assert (indexed(video).width, indexed(video).height) == written[0].shape[1::-1]
+    assert any("above and below are cut off, 18 px" in warning for warning in indexed(video).warnings)
+
+
+def test_a_dark_picture_has_no_bars(tmp_path: Path) -> None:
+    fading = np.clip(np.hypot(*np.mgrid[-32:32, -48:48]) / 20 - 0.5, 0, 1)[::-1]
+    night = [(image * (1 - fading[..., None])).astype(np.uint8) for image in moving(5)]
+    index = indexed(encode(tmp_path / "clip.mp4", night))
+    assert (index.width, index.height, index.bars_px) == (*SIZE, (0, 0))
+
+
 def test_fields_of_interlaced_frames_are_taken_apart(tmp_path: Path) -> None:
     images = moving(12, step=(4, 0))
     fields = [

@@ -42,11 +42,18 @@ def main(
         frames = decode.read_frames(video, shot.times_s[0], shot.times_s[-1])
         used = (frame for frame in frames if frame.pts in wanted)
         for number, frame in enumerate(progress(used, name, len(wanted)), start=1):
-            write_image(folder / f"frame_{number:04d}.png", decode.upright(frame, header, options.max_width))
+            write_image(
+                folder / f"frame_{number:04d}.png", decode.upright(frame, header, index.bars_px, options.max_width)
+            )
         if number != len(wanted):
             advice = "the file has changed since it was indexed: run again"
             raise InputError(video, f"{len(wanted)} frames", f"{number}", advice)
-    write_json(findings, {"name": name, "times_s": shot.times_s, "warnings": index.warnings} | index.findings)
+    write_json(
+        findings,
+        {"name": name, "times_s": shot.times_s, "warnings": index.warnings}
+        | index.findings
+        | {"bars_px": index.bars_px},
+    )
     return (
         f"{len(wanted)} frames of {index.width} x {index.height} px, {shot.times_s[0]:.2f} to {shot.times_s[-1]:.2f} s"
     )

@@ -9,6 +9,7 @@ from fractions import Fraction
 from pathlib import Path
 
 import av
+import cv2
 import numpy as np
 
 from stages.shared.errors import InputError
@@ -115,30 +116,34 @@ def is_cut_short(header: Header, last_s: float, interval_s: float) -> bool:
     return missing > 2 * interval_s and missing > SHORTER * (header.length_s or 0)
 
 
-def upright(frame: Frame, header: Header, max_width: int) -> np.ndarray:
+def upright(frame: Frame, header: Header, bars_px: tuple[int, int], max_width: int) -> np.ndarray:
     """A frame [H, W, 3] uint8 RGB with square pixels, as a player shows it, at most `max_width` px wide.
 
     10-bit values are rounded. Colours of HDR videos stay as they are coded.
+
+    Args:
+        bars_px: what is cut off left and right, and above and below, of the frame as coded.
     """
-    image = frame.image
-    width, height = _square(image.width, image.height, header.aspect)
-    pixels = image.reformat(width=width, height=height, format="rgb24").to_ndarray()
-    shown = np.ascontiguousarray(np.rot90(pixels, _quarter_turns(image)))
+    (x, y), coded = bars_px, frame.image.reformat(format="rgb24").to_ndarray()
+    pixels = coded[y : len(coded) - y, x : coded.shape[1] - x]
+    size = _square(pixels.shape[1], pixels.shape[0], header.aspect)
+    pixels = pixels if size == pixels.shape[1::-1] else cv2.resize(pixels, size, interpolation=cv2.INTER_CUBIC)
+    shown = np.ascontiguousarray(np.rot90(pixels, _quarter_turns(frame.image)))
     return reduce(shown, reduced_size(shown.shape[1], shown.shape[0], max_width))
 
 
-def upright_size(frame: Frame, header: Header, max_width: int) -> tuple[int, int]:
+def upright_size(frame: Frame, header: Header, bars_px: tuple[int, int], max_width: int) -> tuple[int, int]:
     """Width and height of the `upright` frame, px."""
-    width, height = _square(frame.image.width, frame.image.height, header.aspect)
+    x, y = bars_px
+    width, height = _square(frame.image.width - 2 * x, frame.image.height - 2 * y, header.aspect)
     if _quarter_turns(frame.image) % 2:
         width, height = height, width
     return reduced_size(width, height, max_width)
 
 
-def grey(frame: Frame, max_width: int) -> np.ndarray:
-    """The brightness of a frame, [h, w] uint8 and at most `max_width` px wide, as coded: neither rotated nor square."""
-    width, height = reduced_size(frame.image.width, frame.image.height, max_width)
-    return frame.image.reformat(width=width, height=height, format="gray").to_ndarray()
+def grey(frame: Frame) -> np.ndarray:
+    """The brightness of a frame, [H, W] uint8, as coded: neither rotated nor with square pixels."""
+    return frame.image.reformat(format="gray").to_ndarray()
 
 
 def _square(width: int, height: int, aspect: float) -> tuple[int, int]:

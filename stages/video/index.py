@@ -18,9 +18,11 @@ import numpy as np
 from stages.shared.artifacts import read_json, write_json
 from stages.shared.digest import code_digest
 from stages.shared.errors import InputError
+from stages.shared.images import reduce, reduced_size
 from stages.shared.log import progress
 from stages.shared.sequences import MIN_FRAMES
 from stages.video import decode
+from stages.video.bars import BrightestYet
 from stages.video.options import VideoOptions
 from stages.video.shots import Found, Look, Shot, find_shots, irregular, spans
 
@@ -33,12 +35,14 @@ class Index:
 
     Attributes:
         shots: name of a sequence -> its frames. width, height: of the frames as written, px.
+        bars_px: black bars cut off the frames as coded: left and right alike, above and below alike.
         findings: codec, rotation, frame rate, repeated frames, cuts, ... by name. warnings: for the user, as sentences.
     """
 
     shots: dict[str, Shot]
     width: int
     height: int
+    bars_px: tuple[int, int]
     findings: dict[str, Any]
     warnings: list[str] = field(default_factory=list)
 
@@ -54,7 +58,7 @@ def load_index(video: Path, options: VideoOptions, cache: Path | None = None) ->
         content = read_json(file)
         content.pop("format_version")
         shots = {name: Shot(**shot) for name, shot in content.pop("shots").items()}
-        return Index(shots=shots, **content)
+        return Index(shots=shots, bars_px=tuple(content.pop("bars_px")), **content)
     index = make_index(video, options)
     if file:
         write_json(file, asdict(index))
@@ -70,6 +74,7 @@ def make_index(video: Path, options: VideoOptions) -> Index:
     header = decode.read_header(video)
     first: list[decode.Frame] = []
     interlaced: list[float] = []
+    brightest = BrightestYet()
 
     def looks() -> Iterator[Look]:
         for frame in decode.read_frames(video, options.start, options.end):
@@ -77,19 +82,25 @@ def make_index(video: Path, options: VideoOptions) -> Index:
                 first.append(frame)
             if frame.interlaced:
                 interlaced.append(frame.time_s)
-            yield Look(frame.pts, frame.time_s, decode.grey(frame, LOOK_WIDTH_PX))
+            coded = decode.grey(frame)
+            brightest.see(coded)
+            yield Look(
+                frame.pts, frame.time_s, reduce(coded, reduced_size(coded.shape[1], coded.shape[0], LOOK_WIDTH_PX))
+            )
 
     expected = _expected_frames(header, options)
     limit = None if options.max_frames == "all" else options.max_frames
     found = find_shots(progress(looks(), f"reading {video.name}", expected), options.every, limit)
     _refuse_incomplete(video, header, options, found)
-    width, height = decode.upright_size(first[0], header, options.max_width)
+    bars_px = brightest.bars_px()
+    width, height = decode.upright_size(first[0], header, bars_px, options.max_width)
     return Index(
         shots=_named(video.stem, found.shots),
         width=width,
         height=height,
+        bars_px=bars_px,
         findings=_findings(video, header, first[0], found, bool(interlaced)),
-        warnings=_warnings(header, first[0], found, options, bool(interlaced)),
+        warnings=_bars(bars_px) + _warnings(header, first[0], found, options, bool(interlaced)),
     )
 
 
@@ -140,6 +151,11 @@ def _findings(
         "cuts_s": found.cuts_s,
         "left_out_s": found.left_out_s,
     }
+
+
+def _bars(bars_px: tuple[int, int]) -> list[str]:
+    where = zip(("left and right", "above and below"), bars_px, strict=True)
+    return [f"black bars {sides} are cut off, {px} px each" for sides, px in where if px]
 
 
 def _warnings(
