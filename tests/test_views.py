@@ -6,7 +6,8 @@ import gaussian_scene as truth
 import numpy as np
 import pytest
 
-from stages.render.shots import right_cameras
+from stages.render.__main__ import seconds_per_frame
+from stages.render.shots import even_moments, right_cameras
 from stages.render.viewpoints import novel_path, right_eye
 from stages.shared import lie
 from stages.shared.sequences import Sequence
@@ -38,6 +39,14 @@ def test_the_right_eye_is_the_same_under_any_similarity() -> None:
     expected = (baseline @ left @ lie.inverse(world))[rows]
     expected[:, :3, 3] *= 2.5
     assert np.allclose(right_eye(ours, left, (baseline @ left)[rows], rows), expected, atol=1e-12)
+
+
+def test_the_fly_through_keeps_the_pace_of_the_video() -> None:
+    times_s = [0, 0.1, 0.2, 0.6]  # frames are missing before the last one
+    assert np.allclose(even_moments(times_s, 7), [0, 1 / 3, 2 / 3, 0.75, 2.5 / 3, 2.75 / 3, 1])
+    assert even_moments(None, 5).tolist() == [0, 0.25, 0.5, 0.75, 1]
+    assert seconds_per_frame(times_s, 7) == pytest.approx(0.1)
+    assert (seconds_per_frame([0, 60], 7), seconds_per_frame([0, 0.01], 7)) == (0.2, 0.04)
 
 
 def test_right_eyes_are_rendered_for_the_frames_that_have_one_on_disk(tmp_path: Path) -> None:

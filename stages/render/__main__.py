@@ -12,6 +12,9 @@ from stages.shared.log import progress
 from stages.shared.sequences import read_sequence
 
 SECONDS_PER_FRAME = 1 / 12
+"""Of the fly-through, if frames have no time stamps."""
+SLOWEST_S, FASTEST_S = 0.2, 0.04
+"""Of a frame of the fly-through that lasts as long as the video."""
 FILES = tuple(f"{split}/frame_*.png" for split in ("train", "test", "novel", "right"))
 
 
@@ -25,7 +28,8 @@ def main(
 ) -> str:
     """Render every frame at its estimated pose and time, a fly-through, and the right eye if its true camera is known.
 
-    In the fly-through the camera circles around the estimated path while time runs from 0 to 1.
+    In the fly-through the camera circles around the estimated path while time runs from 0 to 1. It lasts as long as the
+    video, within what is bearable.
     """
     from stages.render.shots import load_scene, planned_shots, take
     from stages.render.video import write_gif
@@ -42,8 +46,15 @@ def main(
             write_image(folder / shot.split / f"frame_{shot.number:04d}.png", image)
             if shot.split == "novel":
                 novel.append(image)
-    write_gif(video, novel, SECONDS_PER_FRAME * len(novel))
+    write_gif(video, novel, len(novel) * seconds_per_frame(content.times_s, len(novel)))
     return f"{len(shots)} views"
+
+
+def seconds_per_frame(times_s: list[float] | None, count: int) -> float:
+    """How long each of `count` frames of the fly-through is shown, by the time stamps [T] of the frames, if any."""
+    if times_s is None:
+        return SECONDS_PER_FRAME
+    return min(max((times_s[-1] - times_s[0]) / (count - 1), FASTEST_S), SLOWEST_S)
 
 
 if __name__ == "__main__":

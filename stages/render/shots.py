@@ -48,13 +48,20 @@ def planned_shots(content: Sequence, cameras: Cameras, distance: float, options:
         Shot("test" if is_test[k] else "train", content.numbers[k], times[k], cameras.cam_from_world[k], cameras.Ks[k])
         for k in range(T)
     ]
-    moments = np.linspace(0, 1, options.novel_views)
+    moments = even_moments(content.times_s, options.novel_views)
     path = novel_path(cameras.cam_from_world, moments, options.orbit_share * distance, distance)
     shots += [Shot("novel", n + 1, moments[n], path[n], cameras.Ks[0]) for n in range(len(moments))]
     rows, eyes = right_cameras(content, cameras.cam_from_world)
     return shots + [
         Shot("right", content.numbers[k], times[k], eye, cameras.Ks[k]) for k, eye in zip(rows, eyes, strict=True)
     ]
+
+
+def even_moments(times_s: list[float] | None, count: int) -> np.ndarray:
+    """Moments [count] of the model's time 0..1, even in real time, by the time stamps [T], or even over the frames."""
+    if times_s is None:
+        return np.linspace(0, 1, count)
+    return np.interp(np.linspace(times_s[0], times_s[-1], count), times_s, frame_times(len(times_s)))
 
 
 def right_cameras(content: Sequence, cam_from_world: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
