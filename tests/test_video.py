@@ -173,12 +173,20 @@ def test_options_choose_frames_and_size(tmp_path: Path) -> None:
     assert not indexed(video, max_frames=20).warnings
 
 
-def test_a_truncated_video_says_what_is_left_of_it(tmp_path: Path) -> None:
-    whole = encode(tmp_path / "whole.mp4", moving(30), container={"movflags": "faststart"}).read_bytes()
-    cut = tmp_path / "cut.mp4"
+@pytest.mark.parametrize(
+    ("name", "container", "said"),
+    [
+        ("cut.mp4", {"movflags": "faststart"}, "expected a complete video, found one that cannot be decoded after"),
+        ("cut.mkv", {"cluster_time_limit": "40"}, "expected 1.200 s, as its header says, found 0."),
+    ],
+)
+def test_a_truncated_video_says_what_is_left_of_it(tmp_path: Path, name: str, container: dict, said: str) -> None:
+    whole = encode(tmp_path / f"whole{name}", moving(30), container=container, g="8").read_bytes()
+    cut = tmp_path / name
     cut.write_bytes(whole[: len(whole) * 2 // 3])
-    with pytest.raises(InputError, match=r"cut\.mp4: expected .*end: ") as refused:
+    with pytest.raises(InputError) as refused:
         indexed(cut)
+    assert str(refused.value).startswith(f"{cut}: {said}")
     end = float(re.search(r"end: ([\d.]+)", str(refused.value))[1])  # type: ignore[index]
     assert indexed(cut, end=end).shots["cut"].times_s[-1] == end > 0.2
 
