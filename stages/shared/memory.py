@@ -14,8 +14,8 @@ frames of 1080p at most, `colmap` on small frames alone. What `control` holds gr
 here. Training held no more in 150 steps than in 5, `control` as much in 100 as in 5. `export` was measured on
 8 frames with all formats. The bases of `motion`, `ba` and `gaussians` leave room for a process that compiles kernels.
 `simulate` and `report`, which read no sequence, have a constant.
-`video` was measured on 20 and 90 frames of 1920 x 1080, whose peaks are alike, and on 40 of 3840 x 2160, on 4 threads; its
-pixels are those of a frame not yet reduced.
+`video` was measured on 20 and 90 frames of 1920 x 1080, whose peaks are alike, and on 40 of 3840 x 2160, on 4 threads;
+its pixels are those of a frame not yet reduced.
 """
 
 from dataclasses import dataclass
