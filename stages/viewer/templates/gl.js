@@ -37,7 +37,7 @@ const FORMATS = {
   R8UI: ["RED_INTEGER", "UNSIGNED_BYTE", 1, Uint8Array], R16UI: ["RED_INTEGER", "UNSIGNED_SHORT", 1, Uint16Array],
 };
 
-// A texture that holds an array row by row, filled up with zeros; `update` writes new values of the same length.
+// A texture that holds an array row by row, filled up with zeros. `update` writes new values of the same length.
 function makeData(gl, internal, values) {
   const [format, type, channels, Kind] = FORMATS[internal];
   const height = Math.max(1, Math.ceil(values.length / channels / TEXTURE_WIDTH));
@@ -51,12 +51,20 @@ function makeData(gl, internal, values) {
     gl.bindTexture(gl.TEXTURE_2D, texture);
     gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, TEXTURE_WIDTH, height, gl[format], gl[type], padded);
   };
+  // Take the first values from a buffer on the GPU instead, which must have `bytes` bytes.
+  const copy = (buffer, count) => {
+    const rows = Math.ceil(count / channels / TEXTURE_WIDTH);
+    gl.bindTexture(gl.TEXTURE_2D, texture);
+    gl.bindBuffer(gl.PIXEL_UNPACK_BUFFER, buffer);
+    gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, TEXTURE_WIDTH, rows, gl[format], gl[type], 0);
+    gl.bindBuffer(gl.PIXEL_UNPACK_BUFFER, null);
+  };
   update(values);
-  return { texture, update };
+  return { texture, update, copy, bytes: padded.byteLength };
 }
 
-// The target of the splats: half floats, since eight bits per blend would add up to visible steps; eight bits only where
-// a device cannot draw into half floats.
+// The target of the splats: half floats, since eight bits per blend would add up to visible steps; eight bits only
+// where a device cannot draw into half floats.
 class Target {
   constructor(gl) {
     this.gl = gl;

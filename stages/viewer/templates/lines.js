@@ -48,7 +48,7 @@ class LineRenderer {
     gl.drawArrays(kind, 0, values.length / 7);
   }
 
-  // Every camera as a pyramid over its picture; the one that looks from where the viewer stands would only be in the way.
+  // Every camera as a pyramid over its picture, but for the one that stands where the viewer does.
   frustums(view, time) {
     const vertices = [], { width, height } = this.model.scene;
     this.cameras.forEach(({ centre, rows, lens }, frame) => {

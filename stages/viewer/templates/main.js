@@ -81,7 +81,7 @@ class App {
     this.splats.draw(camera, { time, width, height, scale, shown: this.state, mode, range: this.range });
   }
 
-  // A picture of width x height from any camera { centre, rows, lens } at a time in frames, for tests: RGBA, top row last.
+  // A picture from a camera { centre, rows, lens } at a time in frames, for tests: RGBA, top row last.
   pixels(camera, width, height, time, mode = "colour") {
     [this.canvas.width, this.canvas.height] = [width, height];
     this.state.time = time;

@@ -35,7 +35,7 @@ class Model {
     this.present = new Float32Array(12 * this.P);
   }
 
-  // Weights of the four frames around a time, of the cubic through them (Catmull-Rom), which passes through every frame.
+  // Frames around a time with their weights in the cubic that passes through every frame (Catmull-Rom).
   around(time) {
     const first = Math.min(Math.max(Math.floor(time), 0), this.T - 1), x = Math.min(Math.max(time - first, 0), 1);
     const weights = [

@@ -1,5 +1,5 @@
-// The order of drawing: all Gaussians in front of the camera, nearest first. It runs beside no worker: with two passes of
-// counting it takes a few milliseconds for 50 000 Gaussians, and the order is always that of the picture.
+// The order of drawing: all Gaussians in front of the camera, nearest first. No worker does this: two passes of
+// counting take 1 to 2 ms for 50 000 Gaussians, and so the order is always that of the picture.
 
 class DrawingOrder {
   constructor(model) {

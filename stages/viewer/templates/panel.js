@@ -1,4 +1,4 @@
-// The controls around the picture: buttons and sliders of scene.html.j2, kept in step with the state of the application.
+// The controls around the picture: buttons and sliders of scene.html.j2, in step with the state of the application.
 
 const SWITCH_KEYS = {
   1: "static", 2: "dynamic", c: "points", t: "trajectories", p: "path", r: "frustums", v: "split", l: "loop",

@@ -1,7 +1,7 @@
 #version 300 es
-// Moves one Gaussian to the present time and projects it: the pipeline's skinning (stages/deformation/lbs.py), spherical
-// harmonics (stages/splatting/sh.py) and EWA projection (stages/splatting/projection_kernels.py). One vertex is one
-// Gaussian, in drawing order; transform feedback stores the splats for splat.vert.
+// Moves one Gaussian to the present time and projects it: the pipeline's skinning (stages/deformation/lbs.py),
+// spherical harmonics (stages/splatting/sh.py) and EWA projection (stages/splatting/projection_kernels.py). One vertex
+// is one Gaussian, in drawing order; transform feedback stores the splats for splat.vert.
 precision highp float;
 precision highp int;
 precision highp sampler2D;
@@ -12,8 +12,9 @@ in uint gaussian;
 uniform sampler2D means, quats, shapes, sh_dc, sh_rest, weights, motions, points;
 uniform usampler2D index, instances;
 uniform int n_static, pairs, sh_degree, mode;
-uniform vec3 sh_steps[15], eye, right, down, ahead;  // what +-1 in sh_rest stands for; camera centre; rows of the rotation
-uniform vec4 lens;                                   // fx fy cx cy in px, pixel centres at integers
+uniform vec3 sh_steps[15];            // what +-1 in sh_rest stands for
+uniform vec3 eye, right, down, ahead;  // centre of the camera, rows of its rotation
+uniform vec4 lens;                     // fx fy cx cy in px, pixel centres at integers
 uniform vec2 size;
 uniform float blur, near;
 
@@ -23,7 +24,8 @@ out vec4 splat_colour;
 
 const float MIN_ALPHA = 1.0 / 255.0, MARGIN = 0.15;
 const float C0 = 0.28209479177387814, C1 = 0.4886025119029199;
-const float C2[5] = float[](1.0925484305920792, -1.0925484305920792, 0.31539156525252005, -1.0925484305920792, 0.5462742152960396);
+const float C2[5] = float[](1.0925484305920792, -1.0925484305920792, 0.31539156525252005, -1.0925484305920792,
+                            0.5462742152960396);
 const float C3[7] = float[](-0.5900435899266435, 2.890611442640554, -0.4570457994644658, 0.3731763325901154,
                             -0.4570457994644658, 1.445305721320277, -0.5900435899266435);
 
@@ -34,7 +36,9 @@ vec3 turned(vec4 q, vec3 v) {  // q is wxyz
   return v + q.x * t + cross(q.yzw, t);
 }
 
-vec4 product(vec4 a, vec4 b) { return vec4(a.x * b.x - dot(a.yzw, b.yzw), a.x * b.yzw + b.x * a.yzw + cross(a.yzw, b.yzw)); }
+vec4 product(vec4 a, vec4 b) {
+  return vec4(a.x * b.x - dot(a.yzw, b.yzw), a.x * b.yzw + b.x * a.yzw + cross(a.yzw, b.yzw));
+}
 
 mat3 rotation(vec4 q) { return mat3(turned(q, vec3(1, 0, 0)), turned(q, vec3(0, 1, 0)), turned(q, vec3(0, 0, 1))); }
 
@@ -57,7 +61,10 @@ vec3 skin(int d, inout vec3 mean, inout vec4 quat) {
   return offset;
 }
 
-vec3 rest(int i, int k) { return texelFetch(sh_rest, at(i * ((sh_degree + 1) * (sh_degree + 1) - 1) + k), 0).rgb * sh_steps[k]; }
+vec3 rest(int i, int k) {
+  int count = (sh_degree + 1) * (sh_degree + 1) - 1;
+  return texelFetch(sh_rest, at(i * count + k), 0).rgb * sh_steps[k];
+}
 
 vec3 harmonics(int i, vec3 constant, vec3 direction) {
   vec3 c = 0.5 + C0 * constant;

@@ -14,7 +14,8 @@ class SplatRenderer {
       means: "RGB32F", quats: "RGBA16F", shapes: "RGBA16F", sh_dc: "RGB16F", sh_rest: "RGB8_SNORM", index: "R16UI",
       weights: "R8", instances: "R8UI", points: "RGB32F",
     };
-    this.data = Object.fromEntries(Object.entries(formats).map(([name, format]) => [name, makeData(gl, format, arrays[name])]));
+    this.data = {};
+    for (const [name, format] of Object.entries(formats)) this.data[name] = makeData(gl, format, arrays[name]);
     this.data.motions = makeData(gl, "RGBA32F", model.present);
     this.prepareBuffers();
     this.setConstants();
@@ -31,17 +32,18 @@ class SplatRenderer {
     gl.enableVertexAttribArray(place);
     gl.vertexAttribIPointer(place, 1, gl.UNSIGNED_INT, 4, 0);
 
+    // Projected splats go from the buffer to a texture, and all corners are drawn as one list of triangles: with an
+    // instance per splat a software renderer takes six times as long (1.06 s of CPU for 48 563 splats, not 0.17).
     this.projected = gl.createBuffer();
-    this.splats = gl.createVertexArray();
-    gl.bindVertexArray(this.splats);
+    this.splats = makeData(gl, "RGBA32F", new Float32Array(SPLAT_FLOATS * model.N));
     gl.bindBuffer(gl.ARRAY_BUFFER, this.projected);
-    gl.bufferData(gl.ARRAY_BUFFER, 4 * SPLAT_FLOATS * model.N, gl.DYNAMIC_COPY);
-    ["splat_centre", "splat_shape", "splat_colour"].forEach((name, k) => {
-      const attribute = this.drawing.attribute(name);
-      gl.enableVertexAttribArray(attribute);
-      gl.vertexAttribPointer(attribute, 4, gl.FLOAT, false, 4 * SPLAT_FLOATS, 16 * k);
-      gl.vertexAttribDivisor(attribute, 1);
-    });
+    gl.bufferData(gl.ARRAY_BUFFER, this.splats.bytes, gl.DYNAMIC_COPY);
+    this.corners = gl.createVertexArray();
+    gl.bindVertexArray(this.corners);
+    gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
+    const quad = [0, 1, 2, 2, 1, 3];
+    const triangles = Uint32Array.from({ length: 6 * model.N }, (_, k) => 4 * Math.floor(k / 6) + quad[k % 6]);
+    gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, triangles, gl.STATIC_DRAW);
     gl.bindVertexArray(null);
     gl.bindBuffer(gl.ARRAY_BUFFER, null);
     this.feedback = gl.createTransformFeedback();
@@ -95,8 +97,10 @@ class SplatRenderer {
     gl.blendFunc(gl.ONE_MINUS_DST_ALPHA, gl.ONE);
     gl.useProgram(this.drawing.program);
     gl.uniform2f(this.drawing.uniforms.size, width, height);
-    gl.bindVertexArray(this.splats);
-    gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, order.length);
+    gl.activeTexture(gl.TEXTURE0);
+    this.splats.copy(this.projected, SPLAT_FLOATS * order.length);
+    gl.bindVertexArray(this.corners);
+    gl.drawElements(gl.TRIANGLES, 6 * order.length, gl.UNSIGNED_INT, 0);
     gl.bindVertexArray(null);
   }
 
@@ -141,7 +145,8 @@ class SplatRenderer {
 
   // Inverse depths [dark, bright] that leave out the farthest and the nearest 2 % of the Gaussians in front of a view.
   depthRange(view, time) {
-    const order = this.order.sort(view, this.model.motionAt(time), this.model.scene.near, { static: true, dynamic: true });
+    const everything = { static: true, dynamic: true };
+    const order = this.order.sort(view, this.model.motionAt(time), this.model.scene.near, everything);
     const inverse = (share) => 1 / this.order.depths[order[Math.floor(share * (order.length - 1))]];
     return order.length ? [inverse(0.98), inverse(0.02)] : [0, 1];
   }
