@@ -3,13 +3,18 @@
 import subprocess
 import sys
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import pytest
+import scene_page
 import yaml
 from conftest import REPO
 
 from stages.results.scorecard import score_rows
+from stages.shared.artifacts import read_metadata, read_model
+from stages.shared.cameras import read_cameras
+from stages.splatting.model_files import scene_from_tensors
 
 SCENES = REPO / "stages/simulate/scenes"
 OPTIONS: dict[str, Any] = {
@@ -80,14 +85,20 @@ KNOWN = {
 
 
 @pytest.fixture(scope="module")
-def rows(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, Any]]:
-    """What every scene of the library reached, by name; a scene that stops does not stop the others."""
+def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder in which the whole library has run; a scene that stops does not stop the others."""
     folder = tmp_path_factory.mktemp("library")
     (folder / "mine.yaml").write_text(yaml.safe_dump(OPTIONS))
     where = ["-s", str(REPO / "Snakefile"), "--directory", str(folder), "--keep-going", "--cores", "all"]
     command = [sys.executable, "-m", "snakemake", "--quiet", "all", *where, "--configfile", str(folder / "mine.yaml")]
     subprocess.run(command, cwd=folder, check=False)
-    found = score_rows(folder / "results/simulated", scenes=SCENES, manifests=folder / "simulated")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def rows(library: Path) -> dict[str, dict[str, Any]]:
+    """What every scene of the library reached, by name."""
+    found = score_rows(library / "results/simulated", scenes=SCENES, manifests=library / "simulated")
     return {row["sequence"]: row for row in found}
 
 
@@ -111,3 +122,20 @@ def test_a_scene_keeps_its_floors(rows: dict[str, dict[str, Any]], name: str) ->
         assert row["psnr_dynamic"] >= floor.moving_db
     assert row["psnr_whole"] >= floor.psnr_db
     assert row["psnr_static"] >= floor.static_db
+
+
+@pytest.mark.long
+@pytest.mark.skipif(scene_page.CHROMIUM is None, reason="no Chromium found to look at the page with")
+@pytest.mark.parametrize("name", ["demo", "exposure_drift", "glossy_zoom", "soft_body"])
+def test_the_viewer_draws_what_the_rasteriser_draws(library: Path, tmp_path: Path, name: str) -> None:
+    """A mover, light that changes, colours that change with the view, and a body that bends."""
+    folder = library / "results/simulated" / name
+    model = folder / "gaussians/model.safetensors"
+    about, cameras = read_metadata(model), read_cameras(folder / "ba/poses.parquet")
+    scene = scene_from_tensors(read_model(model), about)
+    views = scene_page.views_of(scene, cameras, (about["width"], about["height"]), 10)
+    page, unit = (folder / "gaussians/scene.html").read_text(), scene_page.unit_of(scene)
+    pictures, _ = scene_page.open_pages(tmp_path, {name: page}, {name: views}, {name: unit})
+    for view, picture in zip(views, pictures[name], strict=True):
+        expected = scene_page.expected(scene, view, len(cameras.numbers))
+        assert scene_page.psnr(picture, expected) > 45
