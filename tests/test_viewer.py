@@ -29,8 +29,8 @@ from stages.viewer.page import PICTURE_BUDGET_BYTES, encoded, render_page
 
 SIZE = (truth.WIDTH, truth.HEIGHT)
 CAMERAS = make_cameras(truth.cameras(), truth.K, np.arange(1, truth.T + 1))
-LEAST_DB = 40.0
-"""Asked for are 35. Packed and blended in half precision, trained scenes reach 54 to 58, the hardest one here 42."""
+LEAST_DB = {"effects": 50.0, "tumbling": 40.0, "rest": 52.0}
+"""Asked for are 35. Packed and blended in half precision, trained scenes reach 54 to 58, these 54, 42 and 57."""
 USED = """(() => {
   const { state, view } = viewer, log = {}, off = (a, b) => Math.hypot(...a.map((value, k) => value - b[k]));
   const key = (name) => document.body.dispatchEvent(new KeyboardEvent("keydown", { key: name, bubbles: true }));
@@ -151,7 +151,7 @@ def test_the_canvas_shows_what_the_rasteriser_draws(drawn: dict[str, Drawn], nam
     found = drawn[name]
     for view, picture in zip(found.views, found.pictures, strict=True):
         expected = scene_page.expected(found.scene, view, truth.T)
-        assert scene_page.psnr(picture, expected) > LEAST_DB
+        assert scene_page.psnr(picture, expected) > LEAST_DB[name]
         blank = np.broadcast_to(np.round(255 * expected.mean(axis=(0, 1))), expected.shape)
         assert scene_page.psnr(blank, expected) < 30
 
