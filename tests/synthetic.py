@@ -33,6 +33,7 @@ class Scene:
     Attributes:
         cam_from_world: [T, 4, 4]; K: [3, 3]; depth: [T, h, w]; dynamic: [T, h, w] bool, pixels on the disc.
         velocity: [3] of the disc per frame.
+        zoom: [T] focal length of every frame over that of K; None: all have K.
     """
 
     cam_from_world: np.ndarray
@@ -40,6 +41,7 @@ class Scene:
     depth: np.ndarray
     dynamic: np.ndarray
     velocity: np.ndarray
+    zoom: np.ndarray | None = None
 
     @property
     def T(self) -> int:
@@ -50,6 +52,11 @@ class Scene:
     def focal_px(self) -> float:
         """Focal length."""
         return float(self.K[0, 0])
+
+    def K_of(self, k: int) -> np.ndarray:
+        """K [3, 3] of one frame."""
+        ratio = 1.0 if self.zoom is None else self.zoom[k]
+        return np.asarray(self.K * [[ratio, 1, 1], [1, ratio, 1], [1, 1, 1]])
 
 
 def painted(dynamic: np.ndarray) -> np.ndarray:
@@ -66,6 +73,8 @@ def make_scene(
     scale: float = 1.0,
     focal: float = 0.9,
     travel: float = 1.0,
+    path: np.ndarray | None = None,
+    zoom: np.ndarray | None = None,
 ) -> Scene:
     """A scene of (h, w) px.
 
@@ -73,21 +82,23 @@ def make_scene(
         motion: "curve" (translation and rotation), "rotate", "still" (3 % of the curve), or "drift" (mostly turning).
         disc_radius: radius of the moving disc at depth 2.5; 0 for a static scene.
         scale: unit of length of the world; focal: focal length in image widths; travel: share of the translation.
+        path: poses [T, 4, 4] instead of those of `motion`; zoom: [T], as in `Scene`.
     """
     h, w = size
     K = centred_intrinsics(focal * w, w, h)
-    cam_from_world = camera_path(T, motion, travel)
+    cam_from_world = camera_path(T, motion, travel) if path is None else path
     velocity = np.array([0.12, 0.02, 0.0]) if disc_radius else np.zeros(3)
     depth, dynamic = np.zeros((T, h, w)), np.zeros((T, h, w), bool)
+    scene = Scene(cam_from_world, K, depth, dynamic, velocity, zoom)
     for k in range(T):
-        depth[k] = _plane_depth(cam_from_world[k], K, h, w, planes)
+        depth[k] = _plane_depth(cam_from_world[k], scene.K_of(k), h, w, planes)
         if disc_radius:
-            disc = _disc_depth(cam_from_world[k], K, h, w, velocity * k + [-0.4, 0.2, 2.5], disc_radius)
+            disc = _disc_depth(cam_from_world[k], scene.K_of(k), h, w, velocity * k + [-0.4, 0.2, 2.5], disc_radius)
             dynamic[k] = disc < depth[k]
             depth[k] = np.minimum(depth[k], disc)
     cam_from_world = cam_from_world.copy()
     cam_from_world[:, :3, 3] *= scale
-    return Scene(cam_from_world, K, depth * scale, dynamic, velocity * scale)
+    return Scene(cam_from_world, K, depth * scale, dynamic, velocity * scale, zoom)
 
 
 def camera_path(T: int, motion: str, travel: float = 1.0) -> np.ndarray:
@@ -109,9 +120,9 @@ def exact_flow(scene: Scene, i: int, j: int) -> tuple[np.ndarray, np.ndarray]:
     """Flow [h, w, 2] px from frame i to j, and where its target lies in the image and in front [h, w] bool."""
     h, w = scene.depth.shape[1:]
     pixels = pixel_grid(h, w)
-    world = unproject(pixels, scene.depth[i], scene.cam_from_world[i], scene.K)
+    world = unproject(pixels, scene.depth[i], scene.cam_from_world[i], scene.K_of(i))
     world = world + scene.dynamic[i][..., None] * scene.velocity * (j - i)
-    target, z = project(world, scene.cam_from_world[j], scene.K)
+    target, z = project(world, scene.cam_from_world[j], scene.K_of(j))
     inside = (target >= 0).all(-1) & (target[..., 0] <= w - 1) & (target[..., 1] <= h - 1) & (z > 0)
     return target - pixels, inside & _is_visible(scene, j, target, z)
 

@@ -33,50 +33,54 @@ def disturbed(state: State, size: float = 0.01, seed: int = 0) -> State:
 
 def residuals(graph: FlowGraph, state: State) -> np.ndarray:
     """Reprojection residuals [E, P, 2] in px, written out plainly."""
-    rays = (graph.pixels - graph.centre) / state.focal_px
-    rays = np.concatenate([rays, np.ones((len(rays), 1))], axis=1)
     result = []
     for e, (i, j) in enumerate(zip(graph.source, graph.target, strict=True)):
+        rays = (graph.pixels - graph.centre) / state.focals_px[i]
+        rays = np.concatenate([rays, np.ones((len(rays), 1))], axis=1)
         relative = state.cam_from_world[j] @ np.linalg.inv(state.cam_from_world[i])
         points = rays @ relative[:3, :3].T + state.inverse_depth[i][:, None] * relative[:3, 3]
-        projected = state.focal_px * points[:, :2] / points[:, 2:] + graph.centre
+        projected = state.focals_px[j] * points[:, :2] / points[:, 2:] + graph.centre
         result.append(graph.matches[e] - projected)
     return np.stack(result)
 
 
 def numeric_jacobian(graph: FlowGraph, state: State, step: float = 1e-6) -> np.ndarray:
-    """Derivative [2 E P, 6 T + 1 + T P] of the projections by central differences."""
+    """Derivative [2 E P, 6 T + F + T P] of the projections by central differences, with F focal lengths."""
     T, P = state.inverse_depth.shape
+    F = 1 if state.zoom is None else T
 
     def shifted(index: int, amount: float) -> np.ndarray:
-        change = np.zeros(6 * T + 1 + T * P)
+        change = np.zeros(6 * T + F + T * P)
         change[index] = amount
         poses = lie.exp_se3(change[: 6 * T].reshape(T, 6)) @ state.cam_from_world
-        inverse_depth = state.inverse_depth + change[6 * T + 1 :].reshape(T, P)
-        return residuals(graph, State(poses, inverse_depth, state.focal_px * np.exp(change[6 * T]))).ravel()
+        inverse_depth = state.inverse_depth + change[6 * T + F :].reshape(T, P)
+        zoom = np.exp(change[6 * T : 6 * T + F]) * (np.ones(T) if state.zoom is None else state.zoom)
+        return residuals(graph, State(poses, inverse_depth, state.focal_px, zoom)).ravel()
 
-    columns = [(shifted(k, -step) - shifted(k, step)) / (2 * step) for k in range(6 * T + 1 + T * P)]
+    columns = [(shifted(k, -step) - shifted(k, step)) / (2 * step) for k in range(6 * T + F + T * P)]
     return np.stack(columns, axis=1)
 
 
-@pytest.fixture(scope="module")
-def tiny() -> tuple[FlowGraph, State]:
+@pytest.fixture(scope="module", params=[None, (0.9, 1.05, 1.2)], ids=["one focal length", "one per frame"])
+def tiny(request: pytest.FixtureRequest) -> tuple[FlowGraph, State]:
     """Three frames with a dozen pixels each, and a state off the truth."""
     scene = make_scene(T=3, size=(24, 32))
     graph = observe(scene, offsets=(1, 2), stride=8, noise_px=0.3)
     weights = np.random.default_rng(1).uniform(0.1, 1, graph.weights.shape).astype(np.float32)
-    return replace(graph, weights=weights), disturbed(true_state(scene, graph))
+    zoom = None if request.param is None else np.array(request.param)
+    return replace(graph, weights=weights), replace(disturbed(true_state(scene, graph)), zoom=zoom)
 
 
 def edge_derivatives(graph: FlowGraph, state: State, e: int) -> tuple[np.ndarray, ...]:
     """Derivatives [P, 2, n] of the projections of one edge, in plain numpy.
 
-    By the left twists of the target and of the source (6 each), the log focal length and the inverse depth (1 each).
+    By the left twists of the target and of the source (6 each), the log focal lengths of the target and of the source
+    and the inverse depth (1 each).
     """
     i, j = graph.source[e], graph.target[e]
     relative = state.cam_from_world[j] @ np.linalg.inv(state.cam_from_world[i])
-    R, t, f, d = relative[:3, :3], relative[:3, 3], state.focal_px, state.inverse_depth[i]
-    rays = np.concatenate([(graph.pixels - graph.centre) / f, np.ones((len(d), 1))], axis=1)
+    R, t, f, d = relative[:3, :3], relative[:3, 3], state.focals_px[j], state.inverse_depth[i]
+    rays = np.concatenate([(graph.pixels - graph.centre) / state.focals_px[i], np.ones((len(d), 1))], axis=1)
     points = rays @ R.T + d[:, None] * t
     X, Y, Z = points.T
     by_point = np.zeros((len(d), 2, 3))
@@ -85,20 +89,22 @@ def edge_derivatives(graph: FlowGraph, state: State, e: int) -> tuple[np.ndarray
     shift = d[:, None, None] * np.eye(3)
     by_target = by_point @ np.concatenate([shift, -lie.skew(points)], axis=2)
     by_source = by_point @ -R @ np.concatenate([shift, -lie.skew(rays)], axis=2)
-    by_focal = by_point @ (-(rays * [1, 1, 0]) @ R.T)[:, :, None]
-    by_focal[:, :, 0] += f * np.stack([X / Z, Y / Z], axis=1)
-    return by_target, by_source, by_focal, by_point @ np.broadcast_to(t[:, None], (len(d), 3, 1))
+    by_lens_there = f * np.stack([X / Z, Y / Z], axis=1)[:, :, None]
+    by_lens_here = by_point @ (-(rays * [1, 1, 0]) @ R.T)[:, :, None]
+    return by_target, by_source, by_lens_there, by_lens_here, by_point @ np.broadcast_to(t[:, None], (len(d), 3, 1))
 
 
 def dense_jacobian(graph: FlowGraph, state: State) -> np.ndarray:
-    """Derivative [2 E P, 6 T + 1 + T P] of the projections by (twists, log focal, inverse depths)."""
+    """Derivative [2 E P, 6 T + F + T P] of the projections by (twists, F log focals, inverse depths)."""
     T, P = state.inverse_depth.shape
-    J = np.zeros((len(graph.source), P, 2, 6 * T + 1 + T * P))
+    F = 1 if state.zoom is None else T
+    J = np.zeros((len(graph.source), P, 2, 6 * T + F + T * P))
     for e, (i, j) in enumerate(zip(graph.source, graph.target, strict=True)):
-        by_target, by_source, by_focal, by_depth = edge_derivatives(graph, state, e)
+        by_target, by_source, by_lens_there, by_lens_here, by_depth = edge_derivatives(graph, state, e)
         J[e, :, :, 6 * j : 6 * j + 6], J[e, :, :, 6 * i : 6 * i + 6] = by_target, by_source
-        J[e, :, :, 6 * T : 6 * T + 1] = by_focal
-        J[e, np.arange(P), :, 6 * T + 1 + P * i + np.arange(P)] = by_depth[:, :, 0]
+        J[e, :, :, 6 * T + j % F] += by_lens_there[:, :, 0]
+        J[e, :, :, 6 * T + i % F] += by_lens_here[:, :, 0]
+        J[e, np.arange(P), :, 6 * T + F + P * i + np.arange(P)] = by_depth[:, :, 0]
     return J.reshape(-1, J.shape[-1])
 
 
@@ -114,7 +120,9 @@ def test_the_reduced_system_and_its_depths_equal_a_dense_reference_to_1e_9(tiny:
     robust = graph.weights / (1 + (r**2).sum(-1) / sigma**2) ** 2
     W = np.repeat(robust.ravel(), 2)
     H, g = J.T @ (J * W[:, None]), J.T @ (W * r.ravel())
-    n, depths = 6 * graph.T + 1, slice(6 * graph.T + 1, None)
+    zoom = state.zoom is not None
+    n = 7 * graph.T if zoom else 6 * graph.T + 1
+    depths = slice(n, None)
     # The depth prior and the damping of the depths, as the solver has them.
     H[depths, depths] += dba.DEPTH_PRIOR * np.eye(H.shape[0] - n)
     H[depths, depths] *= 1 + damping * np.eye(H.shape[0] - n)
@@ -123,7 +131,7 @@ def test_the_reduced_system_and_its_depths_equal_a_dense_reference_to_1e_9(tiny:
     rhs = g[:n] - H[:n, depths] @ np.linalg.solve(H[depths, depths], g[depths])
 
     data, at = dba.observations(graph), dba.geometry(graph, state)
-    hessians, schur, curvatures, gradients = kernel.normal_equations(data, at, sigma, damping, dba.DEPTH_PRIOR)
+    hessians, schur, curvatures, gradients = kernel.normal_equations(data, at, sigma, damping, dba.DEPTH_PRIOR, zoom)
     relative = reduced.relative_motions(graph, state.cam_from_world)
     S_ours, rhs_ours = reduced.assemble(graph, relative, hessians, schur)
     unit = np.sqrt(np.diagonal(H)[:n])
@@ -144,9 +152,9 @@ def test_local_systems_equal_a_plain_numpy_reference_to_1e_9() -> None:
     graph, state = replace(graph, weights=weights), disturbed(true_state(scene, graph))
     hessians, *_ = kernel.normal_equations(dba.observations(graph), dba.geometry(graph, state), 0.7, 0.0, 0.0)
     for e in range(len(graph.source)):
-        by_target, _, by_focal, _ = edge_derivatives(graph, state, e)
+        by_target, _, by_lens_there, by_lens_here, _ = edge_derivatives(graph, state, e)
         r = residuals(graph, state)[e]
-        J = np.concatenate([by_target, by_focal, r[:, :, None]], axis=2)
+        J = np.concatenate([by_target, by_lens_there + by_lens_here, r[:, :, None]], axis=2)
         robust = graph.weights[e] / (1 + (r**2).sum(-1) / 0.7**2) ** 2
         expected = np.einsum("pca,p,pcb->ab", J, robust, J)
         assert_allclose(hessians[e], expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
@@ -155,14 +163,17 @@ def test_local_systems_equal_a_plain_numpy_reference_to_1e_9() -> None:
 def test_the_gradient_is_that_of_the_robust_cost(tiny: tuple[FlowGraph, State]) -> None:
     graph, state = tiny
     data, at = dba.observations(graph), dba.geometry(graph, state)
-    hessians, schur, *_ = kernel.normal_equations(data, at, 2.0, 0.0, dba.DEPTH_PRIOR)
+    T, zoom = graph.T, state.zoom is not None
+    hessians, schur, *_ = kernel.normal_equations(data, at, 2.0, 0.0, dba.DEPTH_PRIOR, zoom)
     relative = reduced.relative_motions(graph, state.cam_from_world)
     _, gradient = reduced.assemble(graph, relative, hessians, np.zeros_like(schur))
     total = float(graph.weights.sum(dtype=float))
 
     def cost(step: np.ndarray) -> float:
-        poses = lie.exp_se3(step[:-1].reshape(-1, 6)) @ state.cam_from_world
-        moved = State(poses, state.inverse_depth, state.focal_px * float(np.exp(step[-1])))
+        poses = lie.exp_se3(step[: 6 * T].reshape(-1, 6)) @ state.cam_from_world
+        moved = State(
+            poses, state.inverse_depth, state.focal_px, np.exp(step[6 * T :]) * state.focals_px / state.focal_px
+        )
         r2 = (residuals(graph, moved) ** 2).sum(-1) / 4.0
         return 4.0 * float((graph.weights * (r2 / (1 + r2))).sum())
 

@@ -1,4 +1,4 @@
-"""Estimate camera poses, one shared focal length and depth from flow and masks by dense bundle adjustment."""
+"""Estimate camera poses, focal lengths and depth from flow and masks by dense bundle adjustment."""
 
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -29,6 +29,7 @@ from stages.shared.cameras import (
     Cameras,
     centred_intrinsics,
     has_pose,
+    intrinsics,
     make_cameras,
     read_cameras,
     scale_intrinsics,
@@ -63,8 +64,9 @@ def main(
     previous_figure: Annotated[Path | None, In("picture of the round before")] = None,
     previous_masks: Annotated[Path | None, In("masks of the round before")] = None,
 ) -> str:
-    """Estimate camera poses, one shared focal length and depth from flow and masks.
+    """Estimate camera poses, focal lengths and depth from flow and masks.
 
+    All frames share one focal length unless pixels held out of the fit are explained much better by one per frame.
     With the masks and all results of the round before, itself not the first, nothing is estimated where the static area
     is still the same: these results are carried over.
 
@@ -108,8 +110,14 @@ def main(
     _write_convergence(convergence, solution)
     _draw(figure, frames.name, solution, graph, cameras, maps)
     return f"{has_pose(cameras).sum()} of {len(frames.numbers)} frames, camera {solution.camera}, " + (
-        f"focal length {cameras.Ks[0, 0, 0]:.0f} px ({solution.focal['decision']})"
+        f"focal length {_focal_in_words(cameras.Ks[:, 0, 0])} px ({solution.focal['decision']})"
     )
+
+
+def _focal_in_words(focals_px: np.ndarray) -> str:
+    """The focal lengths [T] of the frames: one number, or those of the first and the last frame if they differ."""
+    first, last = focals_px[0], focals_px[-1]
+    return f"{first:.0f}" if (focals_px == first).all() else f"{first:.0f} to {last:.0f}"
 
 
 @dataclass(frozen=True)
@@ -195,7 +203,11 @@ def _previous(poses: Path | None, scale: float) -> PoseGuess | None:
     cameras = read_cameras(poses) if poses else None
     if cameras is None or set(cameras.status) & {STATUS["failed"], STATUS["rotating"]}:
         return None
-    return PoseGuess(cameras.cam_from_world, float(cameras.Ks[0, 0, 0] * scale))
+    focals_px = cameras.Ks[:, 0, 0] * scale
+    if (focals_px == focals_px[0]).all():
+        return PoseGuess(cameras.cam_from_world, float(focals_px[0]))
+    focal_px = float(np.exp(np.log(focals_px).mean()))
+    return PoseGuess(cameras.cam_from_world, focal_px, focals_px / focal_px)
 
 
 def _round_warnings(solution: Estimate, static: np.ndarray, ignored: np.ndarray, previous: Path | None) -> list[str]:
@@ -207,12 +219,12 @@ def _round_warnings(solution: Estimate, static: np.ndarray, ignored: np.ndarray,
 
 def _cameras(solution: Estimate, graph: FlowGraph, frames: Sequence, scale: float) -> Cameras:
     """Cameras for full-size frames; a frame without enough matches has the status "unobserved"."""
-    K = centred_intrinsics(solution.state.focal_px, graph.width, graph.height)
-    K[:2, 2] = graph.centre
+    focals_px = solution.state.focals_px
+    Ks = intrinsics(focals_px, focals_px, *graph.centre)
     status = np.full(graph.T, STATUS[solution.camera], object)
     if solution.camera != "failed":
         status[~graph.observed_frames()] = "unobserved"
-    Ks = scale_intrinsics(K, 1 / scale)
+    Ks = scale_intrinsics(Ks, 1 / scale)
     return make_cameras(solution.state.cam_from_world, Ks, np.array(frames.numbers), solution.covariance, status)
 
 
@@ -220,6 +232,7 @@ def _pose_metadata(solution: Estimate, flags: list[str], static: np.ndarray, opt
     return {
         "camera": solution.camera,
         "focal": solution.focal,
+        "zoom": asdict(solution.zoom),
         "statistics": {name: _or_null(value) for name, value in solution.statistics.items()},
         "residual_px": _or_null(solution.residual_px),
         "flags": flags,

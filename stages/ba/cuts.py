@@ -8,6 +8,7 @@ from scipy.sparse.csgraph import connected_components
 from stages.ba.estimate import Estimate, Problem, estimate
 from stages.ba.graph import MIN_MATCHES, FlowGraph, shared_matches
 from stages.ba.options import BAOptions
+from stages.ba.start import PoseGuess
 from stages.shared import lie
 
 MIN_FRAMES = 3
@@ -48,7 +49,7 @@ def estimate_shot(problem: Problem, frames: np.ndarray, options: BAOptions) -> E
     part = replace(
         problem,
         graph=_cut_out(problem.graph, inside),
-        previous=previous and replace(previous, cam_from_world=previous.cam_from_world[inside]),
+        previous=previous and _cut_out_guess(previous, inside),
         unmasked=unmasked and _cut_out(unmasked, inside),
     )
     return _put_back(estimate(part, options), inside, frames)
@@ -73,6 +74,11 @@ def warnings(frames: np.ndarray, numbers: list[int]) -> list[str]:
     left_out = _ranges([number for number, kept in zip(numbers, frames, strict=True) if not kept])
     advice = "split the sequence there if it is cut, or leave out what shows nothing"
     return [f"unobserved: frames {left_out} share too few confident matches with the others; {advice}"]
+
+
+def _cut_out_guess(guess: PoseGuess, inside: slice) -> PoseGuess:
+    zoom = None if guess.zoom is None else guess.zoom[inside]
+    return replace(guess, cam_from_world=guess.cam_from_world[inside], zoom=zoom)
 
 
 def _cut_out(graph: FlowGraph, inside: slice) -> FlowGraph:
@@ -103,7 +109,8 @@ def _put_back(part: Estimate, inside: slice, frames: np.ndarray) -> Estimate:
     inverse_depth[inside] = part.state.inverse_depth
     static = None if part.static is None else padded(part.static)
     covariance = np.where(frames[:, None, None], padded(part.covariance), UNKNOWN_VARIANCE * np.eye(6))
-    state = replace(part.state, cam_from_world=poses, inverse_depth=inverse_depth)
+    zoom = None if part.state.zoom is None else padded(part.state.zoom)
+    state = replace(part.state, cam_from_world=poses, inverse_depth=inverse_depth, zoom=zoom)
     return replace(part, state=state, covariance=covariance, static=static)
 
 

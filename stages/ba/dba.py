@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -20,6 +20,9 @@ INVERSE_DEPTHS = (1e-4, 20.0)
 REFINEMENTS = 2
 """Gauss-Newton steps from every candidate of a sweep for inverse depths."""
 MAX_LOG_FOCAL_STEP = 0.35
+ZOOM_BEND = 0.02
+"""Standard deviation of the second differences of the log focal over frames, relative to flow errors as they are: alike
+over many pixels (a lens that starts to double its focal length within a second bends it by 0.03 in one frame)."""
 MAX_DAMPING = 1e4
 
 
@@ -30,30 +33,45 @@ class State:
     Attributes:
         cam_from_world: [T, 4, 4].
         inverse_depth: [T, P], of the pixels of the graph.
-        focal_px: shared focal length on the flow grid.
+        focal_px: focal length on the flow grid, of all frames or their geometric mean.
+        zoom: [T] focal length of each frame over `focal_px`; None: all have the same.
     """
 
     cam_from_world: np.ndarray
     inverse_depth: np.ndarray
     focal_px: float
+    zoom: np.ndarray | None = None
+
+    @property
+    def focals_px(self) -> np.ndarray:
+        """Focal length [T] of every frame."""
+        return self.focal_px * (np.ones(len(self.cam_from_world)) if self.zoom is None else self.zoom)
 
 
 @dataclass(frozen=True)
 class Unknowns:
-    """Which unknowns are free. Without translation the depths are unobservable and stay as they are."""
+    """Which unknowns are free. Without translation the depths are unobservable and stay as they are.
+
+    With `zoom`, which includes `focal`, every frame has a focal length of its own.
+    """
 
     focal: bool = False
     translation: bool = True
+    zoom: bool = False
 
     def indices(self, T: int) -> np.ndarray:
-        """Indices of the free unknowns among (twists of T poses, log focal); the first pose is fixed."""
+        """Indices of the free unknowns among (twists of T poses, log focals); the first pose is fixed."""
         twists = np.arange(6, 6 * T).reshape(-1, 6)[:, 0 if self.translation else 3 :]
-        return np.append(twists.ravel(), [6 * T] if self.focal else []).astype(int)
+        focals = np.arange(6 * T, 7 * T) if self.zoom else [6 * T] if self.focal else []
+        return np.append(twists.ravel(), focals).astype(int)
 
 
 @dataclass(frozen=True)
 class FocalPrior:
-    """Log-normal prior of the focal length: centre in px and standard deviation of the logarithm."""
+    """Log-normal prior of the focal length: centre in px and standard deviation of the logarithm.
+
+    It is one of the mean over the frames where each has its own, whose curve is smooth besides: `ZOOM_BEND`.
+    """
 
     focal_px: float
     log_sigma: float = 0.35
@@ -62,6 +80,10 @@ class FocalPrior:
     def weight(self) -> float:
         """Curvature in units of px^2 of flow error."""
         return FLOW_VARIANCE / self.log_sigma**2
+
+    def curvature(self, n: int) -> np.ndarray:
+        """Curvature [n, n] by n log focals, 1 or one per frame, px^2."""
+        return np.full((n, n), self.weight / n**2) + smoothness(n)
 
 
 class Level(NamedTuple):
@@ -89,12 +111,18 @@ class Step:
     seconds: float
 
 
+def smoothness(n: int) -> np.ndarray:
+    """Curvature [n, n] of the prior that the log focals of n frames have no second differences, px^2."""
+    bends = np.diff(np.eye(n), 2, axis=0)
+    return np.asarray(FLOW_VARIANCE / ZOOM_BEND**2 * bends.T @ bends)
+
+
 def normalise(state: State) -> State:
     """The same solution in the gauge: first pose identity, median inverse depth (which must be positive) 1."""
     scale = float(np.median(state.inverse_depth))
     cam_from_world = state.cam_from_world @ lie.inverse(state.cam_from_world[0])
     cam_from_world[:, :3, 3] *= scale
-    return State(cam_from_world, state.inverse_depth / scale, state.focal_px)
+    return replace(state, cam_from_world=cam_from_world, inverse_depth=state.inverse_depth / scale)
 
 
 def errors_px(graph: FlowGraph, state: State) -> np.ndarray:
@@ -123,12 +151,15 @@ def fitting_pixels(graph: FlowGraph, errors: np.ndarray, sigma_px: float, share:
 
 
 def linear_system(
-    graph: FlowGraph, state: State, sigma_px: float, eliminate: bool = True
+    graph: FlowGraph, state: State, sigma_px: float, eliminate: bool = True, zoom: bool = False
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Undamped reduced system S [6T + 1, 6T + 1] and right-hand side; depths eliminated, or held fixed."""
+    """Undamped reduced system S [6T + 1, 6T + 1] and right-hand side; depths eliminated, or held fixed.
+
+    With `zoom`, over the log focals of all frames, S is [7T, 7T].
+    """
     relative = reduced.relative_motions(graph, state.cam_from_world)
     data, at = observations(graph), geometry(graph, state)
-    hessians, schur, _, _ = kernel.normal_equations(data, at, float(sigma_px), 0.0, DEPTH_PRIOR)
+    hessians, schur, _, _ = kernel.normal_equations(data, at, float(sigma_px), 0.0, DEPTH_PRIOR, zoom)
     return reduced.assemble(graph, relative, hessians, schur if eliminate else np.zeros_like(schur))
 
 
@@ -179,19 +210,22 @@ def propose(
 ) -> tuple[State | None, float]:
     """The state after one damped Gauss-Newton step, and the length of the step; None if the system is singular."""
     relative = reduced.relative_motions(graph, state.cam_from_world)
-    data, at = observations(graph), geometry(graph, state)
-    hessians, schur, curvatures, gradients = kernel.normal_equations(data, at, float(sigma_px), damping, DEPTH_PRIOR)
+    data, at, T = observations(graph), geometry(graph, state), graph.T
+    hessians, schur, curvatures, gradients = kernel.normal_equations(
+        data, at, float(sigma_px), damping, DEPTH_PRIOR, unknowns.zoom
+    )
     if not unknowns.translation:
         schur[:] = 0.0
     S, rhs = reduced.assemble(graph, relative, hessians, schur)
     S += reduced.scale_gauge(S, state.cam_from_world)
-    S[-1, -1] += prior.weight
-    rhs[-1] += prior.weight * np.log(prior.focal_px / state.focal_px)
+    pull = prior.curvature(len(S) - 6 * T)
+    S[6 * T :, 6 * T :] += pull
+    rhs[6 * T :] += pull @ _from_prior(state, unknowns, prior)
     try:
-        step = reduced.solve_damped(S, rhs, unknowns.indices(graph.T), damping)
+        step = reduced.solve_damped(S, rhs, unknowns.indices(T), damping)
     except np.linalg.LinAlgError:
         return None, 0.0
-    step[-1] = np.clip(step[-1], -MAX_LOG_FOCAL_STEP, MAX_LOG_FOCAL_STEP)
+    step[6 * T :] = np.clip(step[6 * T :], -MAX_LOG_FOCAL_STEP, MAX_LOG_FOCAL_STEP)
     inverse_depth = state.inverse_depth
     if unknowns.translation:
         local_steps = reduced.edge_steps(graph, relative, step)
@@ -199,9 +233,16 @@ def propose(
             data, at, float(sigma_px), curvatures, gradients, local_steps
         )
         inverse_depth = np.clip(inverse_depth, *INVERSE_DEPTHS)
-    twists = step[:-1].reshape(-1, 6)
-    moved = State(lie.exp_se3(twists) @ state.cam_from_world, inverse_depth, float(state.focal_px * np.exp(step[-1])))
-    return moved, float(np.linalg.norm(step))
+    cam_from_world = lie.exp_se3(step[: 6 * T].reshape(-1, 6)) @ state.cam_from_world
+    focal_px, zoom = float(state.focal_px * np.exp(step[6 * T :].mean())), state.zoom
+    if unknowns.zoom:
+        zoom = state.focals_px * np.exp(step[6 * T :]) / focal_px
+    return State(cam_from_world, inverse_depth, focal_px, zoom), float(np.linalg.norm(step))
+
+
+def _from_prior(state: State, unknowns: Unknowns, prior: FocalPrior) -> np.ndarray:
+    """Logarithms of the prior's centre over the focal length, [1], or over those of all frames, [T]."""
+    return np.asarray(np.log(prior.focal_px / (state.focals_px if unknowns.zoom else np.array([state.focal_px]))))
 
 
 def _objective(graph: FlowGraph, state: State, sigma_px: float, unknowns: Unknowns, prior: FocalPrior) -> float:
@@ -211,17 +252,18 @@ def _objective(graph: FlowGraph, state: State, sigma_px: float, unknowns: Unknow
     if unknowns.translation:
         cost += DEPTH_PRIOR * float(((state.inverse_depth - 1) ** 2).sum()) / total_weight
     if unknowns.focal:
-        cost += prior.weight * float(np.log(prior.focal_px / state.focal_px)) ** 2 / total_weight
+        apart = _from_prior(state, unknowns, prior)
+        cost += float(apart @ prior.curvature(len(apart)) @ apart) / total_weight
     return cost
 
 
 def observations(graph: FlowGraph) -> kernel.EdgeMatches:
     """The graph in the form that the kernels take."""
-    return kernel.EdgeMatches(graph.pointer, graph.source, graph.pixels, graph.matches, graph.weights)
+    return kernel.EdgeMatches(graph.pointer, graph.source, graph.target, graph.pixels, graph.matches, graph.weights)
 
 
 def geometry(graph: FlowGraph, state: State) -> kernel.Geometry:
     """The state in the form that the kernels take."""
     relative = reduced.relative_motions(graph, state.cam_from_world)
     R, t = np.ascontiguousarray(relative[:, :3, :3]), np.ascontiguousarray(relative[:, :3, 3])
-    return kernel.Geometry(R, t, state.inverse_depth, np.append(state.focal_px, graph.centre))
+    return kernel.Geometry(R, t, state.inverse_depth, state.focals_px, graph.centre)

@@ -1,6 +1,6 @@
 """Output depth of bundle adjustment: denser than the solver's grid, with variance, holes filled."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -93,5 +93,5 @@ def _search(graph: FlowGraph, coarse: FlowGraph, state: State) -> tuple[np.ndarr
     start = graph.resample(state.inverse_depth.reshape(graph.T, coarse.rows, coarse.columns), coarse.stride)
     around = start * SPAN[:, None, None]
     everywhere = np.broadcast_to(SWEEP[:, None, None], (len(SWEEP), *start.shape))
-    fine = State(state.cam_from_world, start, state.focal_px)
+    fine = replace(state, inverse_depth=start)
     return dba.sweep(graph, fine, np.concatenate([around, everywhere]), SIGMA_PX)

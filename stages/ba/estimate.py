@@ -13,6 +13,7 @@ from stages.ba.initialise import Candidate
 from stages.ba.options import BAOptions
 from stages.ba.start import Observed, PoseGuess, Start, find_start
 from stages.ba.uncertainty import focal_sigma, median_residual, solution_covariance
+from stages.ba.zoom import NOT_TESTED, Evidence
 
 PRIOR_FOCAL = 1.1
 """Centre of the focal length prior, in image widths (a horizontal field of view of 49 degrees)."""
@@ -72,6 +73,7 @@ class Estimate:
         focal: the decision about the focal length and its numbers.
         failed_checks: checks of the statistics that the solution failed, in words; flags: these and other warnings.
         static: [T, height, width] 0..1, the static area used instead of the input masks; None: the masks were kept.
+        zoom: the decision whether the focal length changes over the frames.
     """
 
     state: State
@@ -84,6 +86,7 @@ class Estimate:
     flags: list[str] = field(default_factory=list)
     steps: list[Step] = field(default_factory=list)
     static: np.ndarray | None = None
+    zoom: Evidence = NOT_TESTED
 
 
 def estimate(problem: Problem, options: BAOptions) -> Estimate:
@@ -123,14 +126,16 @@ def _estimate(problem: Problem, options: BAOptions) -> Estimate:
     graph = start.graph
     problem = replace(problem, graph=graph, masked=problem.masked or start.static is not None)
     found = start.candidate
-    state = initialise.initial_state(graph, found.state.cam_from_world, found.state.focal_px, FINE_PX[0])
+    cameras = found.state
+    state = initialise.initial_state(graph, cameras.cam_from_world, cameras.focal_px, FINE_PX[0], cameras.zoom)
     refined, focal = _refine(problem, statistics, replace(found, state=state), prior)
     residual_px = median_residual(graph, refined.state)
     against = diagnostics.of_solution(replace(found, state=refined.state), start.others, statistics, residual_px)
     steps = [step for candidate in (*start.others, found) for step in candidate.steps] + refined.steps
     solution = _finish(problem, statistics, refined.state, focal, against, steps)
     numbers = solution.statistics | {"roughness": found.roughness}
-    return replace(solution, static=start.static, statistics=numbers, flags=start.flags + solution.flags)
+    solution = replace(solution, static=start.static, statistics=numbers, flags=start.flags + solution.flags)
+    return replace(solution, zoom=start.zoom or NOT_TESTED)
 
 
 def _start(
@@ -144,7 +149,9 @@ def _start(
     elif statistics.camera == "near-still" and not problem.known_focal_px:
         focals = [prior.focal_px]
     unmasked = problem.unmasked or problem.graph
-    return find_start(Observed(problem.graph, unmasked, previous, focals, statistics, prior, options.seed))
+    observed = Observed(problem.graph, unmasked, previous, focals, statistics, prior, options.seed)
+    tested = statistics.camera == "moving" and not problem.known_focal_px and options.zoom != "no"
+    return find_start(replace(observed, tested=tested, assumed=options.zoom == "yes"))
 
 
 def _estimate_rotations(problem: Problem, statistics: Statistics, prior: FocalPrior) -> Estimate:
@@ -176,7 +183,7 @@ def _refine(problem: Problem, statistics: Statistics, start: Candidate, prior: F
     graph = problem.graph
     reason = _reason_to_hold(problem, statistics, start.state)
     if not reason:
-        refined = _adjust(problem, start.state, Unknowns(focal=True), prior)
+        refined = _adjust(problem, start.state, Unknowns(focal=True, zoom=start.state.zoom is not None), prior)
         sigma = focal_sigma(graph, refined.state)
         reason = _reason_to_drop(problem, refined.state.focal_px / prior.focal_px, sigma)
         if not reason:
@@ -240,8 +247,10 @@ def _finish(
     problem: Problem, statistics: Statistics, state: State, focal: Focal, against: list[str], steps: list[Step]
 ) -> Estimate:
     graph = problem.graph
-    unknowns = Unknowns(focal.decision in ("estimated", "weakly observed"), statistics.camera != "rotating")
-    blocks = solution_covariance(graph, state, unknowns)[:-1, :-1].reshape(graph.T, 6, graph.T, 6)
+    free = focal.decision in ("estimated", "weakly observed")
+    unknowns = Unknowns(free, statistics.camera != "rotating", free and state.zoom is not None)
+    twists = 6 * graph.T
+    blocks = solution_covariance(graph, state, unknowns)[:twists, :twists].reshape(graph.T, 6, graph.T, 6)
     covariance = np.einsum("iaib->iab", blocks)
     decision = asdict(focal) | {"focal_px": state.focal_px}
     flags = list(against)

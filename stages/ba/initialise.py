@@ -1,7 +1,7 @@
 """Initialisation of poses by chains of two-view motions and of depths for fixed poses; comparison of candidates."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,11 +21,17 @@ class Hypothesis:
     """Parameters of a chain: focal length in px, two-view threshold in px, frame distance of a pair.
 
     Neighbours match best. Where parallax is small, only distant frames separate camera motion from object motion.
+    `zoom` is that of `dba.State`.
     """
 
     focal_px: float
     threshold_px: float
     step: int = 1
+    zoom: np.ndarray | None = None
+
+    def focals_px(self, *frames: int) -> list[float]:
+        """Focal lengths of these frames."""
+        return [self.focal_px * (1.0 if self.zoom is None else float(self.zoom[k])) for k in frames]
 
 
 @dataclass(frozen=True)
@@ -50,12 +56,14 @@ def chain(graph: FlowGraph, hypothesis: Hypothesis, seed: int) -> np.ndarray:
     velocity, scale = np.zeros(6), 1.0
     previous: tuple[int, twoview.TwoView] | None = None
     for i, j in pair_chain(graph, hypothesis.step):
-        rays = twoview.pair_rays(graph, i, j, hypothesis.focal_px)
-        pair = twoview.estimate_motion(*rays, hypothesis.focal_px, hypothesis.threshold_px, seed)
+        focals = hypothesis.focals_px(i, j)
+        rays = twoview.pair_rays(graph, i, j, *focals)
+        pair = twoview.estimate_motion(*rays, focals[0], hypothesis.threshold_px, seed)
         if pair is not None:
             if previous is not None:
                 before, motion = previous
-                scale *= _relative_scale(graph, (before, i, j), (motion, pair), hypothesis.focal_px)
+                frames = before, i, j
+                scale *= _relative_scale(graph, frames, (motion, pair), hypothesis.focals_px(*frames))
             velocity = lie.log_se3(lie.from_parts(pair.R, scale * pair.t)) / (j - i)
         previous = None if pair is None else (i, pair)
         for frame in range(i + 1, j + 1):
@@ -74,8 +82,14 @@ def pair_chain(graph: FlowGraph, step: int) -> list[tuple[int, int]]:
     return pairs
 
 
-def initial_state(graph: FlowGraph, cam_from_world: np.ndarray, focal_px: float, sigma_px: float = 1.0) -> State:
-    """State in the gauge from poses alone: inverse depths are searched with the poses fixed."""
+def initial_state(
+    graph: FlowGraph,
+    cam_from_world: np.ndarray,
+    focal_px: float,
+    sigma_px: float = 1.0,
+    zoom: np.ndarray | None = None,
+) -> State:
+    """State in the gauge from cameras alone: inverse depths are searched with the cameras fixed."""
     centres = lie.inverse(cam_from_world)[:, :3, 3]
     reach = float(np.median(np.linalg.norm(np.diff(centres, axis=0), axis=1)))
     flow_px = np.linalg.norm(graph.matches - graph.pixels, axis=2)
@@ -83,7 +97,7 @@ def initial_state(graph: FlowGraph, cam_from_world: np.ndarray, focal_px: float,
     usual_px = float(np.median(flow_px[steps == 1])) if (steps == 1).any() else 1.0
     # An inverse depth of usual_px / (focal x step) moves a pixel as far as the flow does: the search is centred there.
     middle = max(usual_px, 0.1) / (focal_px * max(reach, 1e-12))
-    state = State(cam_from_world, np.full((graph.T, len(graph.pixels)), middle), focal_px)
+    state = State(cam_from_world, np.full((graph.T, len(graph.pixels)), middle), focal_px, zoom)
     return dba.normalise(search_depth(graph, dba.normalise(state), sigma_px))
 
 
@@ -94,7 +108,7 @@ def search_depth(graph: FlowGraph, state: State, sigma_px: float) -> State:
         [state.inverse_depth[None], np.broadcast_to(SWEEP[:, None, None], (len(SWEEP), *shape))]
     )
     inverse_depth, _ = dba.sweep(graph, state, candidates, sigma_px)
-    return State(state.cam_from_world, inverse_depth, state.focal_px)
+    return replace(state, inverse_depth=inverse_depth)
 
 
 def adjust(
@@ -121,16 +135,19 @@ def roughness(cam_from_world: np.ndarray) -> float:
 
 
 def _relative_scale(
-    graph: FlowGraph, frames: tuple[int, int, int], motions: tuple[twoview.TwoView, twoview.TwoView], focal_px: float
+    graph: FlowGraph,
+    frames: tuple[int, int, int],
+    motions: tuple[twoview.TwoView, twoview.TwoView],
+    focals_px: Sequence[float],
 ) -> float:
     """Length of the second motion over that of the first, from the inverse depths of the middle frame in both."""
-    (start, middle, end), (before, after) = frames, motions
+    (start, middle, end), (before, after), (f_start, f_middle, f_end) = frames, motions, focals_px
     forward, backward = graph.edge(middle, end), graph.edge(middle, start)
     if forward is None or backward is None:
         return 1.0
-    rays = (graph.pixels - graph.centre) / focal_px
-    ahead = (graph.matches[forward] - graph.centre) / focal_px
-    behind = (graph.matches[backward] - graph.centre) / focal_px
+    rays = (graph.pixels - graph.centre) / f_middle
+    ahead = (graph.matches[forward] - graph.centre) / f_end
+    behind = (graph.matches[backward] - graph.centre) / f_start
     d_after, parallax_after = twoview.triangulate(after.R, after.t, rays, ahead)
     d_before, parallax_before = twoview.triangulate(before.R.T, -before.R.T @ before.t, rays, behind)
     sure = (graph.weights[forward] > 0.5) & (graph.weights[backward] > 0.5) & (d_after > 0) & (d_before > 0)

@@ -3,7 +3,8 @@
 The residual of pixel p of source frame i in edge e = (i, j) is r = p* - Pi(R x + d t), where (R, t) = C_j C_i^-1,
 x is the ray of p with z = 1, d its inverse depth and p* = p + flow. The scaled point R x + d t needs no division by
 d, so points at infinity (d = 0) are ordinary. Local unknowns of an edge are the left twist of the target camera
-[rho, omega] and log focal; `stages.ba.reduced` maps them to the poses. Robust weights are Geman-McClure.
+[rho, omega] and log focal; if every frame has its own focal length, the log focals of target and source instead of the
+one. `stages.ba.reduced` maps them to the unknowns of all frames. Robust weights are Geman-McClure.
 """
 
 from typing import NamedTuple
@@ -25,18 +26,23 @@ class EdgeMatches(NamedTuple):
 
     pointer: np.ndarray
     source: np.ndarray
+    target: np.ndarray
     pixels: np.ndarray
     matches: np.ndarray
     weights: np.ndarray
 
 
 class Geometry(NamedTuple):
-    """Linearisation point: target_from_source R [E, 3, 3], t [E, 3]; inverse depth [T, P]; lens (focal, cx, cy) px."""
+    """Linearisation point: target_from_source R [E, 3, 3], t [E, 3]; inverse depth [T, P].
+
+    Focal lengths [T] and principal point [2] in px.
+    """
 
     R: np.ndarray
     t: np.ndarray
     inverse_depth: np.ndarray
-    lens: np.ndarray
+    focals: np.ndarray
+    centre: np.ndarray
 
 
 @njit(**FAST)
@@ -45,13 +51,14 @@ def _linearise(
 ) -> None:
     """Fill J [8, 2 BLOCK] (twist, log focal, residual) and D [2 BLOCK] (inverse depth) for pixels from `first` on.
 
-    Rows are scaled by the root of the weight; the u components come first, then the v components.
+    With 9 rows J holds (twist, log focal of the target, log focal of the source, residual). Rows are scaled by the root
+    of the weight; the u components come first, then the v components.
     """
-    focal, cx, cy = at.lens[0], at.lens[1], at.lens[2]
+    here, focal, cx, cy = at.focals[i], at.focals[data.target[e]], at.centre[0], at.centre[1]
     R, t = at.R[e], at.t[e]
     for q in range(min(BLOCK, data.pixels.shape[0] - first)):
         p, q2 = first + q, BLOCK + q
-        x, y, d = (data.pixels[p, 0] - cx) / focal, (data.pixels[p, 1] - cy) / focal, at.inverse_depth[i, p]
+        x, y, d = (data.pixels[p, 0] - cx) / here, (data.pixels[p, 1] - cy) / here, at.inverse_depth[i, p]
         turned_x, turned_y, turned_z = R[0, 0] * x + R[0, 1] * y, R[1, 0] * x + R[1, 1] * y, R[2, 0] * x + R[2, 1] * y
         Z = turned_z + R[2, 2] + d * t[2]
         ahead = Z > MIN_DEPTH_RATIO
@@ -69,13 +76,18 @@ def _linearise(
         J[6, q], J[6, q2] = s_f * u - s_fz * (turned_x - u * turned_z), s_f * v - s_fz * (turned_y - v * turned_z)
         J[7, q], J[7, q2] = s * a, s * b
         D[q], D[q2] = s_fz * (t[0] - u * t[2]), s_fz * (t[1] - v * t[2])
+    if len(J) == 9:
+        for q in range(2 * BLOCK):
+            # The focal length of the target scales (u, v), the direction in which a roll turns, (-v, u), a quarter on.
+            target = J[5, q + BLOCK] if q < BLOCK else -J[5, q - BLOCK]
+            J[8, q], J[7, q], J[6, q] = J[7, q], J[6, q] - target, target
 
 
 @njit(**FAST)
 def _add_gram(J: np.ndarray, H: np.ndarray) -> None:
-    """Add J J^T to the upper triangle of H [8, 8]."""
-    for a in range(8):
-        for b in range(a, 8):
+    """Add J J^T to the upper triangle of H [n, n], n the rows of J."""
+    for a in range(len(J)):
+        for b in range(a, len(J)):
             total = 0.0
             for q in range(2 * BLOCK):
                 total += J[a, q] * J[b, q]
@@ -84,14 +96,14 @@ def _add_gram(J: np.ndarray, H: np.ndarray) -> None:
 
 @njit(**FAST)
 def _add_coupling(J: np.ndarray, D: np.ndarray, edge: int, coupling: np.ndarray, curvature: np.ndarray) -> None:
-    """Fill the coupling of pose (6 rows per edge), log focal and gradient with the inverse depths; add curvature."""
-    last = coupling.shape[0] - 2
+    """Fill the coupling of the rows of an edge, log focal and gradient with the inverse depths; add curvature."""
+    last, rows = coupling.shape[0] - 2, len(J) - 2
     for q in range(BLOCK):
         q2 = BLOCK + q
-        for a in range(6):
-            coupling[6 * edge + a, q] = J[a, q] * D[q] + J[a, q2] * D[q2]
-        coupling[last, q] += J[6, q] * D[q] + J[6, q2] * D[q2]
-        coupling[last + 1, q] += J[7, q] * D[q] + J[7, q2] * D[q2]
+        for a in range(rows):
+            coupling[rows * edge + a, q] = J[a, q] * D[q] + J[a, q2] * D[q2]
+        coupling[last, q] += J[rows, q] * D[q] + J[rows, q2] * D[q2]
+        coupling[last + 1, q] += J[rows + 1, q] * D[q] + J[rows + 1, q2] * D[q2]
         curvature[q] += D[q] * D[q] + D[q2] * D[q2]
 
 
@@ -122,10 +134,11 @@ def _add_frames(
 ) -> None:
     """`normal_equations` of the source frames begin..end; scales are (sigma, damping, depth prior)."""
     sigma, damping, depth_prior = scales[0], scales[1], scales[2]
-    P, J, D, curvature = len(data.pixels), np.zeros((8, 2 * BLOCK)), np.zeros(2 * BLOCK), np.zeros(BLOCK)
+    P, size = len(data.pixels), hessians.shape[1]
+    J, D, curvature = np.zeros((size, 2 * BLOCK)), np.zeros(2 * BLOCK), np.zeros(BLOCK)
     for i in range(begin, end):
         k = data.pointer[i + 1] - data.pointer[i]
-        n = 6 * k + 2
+        n = (size - 2) * k + 2
         coupling, scaled = np.zeros((n, BLOCK)), np.zeros((n, BLOCK))
         for first in range(0, P, BLOCK):
             count = min(BLOCK, P - first)
@@ -146,21 +159,25 @@ def _add_frames(
 
 
 def normal_equations(
-    data: EdgeMatches, at: Geometry, sigma: float, damping: float, depth_prior: float
+    data: EdgeMatches, at: Geometry, sigma: float, damping: float, depth_prior: float, zoom: bool = False
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Local normal equations of every edge, and the Schur complement term of eliminating the inverse depths.
 
     Args:
         sigma: scale of the robust kernel, px; damping: relative, of Levenberg-Marquardt.
         depth_prior: weight, px^2, of the prior that every inverse depth is 1.
+        zoom: whether every frame has a focal length of its own.
 
     Returns:
         hessians [E, 8, 8] over (twist 6, log focal, residual), symmetric; schur [T, n, n] with n = 6 k + 2 rows
         (twists of the frame's k edges, log focal, gradient); curvature (damped) and gradient [T, P] of the depths.
+        With zoom, hessians [E, 9, 9] over (twist 6, log focal of the target, of the source, residual) and n = 7 k + 2
+        (twist and log focal of the target of every edge, log focal of the source, gradient).
     """
     T, P = at.inverse_depth.shape
-    size = 6 * int(np.diff(data.pointer).max()) + 2
-    hessians, schur = np.zeros((len(data.source), 8, 8)), np.zeros((T, size, size))
+    rows = 7 if zoom else 6
+    size = rows * int(np.diff(data.pointer).max()) + 2
+    hessians, schur = np.zeros((len(data.source), rows + 2, rows + 2)), np.zeros((T, size, size))
     curvatures, gradients = np.ones((T, P)), np.zeros((T, P))
     scales = np.array([sigma, damping, depth_prior])
     spread(_add_frames, T, data, at, scales, hessians, schur, curvatures, gradients)
@@ -172,14 +189,14 @@ def normal_equations(
 def _explain(
     begin: int, end: int, data: EdgeMatches, at: Geometry, sigma: float, step: np.ndarray, out: np.ndarray
 ) -> None:
-    """Add to `out` [T, P] the part of the depth gradients of frames begin..end due to the local steps [E, 7]."""
-    P = len(data.pixels)
-    J, D = np.zeros((8, 2 * BLOCK)), np.zeros(2 * BLOCK)
+    """Add to `out` [T, P] the part of the depth gradients of frames begin..end due to the local steps [E, n]."""
+    P, n = len(data.pixels), step.shape[1]
+    J, D = np.zeros((n + 1, 2 * BLOCK)), np.zeros(2 * BLOCK)
     for i in range(begin, end):
         for e in range(data.pointer[i], data.pointer[i + 1]):
             for first in range(0, P, BLOCK):
                 _linearise(data, at, sigma, i, e, first, J, D)
-                for a in range(7):
+                for a in range(n):
                     for q in range(min(BLOCK, P - first)):
                         out[i, first + q] += step[e, a] * (J[a, q] * D[q] + J[a, BLOCK + q] * D[BLOCK + q])
 
@@ -192,7 +209,8 @@ def depth_steps(
     gradients: np.ndarray,
     local_steps: np.ndarray,
 ) -> np.ndarray:
-    """Steps [T, P] of the inverse depths once the local steps [E, 7] (twist, log focal) of the edges are known."""
+    """Steps [T, P] of the inverse depths once the local steps of the edges are known: [E, 7] (twist, log focal), or
+    [E, 8] (twist, log focal of target and source)."""
     explained = np.zeros(at.inverse_depth.shape)
     spread(_explain, len(explained), data, at, sigma, local_steps, explained)
     return np.asarray((gradients - explained) / curvatures)

@@ -13,6 +13,9 @@ class BAOptions(Options):
     intrinsics: Literal["estimate", "truth"] = Field(
         "estimate", description="estimate one shared focal length, or take the true K"
     )
+    zoom: Literal["auto", "yes", "no"] = Field(
+        "auto", description="whether the focal length changes over the frames; auto: if that explains held-out pixels"
+    )
     poses_from: Literal["estimate", "truth"] = Field(
         "estimate", description="estimate cameras, or take the true poses and K and estimate the depth alone"
     )

@@ -25,14 +25,19 @@ def homographies(graph: FlowGraph) -> list[np.ndarray | None]:
     return [homography(graph, i, i + 1) for i in range(graph.T - 1)]
 
 
-def chain_planes(steps: list[np.ndarray | None], focal_px: float) -> np.ndarray:
+def chain_planes(steps: list[np.ndarray | None], focal_px: float | np.ndarray) -> np.ndarray:
     """Camera poses [T, 4, 4] from the homographies of one plane, whose distance to the first camera is 1.
 
     A homography has two solutions for motion and normal (Faugeras and Lustman, 1988). The plane is fixed in the world,
     so the normal of one pair predicts that of the next: of the two possible first normals, the one with the smallest
     prediction error is kept. A pair without homography repeats the motion of the pair before.
+
+    Args:
+        steps: the T - 1 homographies of neighbouring frames; focal_px: focal length of all frames, or [T] of each.
     """
-    motions = [_motions(H, focal_px) if H is not None else [] for H in steps]
+    focals_px = np.broadcast_to(focal_px, len(steps) + 1)
+    pairs = zip(steps, focals_px[:-1], focals_px[1:], strict=True)
+    motions = [_motions(H, float(here), float(there)) if H is not None else [] for H, here, there in pairs]
     first = next((options for options in motions if options), [])
     if not first:
         return np.tile(np.eye(4), (len(steps) + 1, 1, 1))
@@ -56,9 +61,10 @@ def _follow(
     return cam_from_world, missed
 
 
-def _motions(H: np.ndarray, focal_px: float) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+def _motions(H: np.ndarray, focal_px: float, other_px: float) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Rotation, translation over distance, and normal (into the scene) of each decomposition of H."""
     K = np.diag([focal_px, focal_px, 1.0])
-    _, rotations, translations, normals = cv2.decomposeHomographyMat(H, K)
+    same_lens = np.diag([focal_px / other_px, focal_px / other_px, 1.0]) @ H
+    _, rotations, translations, normals = cv2.decomposeHomographyMat(same_lens, K)
     found = zip(rotations, translations, normals, strict=True)
     return [(R, t.ravel(), n.ravel()) for R, t, n in found if n[2, 0] > 0]

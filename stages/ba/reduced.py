@@ -1,4 +1,7 @@
-"""The reduced system of bundle adjustment: poses and focal length, after elimination of the inverse depths."""
+"""The reduced system of bundle adjustment: poses and focal lengths, after elimination of the inverse depths.
+
+The unknowns are the twists of T poses, then one log focal, or T if every frame has its own.
+"""
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -15,29 +18,36 @@ def relative_motions(graph: FlowGraph, cam_from_world: np.ndarray) -> np.ndarray
 def assemble(
     graph: FlowGraph, relative: np.ndarray, hessians: np.ndarray, schur: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Sum the local systems of all frames into one over (twists of T poses, log focal).
+    """Sum the local systems of all frames into one over (twists of T poses, log focal) or (twists, T log focals).
 
     A left twist of the pose of the source acts on an edge as -Ad(target_from_source), so with the local unknowns
     stacked as L x the system is L^T (H - schur) L (Triggs et al., Bundle Adjustment: A Modern Synthesis, 2000).
 
     Returns:
-        S [6T + 1, 6T + 1] and right-hand side [6T + 1].
+        S [6T + 1, 6T + 1] and right-hand side [6T + 1]; with T focal lengths 7T in place of 6T + 1.
     """
-    T = graph.T
-    S, rhs = np.zeros((6 * T + 1, 6 * T + 1)), np.zeros(6 * T + 1)
+    T, rows = graph.T, hessians.shape[1] - 2
+    zoom = rows > 6
+    size = 7 * T if zoom else 6 * T + 1
+    S, rhs = np.zeros((size, size)), np.zeros(size)
     adjoints = lie.adjoint(relative)
     for i in range(T):
         first, last = graph.pointer[i], graph.pointer[i + 1]
         k = last - first
-        n = 6 * k
+        n = rows * k
         H = hessians[first:last]
         local = -schur[i, : n + 2, : n + 2]
-        local[:n, :n].reshape(k, 6, k, 6)[np.arange(k), :, np.arange(k)] += H[:, :6, :6]
-        local[:n, n:] += H[:, :6, 6:].reshape(n, 2)
-        local[n:, :n] += H[:, 6:, :6].transpose(1, 0, 2).reshape(2, n)
-        local[n:, n:] += H[:, 6:, 6:].sum(axis=0)
-        A = -adjoints[first:last].reshape(n, 6)
-        columns = np.append((6 * graph.target[first:last, None] + np.arange(6)).ravel(), 6 * T)
+        local[:n, :n].reshape(k, rows, k, rows)[np.arange(k), :, np.arange(k)] += H[:, :rows, :rows]
+        local[:n, n:] += H[:, :rows, rows:].reshape(n, 2)
+        local[n:, :n] += H[:, rows:, :rows].transpose(1, 0, 2).reshape(2, n)
+        local[n:, n:] += H[:, rows:, rows:].sum(axis=0)
+        A = np.zeros((k, rows, 6))
+        A[:, :6] = -adjoints[first:last]
+        A = A.reshape(n, 6)
+        columns = 6 * graph.target[first:last, None] + np.arange(6)
+        if zoom:
+            columns = np.append(columns, 6 * T + graph.target[first:last, None], axis=1)
+        columns = np.append(columns.ravel(), 6 * T + (i if zoom else 0))
         source = slice(6 * i, 6 * i + 6)
         across = A.T @ local[:n]
         S[np.ix_(columns, columns)] += local[: n + 1, : n + 1]
@@ -63,28 +73,35 @@ def solve_damped(S: np.ndarray, rhs: np.ndarray, free: np.ndarray, damping: floa
 
 
 def edge_steps(graph: FlowGraph, relative: np.ndarray, step: np.ndarray) -> np.ndarray:
-    """Local steps [E, 7] (twist of the target seen from the source, log focal) of a step [6T + 1] of all unknowns."""
-    twists = step[:-1].reshape(-1, 6)
+    """Local steps of a step of all unknowns, [6T + 1] or [7T].
+
+    Returns:
+        [E, 7] (twist of the target seen from the source, log focal), or [E, 8] (twist, log focal of target, of source).
+    """
+    T = graph.T
+    twists, focals = step[: 6 * T].reshape(-1, 6), step[6 * T :]
     seen = np.einsum("eab,eb->ea", lie.adjoint(relative), twists[graph.source])
     local = twists[graph.target] - seen
-    return np.concatenate([local, np.full((len(local), 1), step[-1])], axis=1)
+    if len(focals) == 1:
+        return np.concatenate([local, np.full((len(local), 1), focals[0])], axis=1)
+    return np.concatenate([local, focals[graph.target, None], focals[graph.source, None]], axis=1)
 
 
 def scale_gauge(S: np.ndarray, cam_from_world: np.ndarray) -> np.ndarray:
-    """A stiff term [6T + 1, 6T + 1] that fixes the scale of the trajectory.
+    """A stiff term of the shape of S that fixes the scale of the trajectory.
 
     Scaling the world moves the unknowns along s = (translation, 0) per pose and changes no residual; the row
     s^T x = 0 removes that direction without touching the others.
     """
     s = np.zeros(len(S))
-    s[:-1].reshape(-1, 6)[:, :3] = cam_from_world[:, :3, 3]
+    s[: 6 * len(cam_from_world)].reshape(-1, 6)[:, :3] = cam_from_world[:, :3, 3]
     s[np.diagonal(S) == 0] = 0  # frames without matches: their scale could offset that of all others at no cost
     squared = s @ s
     return np.trace(S) / len(S) * np.outer(s, s) / squared if squared > 0 else np.zeros_like(S)
 
 
 def covariance(S: np.ndarray, cam_from_world: np.ndarray, free: np.ndarray) -> np.ndarray:
-    """Covariance [6T + 1, 6T + 1] for unit flow variance, in the gauge: first pose and trajectory scale fixed.
+    """Covariance, of the shape of S, for unit flow variance, in the gauge: first pose and trajectory scale fixed.
 
     Unknowns that are not free have covariance 0. Curvature has a floor of 1e-12 of its mean, so that unobserved
     directions get a large variance instead of infinity.

@@ -19,15 +19,16 @@ def errors_px(data: EdgeMatches, at: Geometry) -> np.ndarray:
 
 @njit(**FAST)
 def _errors_px(begin: int, end: int, data: EdgeMatches, at: Geometry, errors: np.ndarray) -> None:
-    focal, cx, cy = at.lens[0], at.lens[1], at.lens[2]
+    cx, cy = at.centre[0], at.centre[1]
     n = errors.shape[1]
     x, y, match_u, match_v = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
     for e in range(begin, end):
         R, t, i = at.R[e], at.t[e], data.source[e]
+        here, focal = at.focals[i], at.focals[data.target[e]]
         r00, r01, r02, r10, r11, r12 = R[0, 0], R[0, 1], R[0, 2], R[1, 0], R[1, 1], R[1, 2]
         r20, r21, r22, t0, t1, t2 = R[2, 0], R[2, 1], R[2, 2], t[0], t[1], t[2]
         for p in range(n):  # one array per component, so that the loop below becomes vector instructions
-            x[p], y[p] = (data.pixels[p, 0] - cx) / focal, (data.pixels[p, 1] - cy) / focal
+            x[p], y[p] = (data.pixels[p, 0] - cx) / here, (data.pixels[p, 1] - cy) / here
             match_u[p], match_v[p] = data.matches[e, p, 0] - cx, data.matches[e, p, 1] - cy
         for p in range(n):
             d = at.inverse_depth[i, p]
@@ -75,11 +76,11 @@ def _sweep_depth(
     best_curvature: np.ndarray,
 ) -> None:
     """`sweep_depth` of frames begin..end; one array per component of the matches, so that pixel loops vectorise."""
-    P, focal, cx, cy = candidates.shape[2], at.lens[0], at.lens[1], at.lens[2]
+    P, cx, cy = candidates.shape[2], at.centre[0], at.centre[1]
     x, y, d, best = np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK)
     cost, curvature, gradient = np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK)
     for i in range(begin, end):
-        e0, e1 = data.pointer[i], data.pointer[i + 1]
+        e0, e1, focal = data.pointer[i], data.pointer[i + 1], at.focals[i]
         s, t = np.empty((e1 - e0, BLOCK)), np.empty((e1 - e0, BLOCK))
         for first in range(0, P, BLOCK):
             n = min(BLOCK, P - first)
@@ -96,7 +97,8 @@ def _sweep_depth(
                     cost[:], curvature[:], gradient[:] = 0.0, 0.0, 0.0
                     for e in range(e0, e1):
                         seen = s[e - e0], t[e - e0], data.weights[e, first : first + n]
-                        _add_probe(at.R[e], at.t[e], focal, x, y, seen, d, sigma, cost, curvature, gradient)
+                        there = at.focals[data.target[e]]
+                        _add_probe(at.R[e], at.t[e], there, x, y, seen, d, sigma, cost, curvature, gradient)
                     for q in range(n):
                         if cost[q] < best[q]:
                             best[q], best_depth[i, first + q], best_curvature[i, first + q] = (

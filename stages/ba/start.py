@@ -9,12 +9,13 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from stages.ba import dba, initialise, planar
+from stages.ba import dba, initialise, planar, zoom
 from stages.ba.classify import Statistics, longest_step
 from stages.ba.dba import FocalPrior, Level, State, Unknowns
 from stages.ba.diagnostics import ROUGH_PATH
 from stages.ba.graph import MIN_WEIGHT, FlowGraph, mask_graph, thin_graph
 from stages.ba.initialise import Candidate, Hypothesis
+from stages.ba.zoom import Evidence
 
 COARSE_PIXELS = 400
 """Guesses are compared on a grid of about this many pixels per frame."""
@@ -36,10 +37,11 @@ SAME_PIXELS = 0.5
 
 @dataclass(frozen=True)
 class PoseGuess:
-    """An initial guess: poses [T, 4, 4] of any scale, and the focal length in px of the flow grid."""
+    """An initial guess: poses [T, 4, 4] of any scale; focal length, px of the flow grid, and zoom as in `dba.State`."""
 
     cam_from_world: np.ndarray
     focal_px: float
+    zoom: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -49,7 +51,8 @@ class Observed:
     Attributes:
         graph: masked observations; unmasked: the same without masks (the same object if there are none).
         previous: the solution of the previous round.
-        focals_px: focal lengths to try.
+        focals_px: focal lengths to try; curve: the zoom to try them with, as in `dba.State`.
+        tested: whether a changing focal length is tried besides; assumed: whether it is taken without a test.
     """
 
     graph: FlowGraph
@@ -59,6 +62,9 @@ class Observed:
     statistics: Statistics
     prior: FocalPrior
     seed: int
+    curve: np.ndarray | None = None
+    tested: bool = False
+    assumed: bool = False
 
     @property
     def threshold_px(self) -> float:
@@ -75,6 +81,7 @@ class Start:
         graph: observations to refine it on.
         static: [T, height, width] 0..1, the static area used instead of the input masks; None: the masks were kept.
         flags: warnings about the choice.
+        zoom: the decision about a changing focal length, if there was one.
     """
 
     candidate: Candidate
@@ -82,13 +89,47 @@ class Start:
     graph: FlowGraph
     static: np.ndarray | None
     flags: list[str]
+    zoom: Evidence | None = None
 
 
 def find_start(observed: Observed) -> Start:
     """Adjust guesses, also without masks if the path is rough, and look for a second motion in unexplained pixels."""
     factor = max(1, int(np.sqrt(len(observed.graph.pixels) / COARSE_PIXELS)))
-    plain = thin_graph(observed.unmasked, factor)
-    candidates = guess(observed, thin_graph(observed.graph, factor))
+    plain, coarse = thin_graph(observed.unmasked, factor), thin_graph(observed.graph, factor)
+    candidates = guess(observed, coarse)
+    if not observed.tested:
+        return _check(observed, plain, candidates)
+    evidence, changing = _with_zoom(observed, coarse, initialise.choose(candidates))
+    if changing:
+        observed = replace(observed, curve=changing.state.zoom)
+        candidates = [changing]
+    return replace(_check(observed, plain, candidates), zoom=evidence)
+
+
+def _with_zoom(observed: Observed, coarse: FlowGraph, best: Candidate) -> tuple[Evidence, Candidate | None]:
+    """The decision about a changing focal length, and the candidate with one if it changes."""
+    previous, focal_px = observed.previous, best.state.focal_px
+
+    def search() -> list[State]:
+        threshold_px = min(observed.threshold_px / 2, MAX_PAIR_PX)
+        steps = sorted({1, longest_step(coarse)})
+        curves = [zoom.curve_of_pairs(coarse, focal_px, step, threshold_px, observed.seed) for step in steps]
+        curves += [previous.zoom] if previous and previous.zoom is not None else []
+        at = replace(observed, focals_px=[focal_px])
+        return [initialise.choose(guess(replace(at, curve=curve), coarse)).state for curve in curves]
+
+    density = len(coarse.pixels) / len(observed.graph.pixels)
+    evidence, state = zoom.weigh(coarse, best.state, search, observed.prior, density)
+    if observed.assumed:
+        evidence = replace(evidence, decision="changing", reason=f"as the options say; {evidence.reason}")
+    if evidence.decision != "changing":
+        return evidence, None
+    levels = (Level(observed.threshold_px, 8, ENOUGH),)
+    return evidence, initialise.adjust(coarse, state, levels, zoom.PER_FRAME, observed.prior, "zoom")
+
+
+def _check(observed: Observed, plain: FlowGraph, candidates: list[Candidate]) -> Start:
+    """The best candidate, or one without masks or of a second motion if they explain more."""
     best, ignored = initialise.choose(candidates), ""
     if observed.unmasked is not observed.graph and best.roughness > ROUGH_PATH:
         unmasked = guess(replace(observed, focals_px=[best.state.focal_px]), plain)
@@ -109,22 +150,22 @@ def find_start(observed: Observed) -> Start:
 
 def guess(observed: Observed, graph: FlowGraph) -> list[Candidate]:
     """Adjusted guesses on one graph: chains over focal lengths and steps, planes, and the previous solution."""
-    threshold_px = observed.threshold_px
-    states = {}
+    threshold_px, curve = observed.threshold_px, observed.curve
+    poses_of: dict[str, tuple[np.ndarray, float]] = {}
     if observed.previous:
-        before = initialise.initial_state(graph, observed.previous.cam_from_world, observed.previous.focal_px)
-        states["previous round"] = before
+        poses_of["previous round"] = observed.previous.cam_from_world, observed.previous.focal_px
     steps = sorted({1, longest_step(graph)})
     planes = planar.homographies(graph) if observed.statistics.dominant_plane else None
     for focal_px in observed.focals_px:
         at = f"at {focal_px / graph.width:.2f} W"
         for step in steps:
-            hypothesis = Hypothesis(focal_px, min(threshold_px / 2, MAX_PAIR_PX), step)
+            hypothesis = Hypothesis(focal_px, min(threshold_px / 2, MAX_PAIR_PX), step, curve)
             poses = initialise.chain(graph, hypothesis, observed.seed)
-            states[f"chain {at}, {step} frames apart"] = initialise.initial_state(graph, poses, focal_px)
+            poses_of[f"chain {at}, {step} frames apart"] = poses, focal_px
         if planes:
-            poses = planar.chain_planes(planes, focal_px)
-            states[f"plane {at}"] = initialise.initial_state(graph, poses, focal_px)
+            poses = planar.chain_planes(planes, focal_px if curve is None else focal_px * curve)
+            poses_of[f"plane {at}"] = poses, focal_px
+    states = {name: initialise.initial_state(graph, *guessed, zoom=curve) for name, guessed in poses_of.items()}
     return adjust_guesses(graph, states, threshold_px, observed.prior)
 
 
@@ -148,7 +189,7 @@ def adjust_guesses(
 
 def explained(graph: FlowGraph, state: State) -> np.ndarray:
     """Which pixels [T, P] fit the poses of `state` at some depth: half of their matches, within 3 median errors."""
-    state = initialise.initial_state(graph, state.cam_from_world, state.focal_px, FITTING_PX[1])
+    state = initialise.initial_state(graph, state.cam_from_world, state.focal_px, FITTING_PX[1], state.zoom)
     errors = dba.errors_px(graph, state)
     sigma_px = np.clip(3 * np.median(errors[graph.weights > MIN_WEIGHT]), *FITTING_PX)
     return dba.fitting_pixels(graph, errors, float(sigma_px), 0.5)
@@ -165,7 +206,7 @@ def _costs_no_more(plain: FlowGraph, rival: Candidate, best: Candidate, sigma_px
     """Whether the rival costs no more than the best over all matches, up to COST_MARGIN."""
 
     def cost(state: State) -> float:
-        searched = initialise.initial_state(plain, state.cam_from_world, state.focal_px, sigma_px)
+        searched = initialise.initial_state(plain, state.cam_from_world, state.focal_px, sigma_px, state.zoom)
         return dba.robust_cost(plain, dba.errors_px(plain, searched), sigma_px)
 
     return cost(rival.state) <= (1 + initialise.COST_MARGIN) * cost(best.state)

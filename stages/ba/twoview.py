@@ -18,6 +18,8 @@ RANSAC_MATCHES = 1500
 """Number of matches for RANSAC, which gains nothing from more; the refinement uses all matches."""
 REFINEMENTS = 12
 """Gauss-Newton steps of a two-view motion."""
+MAX_LOG_RATIO_STEP = 0.1
+"""Largest step of the logarithm of the ratio of two focal lengths."""
 ROTATION_SIGMA_PX = 0.5
 """The last robust scale of a rotation."""
 GENERATORS = np.stack([lie.skew(axis) for axis in np.eye(3)])
@@ -32,8 +34,14 @@ class TwoView:
     t: np.ndarray
 
 
-def pair_rays(graph: FlowGraph, i: int, j: int, focal_px: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rays x [n, 2] in frame i, y [n, 2] in frame j and weights [n] of the confident matches of both edges."""
+def pair_rays(
+    graph: FlowGraph, i: int, j: int, focal_px: float, other_px: float | None = None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rays x [n, 2] in frame i, y [n, 2] in frame j and weights [n] of the confident matches of both edges.
+
+    Args:
+        focal_px: focal length of frame i; other_px: of frame j, if it differs.
+    """
     x, y, w = [np.zeros((0, 2))], [np.zeros((0, 2))], [np.zeros(0)]
     for edge, forward in ((graph.edge(i, j), True), (graph.edge(j, i), False)):
         if edge is not None:
@@ -43,7 +51,8 @@ def pair_rays(graph: FlowGraph, i: int, j: int, focal_px: float) -> tuple[np.nda
             y.append(there if forward else here)
             w.append(graph.weights[edge][confident].astype(float))
     centre = graph.centre
-    return (np.concatenate(x) - centre) / focal_px, (np.concatenate(y) - centre) / focal_px, np.concatenate(w)
+    rays = (np.concatenate(x) - centre) / focal_px, (np.concatenate(y) - centre) / (other_px or focal_px)
+    return *rays, np.concatenate(w)
 
 
 def estimate_motion(
@@ -86,6 +95,27 @@ def _refine_motion(R: np.ndarray, t: np.ndarray, x: np.ndarray, y: np.ndarray, w
     if (d[fits] * parallax[fits]).sum() < 0:
         t = -t
     return TwoView(R, t)
+
+
+def zoom_ratio(
+    motion: TwoView, x: np.ndarray, y: np.ndarray, w: np.ndarray, threshold_px: float, focal_px: float
+) -> float:
+    """Focal length of the second frame over that of the first, which gave both rays.
+
+    The motion is refined with this ratio s as a sixth unknown: y is s times the ray, so E becomes diag(1/s, 1/s, 1) E.
+    """
+    R, t, log_ratio, sigma = motion.R, motion.t, 0.0, threshold_px / focal_px
+    for scale in np.geomspace(3 * sigma, sigma, REFINEMENTS):
+        lens, across = np.diag([np.exp(-log_ratio), np.exp(-log_ratio), 1.0]), _tangent_basis(t)
+        E = lens @ lie.skew(t) @ R
+        by_motion = lens @ np.concatenate([lie.skew(t) @ GENERATORS, lie.skew(across)]) @ R
+        directions = np.concatenate([by_motion, (E * [[-1.0], [-1.0], [0.0]])[None]])
+        normal, gradient = _sum_normal(E, directions.reshape(6, 9), x, y, w, scale)
+        step = np.linalg.solve(normal + 1e-9 * np.trace(normal) * np.eye(6), -gradient)
+        R, t = lie.exp_so3(step[:3]) @ R, t + step[3:5] @ across
+        t = t / np.linalg.norm(t)
+        log_ratio += float(np.clip(step[5], -MAX_LOG_RATIO_STEP, MAX_LOG_RATIO_STEP))
+    return float(np.exp(log_ratio))
 
 
 def sampson_errors(R: np.ndarray, t: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -157,8 +187,10 @@ def _sampson_system(
 def _sum_normal(
     E: np.ndarray, directions: np.ndarray, x: np.ndarray, y: np.ndarray, w: np.ndarray, sigma: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Sum robust normal equations over the matches; `directions` [5, 9] are the derivatives of E by the unknowns."""
-    normal, gradient, by_E, J = np.zeros((5, 5)), np.zeros(5), np.empty(9), np.empty(5)
+    """Sum robust normal equations over the matches; `directions` [n, 9] are the derivatives of E by the unknowns."""
+    n_unknowns = len(directions)
+    normal, gradient = np.zeros((n_unknowns, n_unknowns)), np.zeros(n_unknowns)
+    by_E, J = np.empty(9), np.empty(n_unknowns)
     for m in range(len(x)):
         X, Y = (x[m, 0], x[m, 1], 1.0), (y[m, 0], y[m, 1], 1.0)
         n, g, line_y0, line_y1, line_x0, line_x1 = sampson_terms(E, X[0], X[1], Y[0], Y[1])
@@ -169,13 +201,13 @@ def _sum_normal(
                 by_E[3 * a + b] = Y[a] * X[b] / g - ratio * (lines_y[a] * X[b] + Y[a] * lines_x[b])
         residual = n / g
         robust = w[m] / (1.0 + (residual / sigma) ** 2) ** 2
-        for k in range(5):
+        for k in range(n_unknowns):
             J[k] = 0.0
             for c in range(9):
                 J[k] += directions[k, c] * by_E[c]
-        for k in range(5):
+        for k in range(n_unknowns):
             gradient[k] += robust * residual * J[k]
-            for other in range(5):
+            for other in range(n_unknowns):
                 normal[k, other] += robust * J[k] * J[other]
     return normal, gradient
 

@@ -20,12 +20,21 @@ def median_residual(graph: FlowGraph, state: State) -> float:
 
 
 def focal_sigma(graph: FlowGraph, state: State, translation: bool = True) -> float:
-    """Predicted relative standard deviation of the focal length with poses and depths marginalised."""
-    return float(np.sqrt(solution_covariance(graph, state, Unknowns(focal=True, translation=translation))[-1, -1]))
+    """Predicted relative standard deviation of the focal length with poses and depths marginalised.
+
+    It is that of the mean over the frames where their focal lengths differ.
+    """
+    unknowns = Unknowns(focal=True, translation=translation, zoom=state.zoom is not None)
+    return float(np.sqrt(solution_covariance(graph, state, unknowns)[6 * graph.T :, 6 * graph.T :].mean()))
 
 
 def solution_covariance(graph: FlowGraph, state: State, unknowns: Unknowns) -> np.ndarray:
-    """Covariance [6T + 1, 6T + 1] of a solution from the size of its residuals, scaled by `CORRELATION` squared."""
-    S, _ = dba.linear_system(graph, state, SIGMA_PX, eliminate=unknowns.translation)
+    """Covariance of a solution from the size of its residuals, scaled by `CORRELATION` squared.
+
+    It is [6T + 1, 6T + 1], or [7T, 7T] where every frame has a focal length, with the prior on their curve.
+    """
+    S, _ = dba.linear_system(graph, state, SIGMA_PX, unknowns.translation, unknowns.zoom)
+    if unknowns.zoom:
+        S[6 * graph.T :, 6 * graph.T :] += dba.smoothness(graph.T)
     full = reduced.covariance(S, state.cam_from_world, unknowns.indices(graph.T))
     return full * (CORRELATION * max(median_residual(graph, state), MIN_NOISE_PX)) ** 2

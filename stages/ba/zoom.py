@@ -1,0 +1,178 @@
+"""Whether the focal length changes over the frames: decided by what it buys on pixels held out of the fit.
+
+A focal length per frame lowers the residuals of any flow a little. So cameras with one focal length and cameras with
+one per frame are fitted to the pixels of every other tile of the image, and compared on the tiles between.
+"""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from stages.ba import dba, initialise, twoview
+from stages.ba.dba import FocalPrior, Level, State, Unknowns
+from stages.ba.graph import MIN_MATCHES, MIN_WEIGHT, FlowGraph
+from stages.ba.uncertainty import solution_covariance
+
+TILES = (4, 6)
+"""Rows and columns of the tiles of an image."""
+SCHEDULE = (Level(1.0, 12, 1e-3), Level(0.5, 15, 1e-4))
+SHARP, SHARP_PX = 2.0, (0.05, 0.5)
+"""Robust scale of the comparison in units of the median residual, and its limits in px."""
+MIN_GAIN = 0.04
+"""Share of the held-out cost that a changing focal length must save."""
+SIGNIFICANT = 3.0
+"""The gain, and the change of the focal length, must exceed this many of their standard deviations."""
+MAX_SIGMA = 0.08
+"""From this predicted relative error on, a change of the focal length is not observable."""
+SUSPECTED_GAIN, SUSPECTED_CHANGE = 0.01, 0.02
+"""From this gain or this change on, cameras with a changing focal length are searched anew, from pairs of frames."""
+SMOOTHED = 2
+"""A change from frame to frame is the median over this many more on both sides."""
+ONE, PER_FRAME = Unknowns(focal=True), Unknowns(focal=True, zoom=True)
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """The decision about a changing focal length and the numbers behind it.
+
+    Attributes:
+        decision: "changing", "constant", "not observable" or "not tested"; reason: why, in words.
+        gain: share of the cost of held-out pixels that a focal length per frame saves; gain_sigma: its standard error.
+        threshold: the gain from which on the focal length changes, if that is significant.
+        change: largest over smallest focal length, minus 1, if it changes; change_sigma: its predicted error.
+        seconds: CPU time of the decision.
+    """
+
+    decision: str
+    reason: str
+    gain: float | None = None
+    gain_sigma: float | None = None
+    threshold: float | None = None
+    change: float | None = None
+    change_sigma: float | None = None
+    seconds: float = 0.0
+
+
+NOT_TESTED = Evidence("not tested", "the camera does not move, or its focal length is given")
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """Cameras fitted to half of the tiles: their cost there, and that of every match [E, P] of the other half."""
+
+    state: State
+    cost: float
+    held_out: np.ndarray
+
+
+def judge(gain: float, gain_sigma: float, change: float, change_sigma: float) -> tuple[str, str]:
+    """Decision and reason from the numbers of `Evidence`."""
+    saved = f"it saves {100 * gain:.1f} +- {100 * gain_sigma:.1f} % of the cost of held-out pixels"
+    changes = f"it would change by {100 * change:.1f} % with a predicted error of {100 * change_sigma:.1f} %"
+    if change_sigma > MAX_SIGMA:
+        return "not observable", changes
+    if gain < max(MIN_GAIN, SIGNIFICANT * gain_sigma) or change < SIGNIFICANT * change_sigma:
+        return "constant", f"{saved}; {changes}"
+    return "changing", saved
+
+
+def weigh(
+    graph: FlowGraph,
+    fixed: State,
+    search: Callable[[], Sequence[State]],
+    prior: FocalPrior,
+    density: float = 1.0,
+    translation: bool = True,
+) -> tuple[Evidence, State]:
+    """Evidence for a changing focal length, and the best cameras with one, fitted to half of the tiles.
+
+    Args:
+        fixed: the best cameras with one focal length; search: finds others to begin from, if there is a suspicion.
+        density: pixels of `graph` over those of the graph that the final cameras are fitted to.
+        translation: false for a camera that only turns.
+    """
+    began = time.process_time()
+    odd = _odd(_tiles(graph))
+    halves = tuple(replace(graph, weights=graph.weights * half) for half in (~odd, odd))
+    one = _fit(*halves, fixed, replace(ONE, translation=translation), prior)
+    unknowns = replace(PER_FRAME, translation=translation)
+    best = _fit(*halves, fixed, unknowns, prior)
+    if _gain(graph, one, best)[0] > SUSPECTED_GAIN or _change(best.state) > SUSPECTED_CHANGE:
+        best = min((best, *(_fit(*halves, state, unknowns, prior) for state in search())), key=lambda fit: fit.cost)
+    gain, gain_sigma = _gain(graph, one, best)
+    change, change_sigma = _change(best.state), _change_sigma(graph, best.state, unknowns) * np.sqrt(density)
+    decision, reason = judge(gain, gain_sigma, change, change_sigma)
+    seconds = time.process_time() - began
+    return Evidence(decision, reason, gain, gain_sigma, MIN_GAIN, change, change_sigma, seconds), best.state
+
+
+def curve_of_pairs(graph: FlowGraph, focal_px: float, step: int, threshold_px: float, seed: int) -> np.ndarray:
+    """Zoom [T] as in `dba.State`, from the epipolar geometry of pairs of frames `step` apart at a focal length in px.
+
+    A pair without matches or motion has the change of its neighbours.
+    """
+    rates = np.full(graph.T - 1, np.nan)
+    for i, j in initialise.pair_chain(graph, step):
+        rays = twoview.pair_rays(graph, i, j, focal_px)
+        motion = twoview.estimate_motion(*rays, focal_px, threshold_px, seed)
+        if motion is not None and len(rays[0]) >= MIN_MATCHES:
+            rates[i:j] = np.log(twoview.zoom_ratio(motion, *rays, threshold_px, focal_px)) / (j - i)
+    known = np.flatnonzero(np.isfinite(rates))
+    if not len(known):
+        return np.ones(graph.T)
+    filled = np.interp(np.arange(graph.T - 1), known, rates[known])
+    reach = range(graph.T - 1)
+    smooth = [np.median(filled[max(k - SMOOTHED * step, 0) : k + SMOOTHED * step + 1]) for k in reach]
+    logs = np.append(0.0, np.cumsum(smooth))
+    return np.asarray(np.exp(logs - logs.mean()))
+
+
+def _tiles(graph: FlowGraph) -> np.ndarray:
+    """Number of the tile of every pixel [P], row by row."""
+    rows, columns = (np.arange(n) * tiles // n for n, tiles in zip((graph.rows, graph.columns), TILES, strict=True))
+    return (rows[:, None] * TILES[1] + columns).ravel()
+
+
+def _odd(tiles: np.ndarray) -> np.ndarray:
+    """Which tiles are held out: every other one, as on a chessboard."""
+    return np.asarray((tiles // TILES[1] + tiles % TILES[1]) % 2 == 1)
+
+
+def _fit(fitted: FlowGraph, held_out: FlowGraph, state: State, unknowns: Unknowns, prior: FocalPrior) -> _Fit:
+    """Cameras fitted to one half; the depth of a held-out pixel is its own best one, as it is for any camera."""
+    state, _ = dba.solve(fitted, state, SCHEDULE, unknowns, prior, "zoom")
+    if unknowns.translation:
+        state = initialise.search_depth(held_out, state, SCHEDULE[-1].sigma_px)
+    errors = dba.errors_px(held_out, state)
+    return _Fit(state, dba.robust_cost(fitted, dba.errors_px(fitted, state), SCHEDULE[-1].sigma_px), errors)
+
+
+def _gain(graph: FlowGraph, one: _Fit, per_frame: _Fit) -> tuple[float, float]:
+    """Share of the held-out cost that one focal length per frame saves, and its standard error over the tiles."""
+    tiles = _tiles(graph)
+    weights = graph.weights * _odd(tiles)
+    residual_px = float(np.median(per_frame.held_out[weights > MIN_WEIGHT])) if (weights > MIN_WEIGHT).any() else 1.0
+    sigma_px = np.float32(np.clip(SHARP * residual_px, *SHARP_PX))
+
+    def costs(fit: _Fit) -> np.ndarray:
+        """Robust cost [P] of every pixel, summed over its matches in all frames."""
+        ratio = (fit.held_out / sigma_px) ** 2
+        return np.asarray((weights * ratio / (1 + ratio)).sum(axis=0, dtype=float))
+
+    before = costs(one)
+    saved = np.bincount(tiles, before - costs(per_frame))[np.unique(tiles[_odd(tiles)])]
+    total = max(float(before.sum()), 1e-12)
+    return float(saved.sum() / total), float(np.sqrt(len(saved)) * saved.std(ddof=1) / total)
+
+
+def _change(state: State) -> float:
+    return float(np.ptp(np.log(state.focals_px)))
+
+
+def _change_sigma(graph: FlowGraph, state: State, unknowns: Unknowns) -> float:
+    """The largest predicted error of the ratio of two frames' focal lengths."""
+    covariance = solution_covariance(graph, state, unknowns)[6 * graph.T :, 6 * graph.T :]
+    variances = np.diagonal(covariance)
+    return float(np.sqrt((variances[:, None] + variances - 2 * covariance).max()))

@@ -1,0 +1,90 @@
+"""A focal length that changes over the frames: estimated where held-out pixels call for it, and absent elsewhere."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from synthetic import make_scene, observe, trajectory_error
+
+from stages.ba import dba, twoview, zoom
+from stages.ba.dba import FocalPrior, Level, State, Unknowns
+from stages.ba.estimate import Problem, estimate
+from stages.ba.options import BAOptions
+
+OPTIONS = BAOptions(start_focals=(1.05,))
+NOISE_PX = 0.1
+
+
+def ramp(T: int, strength: float) -> np.ndarray:
+    """Focal lengths [T] over that of the first frame, which grow smoothly by the share `strength`."""
+    return np.asarray(np.exp(np.log1p(strength) * (1 - np.cos(np.linspace(0, np.pi, T))) / 2))
+
+
+def test_a_zooming_camera_is_found_with_its_path_and_focal_curve() -> None:
+    curve = ramp(10, 0.3)
+    scene = make_scene(T=10, size=(96, 160), zoom=curve)
+    graph = observe(scene, noise_px=NOISE_PX)
+    solution = estimate(Problem(graph, masked=True), OPTIONS)
+    assert solution.zoom.decision == "changing"
+    assert solution.zoom.change == pytest.approx(np.log(1.3), rel=0.05)
+    assert_allclose(solution.state.focals_px, scene.focal_px * curve, rtol=0.01)
+    assert trajectory_error(solution.state.cam_from_world, scene.cam_from_world) < 2e-3
+    held = estimate(Problem(graph, masked=True), OPTIONS.model_copy(update={"zoom": "no"}))
+    assert trajectory_error(held.state.cam_from_world, scene.cam_from_world) > 0.01, (
+        "one focal length does not explain it"
+    )
+
+
+def test_without_zoom_the_solution_is_that_of_one_focal_length_to_the_bit() -> None:
+    graph = observe(make_scene(T=10, size=(96, 160)), noise_px=NOISE_PX)
+    tested = estimate(Problem(graph, masked=True), OPTIONS)
+    off = estimate(Problem(graph, masked=True), OPTIONS.model_copy(update={"zoom": "no"}))
+    assert (tested.zoom.decision, off.zoom.decision) == ("constant", "not tested")
+    assert tested.state.zoom is None
+    assert_allclose(tested.state.cam_from_world, off.state.cam_from_world, rtol=0, atol=0)
+    assert tested.state.focal_px == off.state.focal_px
+
+
+def test_zoom_can_be_set_where_it_is_not_found() -> None:
+    scene = make_scene(T=10, size=(96, 160))
+    solution = estimate(Problem(observe(scene), masked=True), OPTIONS.model_copy(update={"zoom": "yes"}))
+    assert solution.zoom.decision == "changing"
+    assert solution.zoom.reason.startswith("as the options say")
+    assert_allclose(solution.state.focals_px, scene.focal_px, rtol=0.01)
+
+
+def test_epipolar_geometry_of_a_pair_gives_the_ratio_of_its_focal_lengths() -> None:
+    scene = make_scene(T=2, size=(96, 160), zoom=np.array([1.0, 1.04]))
+    graph = observe(scene, offsets=(1,), noise_px=0.03)
+    rays = twoview.pair_rays(graph, 0, 1, scene.focal_px)
+    motion = twoview.estimate_motion(*rays, scene.focal_px, 0.5, 0)
+    assert motion is not None
+    assert twoview.zoom_ratio(motion, *rays, 0.5, scene.focal_px) == pytest.approx(1.04, abs=0.002)
+
+
+def test_frames_without_matches_take_a_focal_length_between_those_of_their_neighbours() -> None:
+    curve = ramp(8, 0.2)
+    scene = make_scene(size=(64, 96), zoom=curve)
+    graph = observe(scene)
+    blind = (graph.source == 4) | (graph.target == 4)
+    graph = replace(graph, weights=np.where(blind[:, None], 0, graph.weights).astype(np.float32))
+    start = State(scene.cam_from_world, graph.resample(1 / scene.depth, 1), scene.focal_px, np.ones(8))
+    unknowns, prior = Unknowns(focal=True, zoom=True), FocalPrior(scene.focal_px)
+    found, _ = dba.solve(graph, start, (Level(2.0, 30), Level(0.5, 40)), unknowns, prior, "test")
+    assert_allclose(found.focals_px / found.focals_px[0], curve, rtol=0.005)
+
+
+@pytest.mark.parametrize(
+    ("numbers", "decision"),
+    [
+        ((0.2, 0.02, 0.1, 0.01), "changing"),
+        ((0.01, 0.001, 0.1, 0.01), "constant"),
+        ((0.2, 0.15, 0.1, 0.01), "constant"),
+        ((0.2, 0.02, 0.01, 0.02), "constant"),
+        ((0.2, 0.02, 0.3, 0.2), "not observable"),
+    ],
+    ids=["clear", "too little gain", "gain by chance", "no larger than its error", "blind"],
+)
+def test_the_decision_follows_gain_and_change_and_their_errors(numbers: tuple[float, ...], decision: str) -> None:
+    assert zoom.judge(*numbers)[0] == decision
