@@ -42,6 +42,17 @@ def test_an_estimate_that_does_not_move_has_failed() -> None:
     assert "no alignment" in row["note"]
 
 
+def test_the_focal_curve_is_scored_where_the_true_one_changes() -> None:
+    zoom = np.linspace(1, 1.2, run.T)[:, None, None] * [[1, 0, 0], [0, 1, 0], [0, 0, 0]] + np.diag([0, 0, 1])
+    truth = make_cameras(run.CAM_FROM_WORLD, run.K @ zoom, np.arange(run.T))
+    found = make_cameras(run.CAM_FROM_WORLD, run.K, np.arange(run.T))
+    row = score_poses.score("wall", _candidate(found), truth)
+    assert row["focal_curve_max_percent"] == pytest.approx(100 * (1 - 1 / 1.2))
+    assert row["focal_curve_mean_percent"] == pytest.approx(-row["focal_error_percent"])
+    row = score_poses.score("wall", _candidate(found), found)
+    assert (row["focal_curve_mean_percent"], row["focal_curve_max_percent"]) == (None, None)
+
+
 def test_no_poses_and_no_truth_are_rows() -> None:
     failed = score_poses.score("wall", _candidate(None, "no model"), None)
     assert (failed["status"], failed["note"], failed["registered"]) == ("failed", "no model", 0)

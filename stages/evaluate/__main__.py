@@ -36,7 +36,18 @@ from stages.shared.tables import Row, read_rows, write_rows
 
 POSES = (
     *("sequence", "method", "registered", "total", "ate", "ate_percent", "rpe_trans", "rpe_rot_deg"),
-    *("focal_error_percent", "path", "wall_s", "cpu_s", "threads", "status", "note", "protocol", "from_truth"),
+    *(
+        "focal_error_percent",
+        *score_poses.FOCAL_CURVE,
+        "path",
+        "wall_s",
+        "cpu_s",
+        "threads",
+        "status",
+        "note",
+        "protocol",
+        "from_truth",
+    ),
     *pose_diagnostics.DECISIONS,
 )
 IMAGES = (

@@ -7,13 +7,16 @@ from typing import Any
 from stages.shared.artifacts import read_metadata
 from stages.shared.tables import Column, Row, Table, read_rows
 
-DECISIONS = ("camera", "focal", "focal_reason", "focal_sigma_percent", "warnings", "flags")
+DECISIONS = ("camera", "focal", "focal_reason", "focal_sigma_percent", "zoom", "zoom_reason", "warnings", "flags")
+ZOOM_NUMBERS = ("gain", "threshold", "gain_sigma", "change", "change_sigma")
 CAMERA_NAMES = {"rotating": "rotation-only"}
 COLUMNS = (
     Column("camera", "camera"),
     Column("focal", "focal length"),
     Column("focal_sigma_percent", "predicted focal error", "%, one sigma", 1),
     Column("focal_reason", "why it was held", long=True),
+    Column("zoom", "its change over frames"),
+    Column("zoom_reason", "why", long=True),
     Column("warnings", "warnings"),
     Column("flags", "warnings in words", long=True),
 )
@@ -82,6 +85,28 @@ STATISTICS: Mapping[str, tuple[str, str, str]] = {
         "If the camera moves: with a small error the focal length is estimated, with a larger one it is weakly "
         "observed, with a still larger one it is held at the prior.",
     ),
+    "zoom_gain_percent": (
+        "held-out cost that a focal length per frame saves",
+        "%",
+        "Cameras are fitted to every other tile of the image and compared on the tiles between. If this is above the "
+        "next two lines, and the change below above its error, the focal length changes.",
+    ),
+    "zoom_threshold_percent": ("the least saving that counts", "%", "See the line before."),
+    "zoom_gain_sigma_percent": (
+        "standard error of the saving over the tiles",
+        "%",
+        "A saving of less than three of them may be chance.",
+    ),
+    "zoom_change_percent": (
+        "change of the focal length, if it changes",
+        "%, largest over smallest",
+        "It must exceed three of its predicted errors.",
+    ),
+    "zoom_change_sigma_percent": (
+        "predicted error of the change",
+        "%",
+        "From 8 % on a change is not observable, and the focal length is held constant.",
+    ),
     "covariance_std_factor": (
         "factor in the predicted standard deviations",
         "",
@@ -106,6 +131,8 @@ def decisions(metadata: Mapping[str, Any]) -> Row:
         "focal": focal.get("decision"),
         "focal_reason": focal.get("reason") or None,
         "focal_sigma_percent": None if sigma is None else 100 * sigma,
+        "zoom": metadata.get("zoom", {}).get("decision"),
+        "zoom_reason": metadata.get("zoom", {}).get("reason") or None,
         "warnings": len(flags),
         "flags": "; ".join(flags) or None,
     }
@@ -131,6 +158,8 @@ def statistic_rows(folder: Path) -> list[Row]:
     found = about.get("statistics", {}) | {"residual_px": about.get("residual_px")}
     found["covariance_std_factor"] = about.get("covariance_std_factor")
     found["focal_sigma_percent"] = decisions(about)["focal_sigma_percent"]
+    zoom = about.get("zoom", {})
+    found |= {f"zoom_{name}_percent": 100 * zoom[name] for name in ZOOM_NUMBERS if zoom.get(name) is not None}
     found["static_percent"] = 100 * about["static_share"] if "static_share" in about else None
     rows = []
     for name in [*STATISTICS, *(name for name in found if name not in STATISTICS)]:

@@ -14,6 +14,7 @@ from stages.shared.artifacts import read_metadata, read_table
 from stages.shared.cameras import Cameras, has_pose, intrinsics, make_cameras, read_cameras
 from stages.shared.run_inputs import RunInputs
 
+FOCAL_CURVE = ("focal_curve_mean_percent", "focal_curve_max_percent")
 CAMERA_NAMES = {"point": "static", "line": "straight"}
 
 
@@ -103,6 +104,7 @@ def score(name: str, candidate: Candidate, truth: Cameras | None) -> dict[str, A
         return row | {"status": "no truth", "note": partial}
     true = select(truth, np.isin(truth.numbers, cameras.numbers))
     row["focal_error_percent"] = trajectory.focal_error_percent(cameras.Ks, true.Ks)
+    row |= dict(zip(FOCAL_CURVE, trajectory.focal_curve_percent(cameras.Ks, true.Ks) or (None, None), strict=True))
     try:
         errors = trajectory.pose_errors(cameras.cam_from_world, true.cam_from_world, cameras.numbers)
     except DegenerateError as error:
@@ -122,7 +124,7 @@ def _empty_row(name: str, candidate: Candidate) -> dict[str, Any]:
         "protocol": candidate.protocol,
         "registered": 0 if candidate.cameras is None else len(candidate.cameras.numbers),
         "total": candidate.total,
-        **dict.fromkeys(errors),
+        **dict.fromkeys((*errors, *FOCAL_CURVE)),
         "wall_s": candidate.wall_s,
         "cpu_s": candidate.cpu_s,
         "threads": candidate.threads,

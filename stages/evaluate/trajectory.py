@@ -103,6 +103,19 @@ def focal_error_percent(Ks: np.ndarray, true_Ks: np.ndarray) -> float:
     return float(100 * np.mean(Ks[:, 0, 0] / true_Ks[:, 0, 0] - 1))
 
 
+def focal_curve_percent(Ks: np.ndarray, true_Ks: np.ndarray) -> tuple[float, float] | None:
+    """Mean and largest size of the errors of the frames' focal lengths fx, in percent, if the true one changes.
+
+    Args:
+        Ks, true_Ks: [T, 3, 3]; None is returned if all true fx are equal.
+    """
+    true = true_Ks[:, 0, 0]
+    if (true == true[0]).all():
+        return None
+    sizes = 100 * np.abs(Ks[:, 0, 0] / true - 1)
+    return float(sizes.mean()), float(sizes.max())
+
+
 def rmse(errors: np.ndarray) -> float:
     """Root of the mean square of errors [n], n >= 1."""
     return float(np.sqrt(np.mean(np.square(errors))))

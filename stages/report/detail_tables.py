@@ -59,12 +59,16 @@ def pose_tables(rows: list[Row], protocol: str) -> tuple[Table, Table]:
         (METHOD, *ERRORS, focal, *SECONDS, *counts, FROM_TRUTH),
         summaries.pose_means(rows),
     )
-    signed = Column("focal_error_percent", "focal error", "%", 1)
+    signed = (
+        Column("focal_error_percent", "focal error", "%", 1),
+        Column("focal_curve_mean_percent", "focal error, mean size over frames that zoom", "%", 2),
+        Column("focal_curve_max_percent", "largest of a frame", "%", 2),
+    )
     frames = Column("registered", "posed", "frames"), Column("total", "of", "frames")
     path = Column("path", "true path", "scene units", 2, file_only=True)
     about = Column("status", "status"), Column("note", "note", long=True), path
     decided = (replace(column, file_only=True) for column in pose_diagnostics.COLUMNS)  # shown in their own table
-    columns = (SEQUENCE, METHOD, *ERRORS, signed, *SECONDS, *frames, FROM_TRUTH, *about, HOW, *decided)
+    columns = (SEQUENCE, METHOD, *ERRORS, *signed, *SECONDS, *frames, FROM_TRUTH, *about, HOW, *decided)
     return mean, Table("poses", "Poses of every sequence", f"{note} {statements(rows, 'method')}", columns, rows)
 
 
