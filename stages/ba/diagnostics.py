@@ -8,6 +8,7 @@ import numpy as np
 from stages.ba.classify import FLOOR_PX, RESIDUAL_RATIO, Statistics, longest_step
 from stages.ba.graph import MIN_WEIGHT, FlowGraph
 from stages.ba.initialise import Candidate
+from stages.ba.zoom import MIN_GAIN, SIGNIFICANT, Evidence
 from stages.shared import lie
 
 ROUGH_PATH = 0.2
@@ -64,6 +65,14 @@ def of_focal(camera: str, focal: Mapping[str, Any]) -> list[str]:
     if focal["decision"] == "held at prior" and camera == "moving":
         return [f"focal length held at prior: {focal['reason']}"]
     return []
+
+
+def of_zoom(evidence: Evidence) -> list[str]:
+    """A warning if a focal length that changes explains the flow, but not observably so."""
+    explains = evidence.gain is None or evidence.gain >= max(MIN_GAIN, SIGNIFICANT * (evidence.gain_sigma or 0.0))
+    if evidence.decision != "not observable" or not explains:
+        return []
+    return [f"the focal length may change over the frames, which is not observable: {evidence.reason}"]
 
 
 def of_rounds(now: Mapping[str, Any], before: Mapping[str, Any]) -> list[str]:

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from stages.ba import classify, dba, diagnostics, initialise, rotation, trim
+from stages.ba import classify, dba, diagnostics, initialise, rotation, trim, zoom
 from stages.ba.classify import Statistics
 from stages.ba.dba import FocalPrior, Level, State, Step, Unknowns
 from stages.ba.graph import MIN_MATCHES, FlowGraph, favour_distance, shared_matches
@@ -122,6 +122,11 @@ def _estimate(problem: Problem, options: BAOptions) -> Estimate:
             statistics = classify.measure(graph, focal_px, options.seed, classify.longest_step(graph))
         if statistics.camera == "rotating":
             return rotations
+    turning = None
+    if statistics.planar and options.zoom != "no" and not problem.known_focal_px:
+        turning = _estimate_turning_zoom(problem, statistics, prior)
+        if turning.zoom.decision == "changing":
+            return turning
     start = _start(problem, statistics, prior, focals, options)
     graph = start.graph
     problem = replace(problem, graph=graph, masked=problem.masked or start.static is not None)
@@ -135,7 +140,10 @@ def _estimate(problem: Problem, options: BAOptions) -> Estimate:
     solution = _finish(problem, statistics, refined.state, focal, against, steps)
     numbers = solution.statistics | {"roughness": found.roughness}
     solution = replace(solution, static=start.static, statistics=numbers, flags=start.flags + solution.flags)
-    return replace(solution, zoom=start.zoom or NOT_TESTED)
+    evidence = start.zoom or NOT_TESTED
+    if turning and turning.zoom.decision == "not observable":
+        evidence = turning.zoom
+    return replace(solution, zoom=evidence, flags=solution.flags + diagnostics.of_zoom(evidence))
 
 
 def _start(
@@ -162,6 +170,22 @@ def _estimate_rotations(problem: Problem, statistics: Statistics, prior: FocalPr
         focal = Focal("known", 0.0)
     against = diagnostics.of_rotations(problem.graph, dba.errors_px(problem.graph, state))
     return _finish(problem, statistics, state, focal, against, steps)
+
+
+def _estimate_turning_zoom(problem: Problem, statistics: Statistics, prior: FocalPrior) -> Estimate:
+    """The solution as a camera that turns and zooms; its decision is "constant" if that does not explain the flow."""
+    graph = problem.graph
+    state, steps = rotation.solve_rotations(graph, prior, None, zoom=True)
+    sigma = focal_sigma(graph, state, translation=False)
+    focal = Focal("weakly observed" if sigma > WEAK_FOCAL else "estimated", sigma)
+    against = diagnostics.of_rotations(graph, dba.errors_px(graph, state))
+    residual_px = median_residual(graph, state)
+    turning = replace(statistics, rotation_1_px=residual_px, rotation_px=residual_px)
+    solution = _finish(problem, turning, state, focal, against, steps)
+    if against or turning.camera != "rotating":
+        return replace(solution, zoom=Evidence("constant", "a camera that turns and zooms does not explain the flow"))
+    noise_px = max(statistics.sampson_px, classify.FLOOR_PX)
+    return replace(solution, zoom=zoom.of_turning(state, graph.width, noise_px))
 
 
 def _observed(graph: FlowGraph) -> bool:

@@ -12,25 +12,37 @@ FOCALS = np.geomspace(0.6, 2.2, 7)
 SCHEDULE = (Level(2.0, 10), Level(0.5, 20))
 
 
-def solve_rotations(graph: FlowGraph, prior: FocalPrior, known_focal_px: float | None) -> tuple[State, list[Step]]:
+def solve_rotations(
+    graph: FlowGraph, prior: FocalPrior, known_focal_px: float | None, zoom: bool = False
+) -> tuple[State, list[Step]]:
     """Poses without translation and all inverse depths zero; the focal length is free unless it is known.
 
-    Rotations are chained at each focal length of a list; the chain of lowest cost is adjusted over all edges.
+    Rotations are chained at each focal length of a list; the chain of lowest cost is adjusted over all edges. With
+    `zoom` every frame has a focal length of its own.
     """
     focals = [known_focal_px] if known_focal_px else (FOCALS * graph.width).tolist()
-    starts = [chain_rotations(graph, focal_px) for focal_px in focals]
+    starts = [chain_rotations(graph, focal_px, zoom) for focal_px in focals]
     costs = [dba.robust_cost(graph, dba.errors_px(graph, start), SCHEDULE[0].sigma_px) for start in starts]
-    unknowns = Unknowns(focal=known_focal_px is None, translation=False)
+    unknowns = Unknowns(focal=known_focal_px is None, translation=False, zoom=zoom)
     return dba.solve(graph, starts[int(np.argmin(costs))], SCHEDULE, unknowns, prior, "rotations")
 
 
-def chain_rotations(graph: FlowGraph, focal_px: float) -> State:
-    """Rotations of consecutive pairs, chained; a pair without matches repeats the rotation of the pair before."""
-    cam_from_world = np.tile(np.eye(4), (graph.T, 1, 1))
-    R = np.eye(3)
+def chain_rotations(graph: FlowGraph, focal_px: float, zoom: bool = False) -> State:
+    """Rotations of consecutive pairs, chained; a pair without matches repeats the rotation of the pair before.
+
+    With `zoom` the ratios of the focal lengths of the pairs are chained too.
+    """
+    cam_from_world, focals_px = np.tile(np.eye(4), (graph.T, 1, 1)), np.full(graph.T, focal_px)
+    R, ratio = np.eye(3), 1.0
     for i in range(graph.T - 1):
-        x, y, w = twoview.pair_rays(graph, i, i + 1, focal_px)
-        if len(x) >= MIN_MATCHES:
-            R, _ = twoview.fit_rotation(x, y, w, focal_px)
+        here_px = float(focals_px[i])
+        x, y, w = twoview.pair_rays(graph, i, i + 1, here_px)
+        if len(x) >= MIN_MATCHES and zoom:
+            R, ratio = twoview.fit_turn_and_zoom(x, y, w, here_px)
+        elif len(x) >= MIN_MATCHES:
+            R, _ = twoview.fit_rotation(x, y, w, here_px)
         cam_from_world[i + 1] = lie.from_parts(R, np.zeros(3)) @ cam_from_world[i]
-    return State(cam_from_world, np.zeros((graph.T, len(graph.pixels))), focal_px)
+        focals_px[i + 1] = here_px * ratio
+    mean_px = float(np.exp(np.log(focals_px).mean())) if zoom else focal_px
+    no_depth = np.zeros((graph.T, len(graph.pixels)))
+    return State(cam_from_world, no_depth, mean_px, focals_px / mean_px if zoom else None)

@@ -153,6 +153,27 @@ def fit_rotation(x: np.ndarray, y: np.ndarray, w: np.ndarray, focal_px: float) -
     return R, np.linalg.norm(_rotation_residual(R, x, y, focal_px)[0], axis=1)
 
 
+def fit_turn_and_zoom(x: np.ndarray, y: np.ndarray, w: np.ndarray, focal_px: float) -> tuple[np.ndarray, float]:
+    """Robust rotation R [3, 3] and ratio s of the focal lengths, second over first, with y ~ diag(s, s, 1) R x.
+
+    Both rays by the focal length of the first frame. It starts from the rotation alone.
+    """
+    R, log_ratio = fit_rotation(x, y, w, focal_px)[0], 0.0
+    for level_px in np.maximum(20 * 0.5 ** np.arange(10), ROTATION_SIGMA_PX):
+        r, u = _rotation_residual(R, x, y * np.exp(-log_ratio), focal_px)
+        robust = w / (1 + (r**2).sum(axis=1) / level_px**2) ** 2
+        a, b = u[:, 0], u[:, 1]
+        J = focal_px * np.stack([[-a * b, 1 + a * a, -b, a], [-1 - b * b, a * b, a, b]]).transpose(2, 0, 1)
+        normal = np.einsum("nci,n,ncj->ij", J, robust, J)
+        rhs = np.einsum("nci,n,nc->i", J, robust, r)
+        step = np.linalg.solve(normal + 1e-9 * (np.trace(normal) + 1) * np.eye(4), rhs)
+        R, log_ratio = (
+            lie.exp_so3(step[:3]) @ R,
+            log_ratio + float(np.clip(step[3], -MAX_LOG_RATIO_STEP, MAX_LOG_RATIO_STEP)),
+        )
+    return R, float(np.exp(log_ratio))
+
+
 def _rotation_residual(R: np.ndarray, x: np.ndarray, y: np.ndarray, focal_px: float) -> tuple[np.ndarray, np.ndarray]:
     turned = _homogeneous(x) @ R.T
     u = turned[:, :2] / turned[:, 2:]

@@ -14,6 +14,7 @@ from stages.ba import dba, initialise, twoview
 from stages.ba.dba import FocalPrior, Level, State, Unknowns
 from stages.ba.graph import MIN_MATCHES, MIN_WEIGHT, FlowGraph
 from stages.ba.uncertainty import solution_covariance
+from stages.shared import lie
 
 TILES = (4, 6)
 """Rows and columns of the tiles of an image."""
@@ -84,28 +85,41 @@ def weigh(
     search: Callable[[], Sequence[State]],
     prior: FocalPrior,
     density: float = 1.0,
-    translation: bool = True,
 ) -> tuple[Evidence, State]:
     """Evidence for a changing focal length, and the best cameras with one, fitted to half of the tiles.
 
     Args:
         fixed: the best cameras with one focal length; search: finds others to begin from, if there is a suspicion.
         density: pixels of `graph` over those of the graph that the final cameras are fitted to.
-        translation: false for a camera that only turns.
     """
     began = time.process_time()
     odd = _odd(_tiles(graph))
-    halves = tuple(replace(graph, weights=graph.weights * half) for half in (~odd, odd))
-    one = _fit(*halves, fixed, replace(ONE, translation=translation), prior)
-    unknowns = replace(PER_FRAME, translation=translation)
-    best = _fit(*halves, fixed, unknowns, prior)
+    fitted, held_out = (replace(graph, weights=graph.weights * half) for half in (~odd, odd))
+    one = _fit(fitted, held_out, fixed, ONE, prior)
+    best = _fit(fitted, held_out, fixed, PER_FRAME, prior)
     if _gain(graph, one, best)[0] > SUSPECTED_GAIN or _change(best.state) > SUSPECTED_CHANGE:
-        best = min((best, *(_fit(*halves, state, unknowns, prior) for state in search())), key=lambda fit: fit.cost)
+        others = [_fit(fitted, held_out, state, PER_FRAME, prior) for state in search()]
+        best = min((best, *others), key=lambda fit: fit.cost)
     gain, gain_sigma = _gain(graph, one, best)
-    change, change_sigma = _change(best.state), _change_sigma(graph, best.state, unknowns) * np.sqrt(density)
+    change, change_sigma = _change(best.state), float(np.sqrt(density)) * _change_sigma(graph, best.state)
     decision, reason = judge(gain, gain_sigma, change, change_sigma)
     seconds = time.process_time() - began
     return Evidence(decision, reason, gain, gain_sigma, MIN_GAIN, change, change_sigma, seconds), best.state
+
+
+def of_turning(state: State, width: int, noise_px: float) -> Evidence:
+    """The decision about a camera that turns and zooms, whose rotations `state` explain the flow to the noise.
+
+    A camera that moves along its axis before a plane across it has the flow of a zoom. But if it turns by an angle, it
+    would see the plane at an angle: near the border that changes the flow by the angle times that of the zoom.
+    """
+    turns = state.cam_from_world[:, :3, :3] @ state.cam_from_world[0, :3, :3].T
+    turned, change = float(np.linalg.norm(lie.log_so3(turns), axis=1).max()), _change(state)
+    seen_px = turned * change * width / 2
+    said = f"turns by {np.rad2deg(turned):.1f} degrees and a change by {100 * change:.1f} % explain the flow"
+    apart = f"a dolly before a plane differs from it by {seen_px:.2f} px, at a noise of {noise_px:.2f} px"
+    decision = "changing" if seen_px > SIGNIFICANT * noise_px else "not observable"
+    return Evidence(decision, f"{said}; {apart}", change=change)
 
 
 def curve_of_pairs(graph: FlowGraph, focal_px: float, step: int, threshold_px: float, seed: int) -> np.ndarray:
@@ -143,8 +157,7 @@ def _odd(tiles: np.ndarray) -> np.ndarray:
 def _fit(fitted: FlowGraph, held_out: FlowGraph, state: State, unknowns: Unknowns, prior: FocalPrior) -> _Fit:
     """Cameras fitted to one half; the depth of a held-out pixel is its own best one, as it is for any camera."""
     state, _ = dba.solve(fitted, state, SCHEDULE, unknowns, prior, "zoom")
-    if unknowns.translation:
-        state = initialise.search_depth(held_out, state, SCHEDULE[-1].sigma_px)
+    state = initialise.search_depth(held_out, state, SCHEDULE[-1].sigma_px)
     errors = dba.errors_px(held_out, state)
     return _Fit(state, dba.robust_cost(fitted, dba.errors_px(fitted, state), SCHEDULE[-1].sigma_px), errors)
 
@@ -171,8 +184,8 @@ def _change(state: State) -> float:
     return float(np.ptp(np.log(state.focals_px)))
 
 
-def _change_sigma(graph: FlowGraph, state: State, unknowns: Unknowns) -> float:
+def _change_sigma(graph: FlowGraph, state: State) -> float:
     """The largest predicted error of the ratio of two frames' focal lengths."""
-    covariance = solution_covariance(graph, state, unknowns)[6 * graph.T :, 6 * graph.T :]
+    covariance = solution_covariance(graph, state, PER_FRAME)[6 * graph.T :, 6 * graph.T :]
     variances = np.diagonal(covariance)
     return float(np.sqrt((variances[:, None] + variances - 2 * covariance).max()))

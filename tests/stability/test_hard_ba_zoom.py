@@ -1,0 +1,74 @@
+"""Hard cases of a changing focal length: what a dolly, a flat scene or a turning camera could be mistaken for."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from synthetic import PLANE, camera_path, make_scene, observe, rotation_error_deg, trajectory_error
+
+from stages.ba.estimate import Estimate, Problem, estimate
+from stages.ba.options import BAOptions
+from stages.shared import lie
+
+OPTIONS = BAOptions(start_focals=(1.05,))
+T = 10
+RAMP = np.exp(np.log(1.3) * (1 - np.cos(np.linspace(0, np.pi, T))) / 2)
+FACING = (((0.0, 0.0, 1.0), 4.0),)
+"""A plane across the optical axis."""
+
+
+def solve(path: np.ndarray, zoom: np.ndarray | None = None, **scene: object) -> tuple[Estimate, np.ndarray]:
+    """The solution of a scene with noise, and its true focal lengths [T]."""
+    room = make_scene(T=T, size=(96, 160), path=path, zoom=zoom, **scene)  # type: ignore[arg-type]
+    solution = estimate(Problem(observe(room, noise_px=0.1), masked=True), OPTIONS)
+    return solution, room.focal_px * (np.ones(T) if zoom is None else zoom)
+
+
+def dolly(length: float = 1.5) -> np.ndarray:
+    """Poses [T, 4, 4] of a camera that moves forward along its axis."""
+    return lie.exp_se3(np.outer(np.linspace(0, length, T), [0, 0, -1, 0, 0, 0]))
+
+
+def test_a_dolly_along_the_axis_is_no_zoom() -> None:
+    solution, _ = solve(dolly())
+    assert solution.zoom.decision != "changing"
+    assert trajectory_error(solution.state.cam_from_world, dolly()) < 2e-3
+
+
+def test_a_zoom_along_with_a_dolly_on_the_axis_is_not_observable_and_says_so() -> None:
+    """Focal lengths s_k and distances t_k show what 1 / s_k - b t_k / s_k and other depths show, for every b."""
+    solution, _ = solve(dolly(), 1 / RAMP)
+    assert solution.zoom.decision == "not observable"
+    assert solution.state.zoom is None
+    assert any("may change" in flag for flag in solution.flags)
+
+
+@pytest.mark.parametrize("zoom", [None, RAMP], ids=["dolly", "zoom"])
+def test_before_a_plane_across_the_axis_dolly_and_zoom_are_the_same_and_the_focal_length_is_held(
+    zoom: np.ndarray | None,
+) -> None:
+    path = dolly() if zoom is None else np.tile(np.eye(4), (T, 1, 1))
+    solution, _ = solve(path, zoom, planes=FACING)
+    assert solution.zoom.decision in ("not observable", "constant")
+    assert solution.state.zoom is None
+    assert any("may change" in flag for flag in solution.flags)
+
+
+def test_a_zoom_before_a_plane_is_not_observable() -> None:
+    solution, _ = solve(camera_path(T, "curve"), RAMP, planes=PLANE)
+    assert solution.zoom.decision == "not observable"
+    assert any("focal length" in flag for flag in solution.flags)
+
+
+def test_a_camera_that_turns_and_zooms_has_its_turns_and_focal_curve() -> None:
+    path = camera_path(T, "rotate")
+    solution, focals_px = solve(path, RAMP)
+    assert (solution.camera, solution.zoom.decision) == ("rotating", "changing")
+    assert_allclose(solution.state.focals_px, focals_px, rtol=0.02)
+    assert rotation_error_deg(solution.state.cam_from_world, path) < 0.05
+
+
+@pytest.mark.parametrize("motion", ["rotate", "still", "drift"])
+def test_a_camera_that_turns_or_hardly_moves_does_not_zoom(motion: str) -> None:
+    solution, _ = solve(camera_path(T, motion))
+    assert solution.zoom.decision != "changing"
+    assert solution.state.zoom is None
