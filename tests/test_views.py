@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 
 from stages.render.__main__ import seconds_per_frame
-from stages.render.shots import even_moments, right_cameras
+from stages.render.options import RenderOptions
+from stages.render.shots import even_moments, planned_shots, right_cameras
 from stages.render.viewpoints import novel_path, right_eye
 from stages.shared import lie
+from stages.shared.cameras import make_cameras
 from stages.shared.sequences import Sequence
 from stages.shared.sintel import write_cam
 
@@ -26,6 +28,17 @@ def test_the_novel_path_circles_and_keeps_its_point() -> None:
     assert np.abs(seen_at[:, :2] / seen_at[:, 2:]).max() < 1e-3
     moved = np.linalg.norm((lie.inverse(path) - lie.inverse(on_path))[:, :3, 3], axis=-1)
     assert moved.max() == pytest.approx(0.1, abs=0.02)
+
+
+def test_views_of_a_lens_that_zooms_have_the_focal_length_of_their_moment() -> None:
+    Ks = np.tile(truth.K, (truth.T, 1, 1))
+    Ks[:, 0, 0] *= np.linspace(1, 1.5, truth.T)
+    numbers = list(range(1, truth.T + 1))
+    content = Sequence("zoom", [Path(f"{n}.png") for n in numbers], numbers, truth.WIDTH, truth.HEIGHT)
+    cameras = make_cameras(truth.cameras(), Ks, np.array(numbers))
+    shots = planned_shots(content, cameras, 3.0, RenderOptions(novel_views=truth.T))
+    novel = [shot.K[0, 0] for shot in shots if shot.split == "novel"]
+    assert novel == pytest.approx(Ks[:, 0, 0])
 
 
 def test_the_right_eye_is_the_same_under_any_similarity() -> None:

@@ -50,7 +50,8 @@ def planned_shots(content: Sequence, cameras: Cameras, distance: float, options:
     ]
     moments = even_moments(content.times_s, options.novel_views)
     path = novel_path(cameras.cam_from_world, moments, options.orbit_share * distance, distance)
-    shots += [Shot("novel", n + 1, moments[n], path[n], cameras.Ks[0]) for n in range(len(moments))]
+    nearest = np.rint(moments * (T - 1)).astype(int)  # of a lens that zooms
+    shots += [Shot("novel", n + 1, moments[n], path[n], cameras.Ks[nearest[n]]) for n in range(len(moments))]
     rows, eyes = right_cameras(content, cameras.cam_from_world)
     return shots + [
         Shot("right", content.numbers[k], times[k], eye, cameras.Ks[k]) for k, eye in zip(rows, eyes, strict=True)
