@@ -72,11 +72,10 @@ def judge(gain: float, gain_sigma: float, change: float, change_sigma: float) ->
     """Decision and reason from the numbers of `Evidence`."""
     saved = f"it saves {100 * gain:.1f} +- {100 * gain_sigma:.1f} % of the cost of held-out pixels"
     changes = f"it would change by {100 * change:.1f} % with a predicted error of {100 * change_sigma:.1f} %"
-    if change_sigma > MAX_SIGMA:
-        return "not observable", changes
-    if gain < max(MIN_GAIN, SIGNIFICANT * gain_sigma) or change < SIGNIFICANT * change_sigma:
-        return "constant", f"{saved}; {changes}"
-    return "changing", saved
+    explains = gain >= max(MIN_GAIN, SIGNIFICANT * gain_sigma)
+    if change_sigma > MAX_SIGMA or (explains and change < SIGNIFICANT * change_sigma):
+        return "not observable", f"{saved}; {changes}"
+    return ("changing", saved) if explains else ("constant", f"{saved}; {changes}")
 
 
 def weigh(

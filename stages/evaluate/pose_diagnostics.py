@@ -100,7 +100,7 @@ STATISTICS: Mapping[str, tuple[str, str, str]] = {
     "zoom_change_percent": (
         "change of the focal length, if it changes",
         "%, largest over smallest",
-        "It must exceed three of its predicted errors.",
+        "It must exceed three of its predicted errors, else it is not observable.",
     ),
     "zoom_change_sigma_percent": (
         "predicted error of the change",
