@@ -243,7 +243,7 @@ def read_sequence(path: Path) -> Sequence:
         content["height"],
         truth,
         content["warnings"],
-        content["times_s"],
+        content.get("times_s"),
     )
 
 
