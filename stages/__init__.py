@@ -7,7 +7,7 @@ from pathlib import Path
 
 START_S = time.perf_counter()
 """Start of this process; reported seconds include the imports."""
-KERNEL_TYPES = 3
+KERNEL_TYPES = 2
 """Raise this number when a named tuple that kernels take is renamed or moved. Numba reads the index of its compiled
 code, which contains these types, before it compares the age of the source: an unknown name in it is an error."""
 

@@ -1,4 +1,4 @@
-"""A .npz of arrays, some of them too large for memory: these are written one frame at a time. Nothing is pickled."""
+"""A .npz of arrays, some of them too large for memory: these are written one frame at a time. No pickle."""
 
 import zipfile
 from collections.abc import Iterable, Mapping
