@@ -171,6 +171,8 @@ def test_options_choose_frames_and_size(tmp_path: Path) -> None:
     assert len(first.shots["clip"].pts) == 8
     assert any("0.280 s of 0.800 s: `video: {every: 3}`" in warning for warning in first.warnings)
     assert not indexed(video, max_frames=20).warnings
+    beyond = indexed(video, max_frames=8, end=100)  # the video ends before
+    assert any("0.280 s of 0.800 s: `video: {every: 3}`" in warning for warning in beyond.warnings)
 
 
 @pytest.mark.parametrize(
@@ -191,6 +193,19 @@ def test_a_truncated_video_says_what_is_left_of_it(tmp_path: Path, name: str, co
     assert indexed(cut, end=end).shots["cut"].times_s[-1] == end > 0.2
 
 
+def test_a_size_that_changes_within_the_video_is_told_with_its_time(tmp_path: Path) -> None:
+    images, video = moving(10), tmp_path / "clip.ts"
+    parts = images[:6], [cv2.resize(image, (64, 64)) for image in images[6:]]
+    times_ms = list(range(0, 240, 40)), list(range(240, 400, 40))
+    for k in range(2):
+        encode(tmp_path / f"{k}.ts", parts[k], times_ms[k])
+    video.write_bytes((tmp_path / "0.ts").read_bytes() + (tmp_path / "1.ts").read_bytes())
+    with pytest.raises(InputError, match=r"96 x 64 px like the first, found 64 x 64 px at 0\.240 s") as refused:
+        indexed(video)
+    end = float(re.search(r"end: ([\d.]+)", str(refused.value))[1])  # type: ignore[index]
+    assert indexed(video, end=end).shots["clip"].times_s == [k / 25 for k in range(6)]
+
+
 @pytest.mark.parametrize(
     ("make", "options", "phrases"),
     [
@@ -200,7 +215,8 @@ def test_a_truncated_video_says_what_is_left_of_it(tmp_path: Path, name: str, co
         (lambda path: encode(path, moving(1)), {}, ("at least 3 frames", "found 1 frame;")),
         (lambda path: encode(path, moving(1) * 9), {}, ("9 frames (8 of them repeat others)",)),
         (lambda path: encode(path, moving(9)), {"start": 2}, ("frames after `start`, 2 s", "0.360 s")),
-        (lambda path: encode(path, moving(9)), {"every": 5}, ("at least 3 frames", "smaller `video: {every")),
+        (lambda path: encode(path, moving(9)), {"start": 0.1, "end": 0.11}, ("until `end`, 0.11 s", "or `end` to")),
+        (lambda path: encode(path, moving(9)), {"every": 5}, ("9 frames, one in 5 used", "smaller `video: {every")),
     ],
 )
 def test_what_is_no_video_gets_one_line(tmp_path: Path, make: object, options: dict, phrases: tuple[str, ...]) -> None:

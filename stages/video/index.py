@@ -69,7 +69,8 @@ def make_index(video: Path, options: VideoOptions) -> Index:
     """Look through a video.
 
     Raises:
-        InputError: for a file that is no video, is incomplete, ends before `start`, or has too few frames that differ.
+        InputError: for a file that is no video, is incomplete, ends before `start`, changes the size of its frames, or
+            has too few frames that differ.
     """
     header = decode.read_header(video)
     first: list[decode.Frame] = []
@@ -77,9 +78,12 @@ def make_index(video: Path, options: VideoOptions) -> Index:
     brightest = BrightestYet()
 
     def looks() -> Iterator[Look]:
+        before_s = 0.0
         for frame in decode.read_frames(video, options.start, options.end):
             if not first:
                 first.append(frame)
+            _refuse_other_size(video, first[0], frame, before_s)
+            before_s = frame.time_s
             if frame.interlaced:
                 interlaced.append(frame.time_s)
             coded = decode.grey(frame)
@@ -109,12 +113,22 @@ def _named(stem: str, shots: list[Shot]) -> dict[str, Shot]:
     return {stem: shots[0]} if len(shots) == 1 else {f"{stem}_shot{k}": shot for k, shot in enumerate(shots, start=1)}
 
 
+def _refuse_other_size(video: Path, first: decode.Frame, frame: decode.Frame, before_s: float) -> None:
+    """Refuse a frame of another size than the first one, as joined recordings and calls have them."""
+    size, other = (f"{one.image.width} x {one.image.height} px" for one in (first, frame))
+    if size != other:
+        advice = f"export it at one size, or use the part before by `video: {{end: {before_s:.3f}}}`"
+        raise InputError(video, f"frames of {size} like the first", f"{other} at {frame.time_s:.3f} s", advice)
+
+
 def _refuse_incomplete(video: Path, header: decode.Header, options: VideoOptions, found: Found) -> None:
     if not found.times_s:
         length = f"{header.length_s:.3f} s" if header.length_s else "no frames"
         if options.start > 0:
-            advice = "set `video: {start: ...}` to a time within the video"
-            raise InputError(video, f"frames after `start`, {options.start:g} s", f"a video of {length}", advice)
+            until = "" if options.end is None else f" and until `end`, {options.end:g} s"
+            advice = "set `video: {start: ...}` to an earlier time" + (until and ", or `end` to a later one")
+            expected = f"frames after `start`, {options.start:g} s{until}"
+            raise InputError(video, expected, f"none in a video of {length}", advice)
         raise InputError(video, f"at least {MIN_FRAMES} frames", "none that can be decoded", "export the video again")
     last_s, interval_s = found.times_s[-1], _interval_s(header, found)
     wanted = options.end is None or options.end > last_s + 2 * interval_s
@@ -123,11 +137,12 @@ def _refuse_incomplete(video: Path, header: decode.Header, options: VideoOptions
         raise InputError(video, f"{header.length_s:.3f} s, as its header says", f"{last_s + interval_s:.3f} s", advice)
     if not found.shots:
         total = len(found.times_s)
+        used = f", one in {options.every} used" if options.every > 1 else ""
         less = f" ({len(found.duplicates_s)} of them repeat others)" if found.duplicates_s else ""
         cut = f" with cuts at {_times(found.cuts_s)}" if found.cuts_s else ""
         advice = "give a longer part, or a smaller `video: {every: ...}`"
         expected = f"at least {MIN_FRAMES} frames that differ, without a cut between them"
-        raise InputError(video, expected, f"{total} frame{'s' * (total != 1)}{less}{cut}", advice)
+        raise InputError(video, expected, f"{total} frame{'s' * (total != 1)}{used}{less}{cut}", advice)
 
 
 def _findings(
@@ -191,7 +206,7 @@ def _cut_off(header: decode.Header, found: Found, options: VideoOptions) -> str:
     """That `max_frames` ended the video early, and which `every` would take in all of it."""
     until = found.shots[-1].times_s[-1]
     said = f"the first {options.max_frames} frames are used, up to {until:.3f} s"
-    end = options.end or header.length_s
+    end = min((time for time in (options.end, header.length_s) if time), default=None)
     if end is None or end <= until:
         return f"{said}: see `video: {{max_frames: ...}}`"
     every = int(np.ceil(options.every * (end - options.start) / (until - options.start)))
