@@ -97,6 +97,24 @@ def test_numbers_as_text_are_numbers() -> None:
         validate(ColmapOptions, {"upsample": ["3"]}, "test")
 
 
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ({"video": {"max_frames": 2}}, "expected 'all' or greater than or equal to 3, found 2"),
+        ({"export": {"splat_frames": 3}}, "expected 'all' or a list, found 3"),
+        ({"export": {"formats": "colmap"}}, "expected a list, found 'colmap'"),
+        ({"export": {"formats": ["kolmap"]}}, "'spz' or 'video', found 'kolmap'"),
+        ({"video": {"max_frames": 2, "every": 0}}, "expected greater than or equal to 1, found 0"),
+    ],
+)
+def test_one_mistake_is_one_message_with_all_that_is_allowed(values: dict, said: str) -> None:
+    with pytest.raises(InputError) as refused:
+        configuration.load(values)
+    assert said in str(refused.value)
+    wrong = sum(map(len, values.values()))
+    assert ("more wrong" in str(refused.value)) == (wrong > 1)
+
+
 @pytest.mark.parametrize("script", SCRIPTS)
 def test_help_is_quick_and_complete(script: str) -> None:
     code = (

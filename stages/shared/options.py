@@ -51,8 +51,7 @@ def validate(model: type[OptionsT], values: Mapping[str, Any], where: str) -> Op
     try:
         return model(**values)
     except ValidationError as error:
-        first, *others = error.errors()
-        raise _as_input_error(model, first, where, len(others)) from error
+        raise _as_input_error(model, error.errors(), where) from error
 
 
 def to_flags(options: Options) -> str:
@@ -69,7 +68,11 @@ def to_flags(options: Options) -> str:
     return shlex.join(words)
 
 
-def _as_input_error(model: type[Options], error: Any, where: str, others: int) -> InputError:
+def _as_input_error(model: type[Options], errors: list[Any], where: str) -> InputError:
+    error, place = errors[0], errors[0]["loc"]
+    # Pydantic reports each branch of a union, and a list without its wrong items: all of it is one mistake.
+    branches = [other for other in errors if str(place[-1]).startswith("literal[") and _within(other, place[:-1])]
+    others = sum(other not in branches and other["loc"] != place[: len(other["loc"])] for other in errors)
     location = [str(part) for part in error["loc"] if not str(part).startswith(("literal[", "list["))]
     name = ".".join(location)
     more = f" ({others} more wrong after it)" if others else ""
@@ -82,9 +85,19 @@ def _as_input_error(model: type[Options], error: Any, where: str, others: int) -
         meanings = [found[location[-1]].description for found in _fields(model, location[:-1]) if location[-1] in found]
         meaning = f" ({meanings[0]})" if meanings and meanings[0] else ""
         return InputError(f"{where}: {name}", f"a value{meaning}", "nothing", f"set '{name}'{more}")
-    expected = error["msg"].removeprefix("Input should be ").removeprefix("Value error, ")
+    expected = " or ".join(dict.fromkeys(_expected(one) for one in branches or [error]))
     found = textwrap.shorten(repr(error["input"]), 80, placeholder=" ...")
     return InputError(f"{where}: {name}", expected, found, f"correct '{name}'{more}")
+
+
+def _within(error: Any, place: tuple[Any, ...]) -> bool:
+    return bool(error["loc"][: len(place)] == place)
+
+
+def _expected(error: Any) -> str:
+    if error["type"] in ("tuple_type", "list_type"):
+        return "a list"
+    return str(error["msg"].removeprefix("Input should be ").removeprefix("Value error, "))
 
 
 def _known_names(model: type[Options], path: list[str]) -> list[str]:
