@@ -205,6 +205,12 @@ def test_formats_are_checked_before_anything_runs() -> None:
         configuration.load({"export": {"formats": []}})
 
 
+def test_numbers_that_no_frame_has_are_said(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    folder = export(tmp_path, "spz", splat_frames=(99, 2, 0))
+    assert "no splats of frames [0, 99]" in caplog.text
+    assert [path.name for path in (folder / "splats").iterdir()] == ["frame_0002.spz"]
+
+
 def test_all_frames_are_a_word_on_the_command_line_too() -> None:
     assert to_flags(ExportOptions()).endswith("--splat-frames all")
     assert validate(ExportOptions, {"splat_frames": ["all"]}, "test") == ExportOptions()
@@ -225,7 +231,7 @@ def test_failed_poses_and_missing_inputs_are_one_line_and_no_output(tmp_path: Pa
 def test_without_parallax_there_are_cameras_and_no_points(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     inputs = truth.write_clip(tmp_path, variance=1.0)
     folder = export(tmp_path, "colmap", "nerfstudio", "depth_png", **inputs)
-    assert "no depth is triangulated" in caplog.text
+    assert "no depth is triangulated (estimated): no points, and black depth images" in caplog.text
     model = pycolmap.Reconstruction(folder / "sparse/0")
     assert (model.num_reg_images(), model.num_points3D()) == (truth.T, 0)
     assert "ply_file_path" not in json.loads((folder / "transforms.json").read_text())

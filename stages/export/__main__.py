@@ -131,8 +131,8 @@ def _write_splats(folder: Path, clip: "Clip", model: Path, options: ExportOption
 
     scene, times = read_scene(model), frame_times(len(clip.posed))
     chosen = [k for k, number in enumerate(clip.content.numbers) if options.writes_splats_of(number)]
-    if not chosen:
-        logger.warning("export: no splats: no frame has a number of `export: {splat_frames: ...}`")
+    if options.splat_frames != "all" and (unknown := sorted(set(options.splat_frames) - set(clip.content.numbers))):
+        logger.warning("export: no splats of frames %s of `splat_frames`: there are no such numbers", unknown)
     folder.mkdir()
     for k in progress(chosen, "splats"):
         for suffix in ("ply", "spz"):

@@ -97,5 +97,5 @@ def read_clip(sequence: Path, poses: Path, masks: Path, depth: Path) -> Clip:
     grid, stride_px = read_dense(depth), float(read_metadata(depth)["stride_px"])
     known = measured(grid["inverse_depth"], grid["variance"], grid["filled"])
     if not known.any():
-        logger.warning("export: no depth is triangulated (%s): no points, and no depth images", cameras.status[0])
+        logger.warning("export: no depth is triangulated (%s): no points, and black depth images", cameras.status[0])
     return Clip(content, cameras, posed, masks, stride_px, grid["inverse_depth"], known)
