@@ -269,6 +269,14 @@ def test_a_folder_of_videos(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
         datasets.frame_folders(config)
 
 
+def test_a_name_with_braces_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_frames(tmp_path / "take {1}" / "left")
+    for dataset in (encode(tmp_path / "clip {1}.mp4", moving(4)), tmp_path / "take {1}"):
+        with pytest.raises(InputError, match=r"expected names without braces, found '(clip|take) \{1\}'; rename"):
+            datasets.frame_folders(configuration.load({"dataset": str(dataset)}))
+
+
 def test_times_and_warnings_reach_the_sequence(tmp_path: Path) -> None:
     images = moving(8)
     images[5] = cv2.blur(images[5], (9, 1))

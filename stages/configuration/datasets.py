@@ -55,7 +55,11 @@ def find_sequences(config: Config, folders: Mapping[str, str], headers: bool = T
 
 
 def frame_folders(config: Config) -> dict[str, str]:
-    """The folder of frames of every chosen sequence; under simulated/ for a scene, under decoded/ for a video."""
+    """The folder of frames of every chosen sequence; under simulated/ for a scene, under decoded/ for a video.
+
+    Raises:
+        InputError: for an unknown sequence, or a name with braces, which mark wildcards in the paths of the workflow.
+    """
     dataset = Path(config.dataset)
     if config.dataset == SIMULATED:
         folders = {name: Path(SIMULATED, "training", config.pass_, name) for name in scene_files(config)}
@@ -63,7 +67,11 @@ def frame_folders(config: Config) -> dict[str, str]:
         folders = {name: _decoded_folder(config) / name for name in shots}
     else:
         folders = sequence_folders(dataset, config.pass_)
-    return {name: str(folder) for name, folder in choose(config.sequences, folders, dataset).items()}
+    chosen = {name: str(folder) for name, folder in choose(config.sequences, folders, dataset).items()}
+    for name in (dataset_name(config), *chosen):
+        if set("{}") & set(name):
+            raise InputError(dataset, "names without braces", f"'{name}'", "rename the file or folder")
+    return chosen
 
 
 @dataclass(frozen=True)
