@@ -193,6 +193,14 @@ def test_a_truncated_video_says_what_is_left_of_it(tmp_path: Path, name: str, co
     assert indexed(cut, end=end).shots["cut"].times_s[-1] == end > 0.2
 
 
+def test_frames_whose_times_begin_anew_are_counted(tmp_path: Path) -> None:
+    video = encode(tmp_path / "clip.ts", moving(6))
+    video.write_bytes(2 * video.read_bytes())
+    index = indexed(video)
+    assert index.shots["clip"].times_s == [k / 25 for k in range(6)]
+    assert [warning for warning in index.warnings if warning.startswith("6 frames are left out, whose time stamps")]
+
+
 def test_a_size_that_changes_within_the_video_is_told_with_its_time(tmp_path: Path) -> None:
     images, video = moving(10), tmp_path / "clip.ts"
     parts = images[:6], [cv2.resize(image, (64, 64)) for image in images[6:]]

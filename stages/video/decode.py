@@ -79,11 +79,16 @@ def read_header(path: Path) -> Header:
         )
 
 
-def read_frames(path: Path, start_s: float = 0, end_s: float | None = None) -> Iterator[Frame]:
+def read_frames(
+    path: Path, start_s: float = 0, end_s: float | None = None, unordered: list[Fraction | None] | None = None
+) -> Iterator[Frame]:
     """The frames from `start_s` to `end_s` (seconds since the first frame, both included), in the order of their times.
 
     Interlaced ones are deinterlaced: their first field is kept, the other one interpolated (bwdif). Frames without a
     time stamp, or with one that is not after that of the frame before, are left out.
+
+    Args:
+        unordered: takes the times (s, or None) of the frames that are left out for their time stamps.
 
     Raises:
         InputError: for a file that is no video, or a frame that cannot be decoded.
@@ -97,7 +102,11 @@ def read_frames(path: Path, start_s: float = 0, end_s: float | None = None) -> I
         frames = _decoded(container, stream, path, header)
         for image, interlaced in _deinterlaced(frames, stream):
             time_s = _time_s(image, header)
-            if time_s is None or time_s <= last_s or float(time_s) < start_s:
+            if time_s is None or time_s <= last_s:
+                if unordered is not None:
+                    unordered.append(time_s)
+                continue
+            if float(time_s) < start_s:
                 continue
             last_s, seconds = time_s, float(time_s)
             if end_s is None or seconds <= end_s:

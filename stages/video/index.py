@@ -10,6 +10,7 @@ import hashlib
 import json
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -75,11 +76,12 @@ def make_index(video: Path, options: VideoOptions) -> Index:
     header = decode.read_header(video)
     first: list[decode.Frame] = []
     interlaced: list[float] = []
+    unordered: list[Fraction | None] = []
     brightest = BrightestYet()
 
     def looks() -> Iterator[Look]:
         before_s = 0.0
-        for frame in decode.read_frames(video, options.start, options.end):
+        for frame in decode.read_frames(video, options.start, options.end, unordered):
             if not first:
                 first.append(frame)
             _refuse_other_size(video, first[0], frame, before_s)
@@ -104,7 +106,9 @@ def make_index(video: Path, options: VideoOptions) -> Index:
         height=height,
         bars_px=bars_px,
         findings=_findings(video, header, first[0], found, bool(interlaced)),
-        warnings=_bars(bars_px) + _warnings(header, first[0], found, options, bool(interlaced)),
+        warnings=_bars(bars_px)
+        + _unordered(len(unordered))
+        + _warnings(header, first[0], found, options, bool(interlaced)),
     )
 
 
@@ -171,6 +175,12 @@ def _findings(
 def _bars(bars_px: tuple[int, int]) -> list[str]:
     where = zip(("left and right", "above and below"), bars_px, strict=True)
     return [f"black bars {sides} are cut off, {px} px each" for sides, px in where if px]
+
+
+def _unordered(count: int) -> list[str]:
+    advice = "if recordings were joined, export the video again"
+    said = f"{count} frames are left out, whose time stamps are missing or not after those before: {advice}"
+    return [said] if count else []
 
 
 def _warnings(
