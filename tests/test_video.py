@@ -237,6 +237,12 @@ def test_what_is_no_video_gets_one_line(tmp_path: Path, make: object, options: d
     assert all(phrase in str(refused.value) for phrase in phrases), str(refused.value)
 
 
+def test_a_text_is_no_video(tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").write_text("notes " * 999)
+    with pytest.raises(InputError, match=r"notes\.txt: expected a video, found a text; give"):
+        indexed(tmp_path / "notes.txt")
+
+
 def test_an_end_before_the_start_is_refused() -> None:
     with pytest.raises(InputError, match=r"video\.end: expected a time after `start`, 3 s"):
         configuration.load({"video": {"start": 3, "end": 2}})

@@ -171,6 +171,8 @@ def _opened(path: Path) -> Iterator[tuple[av.container.InputContainer, av.VideoS
         found = f"a file that cannot be opened as one ({_reason(error)})"
         raise InputError(path, "a video", found, "copy or export it again, " + advice) from error
     with container:
+        if container.format.name == "tty":  # FFmpeg draws .txt files as terminals did
+            raise InputError(path, "a video", "a text", advice)
         pictures = av.stream.Disposition.attached_pic
         videos = [stream for stream in container.streams.video if not stream.disposition & pictures]
         if not videos:
