@@ -183,7 +183,7 @@ def _estimate_turning_zoom(problem: Problem, statistics: Statistics, prior: Foca
     turning = replace(statistics, rotation_1_px=residual_px, rotation_px=residual_px)
     solution = _finish(problem, turning, state, focal, against, steps)
     noise_px = max(statistics.sampson_px, classify.FLOOR_PX)
-    evidence = zoom.of_turning(state, graph.width, noise_px)
+    evidence = zoom.of_turning(graph, state, noise_px)
     if against or turning.camera != "rotating" or (evidence.decision == "changing" and sigma > BLIND_FOCAL):
         evidence = Evidence("constant", "a camera that turns and zooms does not explain the flow")
     return replace(solution, zoom=evidence)

@@ -96,25 +96,26 @@ def weigh(
     fitted, held_out = (replace(graph, weights=graph.weights * half) for half in (~odd, odd))
     one = _fit(fitted, held_out, fixed, ONE, prior)
     best = _fit(fitted, held_out, fixed, PER_FRAME, prior)
-    if _gain(graph, one, best)[0] > SUSPECTED_GAIN or _change(best.state) > SUSPECTED_CHANGE:
+    if _gain(graph, one, best)[0] > SUSPECTED_GAIN or _change(graph, best.state) > SUSPECTED_CHANGE:
         others = [_fit(fitted, held_out, state, PER_FRAME, prior) for state in search()]
         best = min((best, *others), key=lambda fit: fit.cost)
     gain, gain_sigma = _gain(graph, one, best)
-    change, change_sigma = _change(best.state), float(np.sqrt(density)) * _change_sigma(graph, best.state)
+    change, change_sigma = _change(graph, best.state), float(np.sqrt(density)) * _change_sigma(graph, best.state)
     decision, reason = judge(gain, gain_sigma, change, change_sigma)
     seconds = time.process_time() - began
     return Evidence(decision, reason, gain, gain_sigma, MIN_GAIN, change, change_sigma, seconds), best.state
 
 
-def of_turning(state: State, width: int, noise_px: float) -> Evidence:
+def of_turning(graph: FlowGraph, state: State, noise_px: float) -> Evidence:
     """The decision about a camera that turns and zooms, whose rotations `state` explain the flow to the noise.
 
     A camera that moves along its axis before a plane across it has the flow of a zoom. But if it turns by an angle, it
     would see the plane at an angle: near the border that changes the flow by the angle times that of the zoom.
     """
-    turns = state.cam_from_world[:, :3, :3] @ state.cam_from_world[0, :3, :3].T
-    turned, change = float(np.linalg.norm(lie.log_so3(turns), axis=1).max()), _change(state)
-    seen_px = turned * change * width / 2
+    rotations = state.cam_from_world[_seen(graph), :3, :3]
+    turned = float(np.linalg.norm(lie.log_so3(rotations @ rotations[0].T), axis=1).max())
+    change = _change(graph, state)
+    seen_px = turned * change * graph.width / 2
     said = f"turns by {np.rad2deg(turned):.1f} degrees and a change by {100 * change:.1f} % explain the flow"
     apart = f"a dolly before a plane differs from it by {seen_px:.2f} px, at a noise of {noise_px:.2f} px"
     decision = "changing" if seen_px > SIGNIFICANT * noise_px else "not observable"
@@ -179,12 +180,19 @@ def _gain(graph: FlowGraph, one: _Fit, per_frame: _Fit) -> tuple[float, float]:
     return float(saved.sum() / total), float(np.sqrt(len(saved)) * saved.std(ddof=1) / total)
 
 
-def _change(state: State) -> float:
-    return float(np.ptp(np.log(state.focals_px)))
+def _seen(graph: FlowGraph) -> np.ndarray:
+    """The frames [n] that matches tell something about: the others have what the prior makes of their neighbours."""
+    seen = np.flatnonzero(graph.observed_frames())
+    return seen if len(seen) else np.arange(graph.T)
+
+
+def _change(graph: FlowGraph, state: State) -> float:
+    return float(np.ptp(np.log(state.focals_px[_seen(graph)])))
 
 
 def _change_sigma(graph: FlowGraph, state: State) -> float:
     """The largest predicted error of the ratio of two frames' focal lengths."""
-    covariance = solution_covariance(graph, state, PER_FRAME)[6 * graph.T :, 6 * graph.T :]
+    of_focals = 6 * graph.T + _seen(graph)
+    covariance = solution_covariance(graph, state, PER_FRAME)[np.ix_(of_focals, of_focals)]
     variances = np.diagonal(covariance)
     return float(np.sqrt((variances[:, None] + variances - 2 * covariance).max()))

@@ -1,5 +1,7 @@
 """Hard cases of a changing focal length: what a dolly, a flat scene or a turning camera could be mistaken for."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -72,3 +74,19 @@ def test_a_camera_that_turns_or_hardly_moves_does_not_zoom(motion: str) -> None:
     solution, _ = solve(camera_path(T, motion))
     assert solution.zoom.decision != "changing"
     assert solution.state.zoom is None
+
+
+@pytest.mark.parametrize("zoom", [None, RAMP], ids=["one focal length", "zoom"])
+def test_frames_at_the_end_without_matches_do_not_hide_the_decision(zoom: np.ndarray | None) -> None:
+    """Their focal length is what the prior extrapolates; its error says nothing about those of the other frames."""
+    room = make_scene(T=T, size=(96, 160), zoom=zoom)
+    graph = observe(room, noise_px=0.2)
+    blind = np.isin(graph.source, (7, 8, 9)) | np.isin(graph.target, (7, 8, 9))
+    graph = replace(graph, weights=np.where(blind[:, None], 0, graph.weights).astype(np.float32))
+    solution = estimate(Problem(graph, masked=True), OPTIONS)
+    assert solution.zoom.decision == ("constant" if zoom is None else "changing")
+    assert solution.zoom.change_sigma is not None
+    assert solution.zoom.change_sigma < 0.06
+    if zoom is not None:
+        curve = solution.state.focals_px[:7] / solution.state.focals_px[0]
+        assert_allclose(curve, zoom[:7] / zoom[0], rtol=0.02)
