@@ -141,7 +141,7 @@ def _estimate(problem: Problem, options: BAOptions) -> Estimate:
     numbers = solution.statistics | {"roughness": found.roughness}
     solution = replace(solution, static=start.static, statistics=numbers, flags=start.flags + solution.flags)
     evidence = start.zoom or NOT_TESTED
-    if turning and turning.zoom.decision == "not observable":
+    if turning and turning.zoom.decision == "not observable" and refined.state.zoom is None:
         evidence = turning.zoom
     return replace(solution, zoom=evidence, flags=solution.flags + diagnostics.of_zoom(evidence))
 

@@ -90,3 +90,11 @@ def test_frames_at_the_end_without_matches_do_not_hide_the_decision(zoom: np.nda
     if zoom is not None:
         curve = solution.state.focals_px[:7] / solution.state.focals_px[0]
         assert_allclose(curve, zoom[:7] / zoom[0], rtol=0.02)
+
+
+def test_a_zoom_that_the_options_assume_is_reported_as_such_where_it_is_not_observable() -> None:
+    room = make_scene(T=T, size=(96, 160), path=dolly(), planes=FACING)
+    solution = estimate(Problem(observe(room, noise_px=0.1), masked=True), OPTIONS.model_copy(update={"zoom": "yes"}))
+    assert solution.state.zoom is not None
+    assert solution.zoom.decision == "changing", "focal lengths that differ are not reported as one"
+    assert solution.zoom.reason.startswith("as the options say")
