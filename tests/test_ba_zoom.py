@@ -88,3 +88,7 @@ def test_frames_without_matches_take_a_focal_length_between_those_of_their_neigh
 )
 def test_the_decision_follows_gain_and_change_and_their_errors(numbers: tuple[float, ...], decision: str) -> None:
     assert zoom.judge(*numbers)[0] == decision
+
+
+def test_a_change_is_said_as_the_largest_over_the_smallest_focal_length() -> None:
+    assert "would change by 30.0 %" in zoom.judge(0.01, 0.001, np.log(1.3), 0.01)[1]

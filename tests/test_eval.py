@@ -7,7 +7,7 @@ import finished_run as run
 import numpy as np
 import pytest
 
-from stages.evaluate import costs, score_geometry, score_models, score_poses
+from stages.evaluate import costs, pose_diagnostics, score_geometry, score_models, score_poses
 from stages.report import overview
 from stages.shared import lie
 from stages.shared.artifacts import read_dense, write_model
@@ -40,6 +40,16 @@ def test_an_estimate_that_does_not_move_has_failed() -> None:
     row = score_poses.score("wall", _candidate(still), truth)
     assert row["status"] == "failed"
     assert "no alignment" in row["note"]
+
+
+def test_the_change_of_a_focal_length_is_shown_as_the_largest_over_the_smallest(tmp_path: Path) -> None:
+    (tmp_path / "ba").mkdir()
+    cameras = make_cameras(run.CAM_FROM_WORLD, run.K, np.arange(run.T))
+    write_cameras(tmp_path / "ba/poses.parquet", cameras, {"zoom": {"change": float(np.log(1.3))}})
+    label, unit, _ = pose_diagnostics.STATISTICS["zoom_change_percent"]
+    rows = {row["statistic"]: row for row in pose_diagnostics.statistic_rows(tmp_path)}
+    assert rows[label]["value"] == pytest.approx(30.0)
+    assert unit == "%, largest over smallest"
 
 
 def test_the_focal_curve_is_scored_where_the_true_one_changes() -> None:

@@ -42,7 +42,7 @@ class Evidence:
         decision: "changing", "constant", "not observable" or "not tested"; reason: why, in words.
         gain: share of the cost of held-out pixels that a focal length per frame saves; gain_sigma: its standard error.
         threshold: the gain from which on the focal length changes, if that is significant.
-        change: largest over smallest focal length, minus 1, if it changes; change_sigma: its predicted error.
+        change: log of the largest over the smallest focal length, if it changes; change_sigma: its predicted error.
         seconds: CPU time of the decision.
     """
 
@@ -56,7 +56,7 @@ class Evidence:
     seconds: float = 0.0
 
 
-NOT_TESTED = Evidence("not tested", "the camera does not move, or its focal length is given")
+NOT_TESTED = Evidence("not tested", "the camera does not move, its focal length is given, or the options exclude it")
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class _Fit:
 def judge(gain: float, gain_sigma: float, change: float, change_sigma: float) -> tuple[str, str]:
     """Decision and reason from the numbers of `Evidence`."""
     saved = f"it saves {100 * gain:.1f} +- {100 * gain_sigma:.1f} % of the cost of held-out pixels"
-    changes = f"it would change by {100 * change:.1f} % with a predicted error of {100 * change_sigma:.1f} %"
+    changes = f"it would change by {100 * np.expm1(change):.1f} % with a predicted error of {100 * change_sigma:.1f} %"
     explains = gain >= max(MIN_GAIN, SIGNIFICANT * gain_sigma)
     if change_sigma > MAX_SIGMA or (explains and change < SIGNIFICANT * change_sigma):
         return "not observable", f"{saved}; {changes}"
@@ -116,7 +116,7 @@ def of_turning(graph: FlowGraph, state: State, noise_px: float) -> Evidence:
     turned = float(np.linalg.norm(lie.log_so3(rotations @ rotations[0].T), axis=1).max())
     change = _change(graph, state)
     seen_px = turned * change * graph.width / 2
-    said = f"turns by {np.rad2deg(turned):.1f} degrees and a change by {100 * change:.1f} % explain the flow"
+    said = f"turns by {np.rad2deg(turned):.1f} degrees and a change by {100 * np.expm1(change):.1f} % explain the flow"
     apart = f"a dolly before a plane differs from it by {seen_px:.2f} px, at a noise of {noise_px:.2f} px"
     decision = "changing" if seen_px > SIGNIFICANT * noise_px else "not observable"
     return Evidence(decision, f"{said}; {apart}", change=change)

@@ -4,6 +4,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from stages.shared.artifacts import read_metadata
 from stages.shared.tables import Column, Row, Table, read_rows
 
@@ -160,6 +162,8 @@ def statistic_rows(folder: Path) -> list[Row]:
     found["focal_sigma_percent"] = decisions(about)["focal_sigma_percent"]
     zoom = about.get("zoom", {})
     found |= {f"zoom_{name}_percent": 100 * zoom[name] for name in ZOOM_NUMBERS if zoom.get(name) is not None}
+    if zoom.get("change") is not None:
+        found["zoom_change_percent"] = 100 * float(np.expm1(zoom["change"]))
     found["static_percent"] = 100 * about["static_share"] if "static_share" in about else None
     rows = []
     for name in [*STATISTICS, *(name for name in found if name not in STATISTICS)]:
