@@ -1,17 +1,16 @@
 """Estimate camera poses, focal lengths and depth from flow and masks by dense bundle adjustment."""
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import cv2
 import numpy as np
 
-from stages.ba import cuts, dba, diagnostics, figure, from_truth, rounds
+from stages.ba import cuts, dba, diagnostics, from_truth, outputs, rounds
 from stages.ba.depth import DepthMaps, depth_maps
 from stages.ba.estimate import Estimate, Problem
 from stages.ba.graph import (
-    MIN_WEIGHT,
     FlowGraph,
     build_graph,
     mask_graph,
@@ -22,15 +21,11 @@ from stages.ba.graph import (
 from stages.ba.options import BAOptions
 from stages.ba.start import PoseGuess
 from stages.ba.texture import texture_weights
-from stages.ba.uncertainty import CORRELATION
 from stages.shared import cli, sintel
-from stages.shared.artifacts import read_dense, read_metadata, write_dense, write_table
+from stages.shared.artifacts import read_dense, read_metadata
 from stages.shared.cameras import (
-    Cameras,
     centred_intrinsics,
     has_pose,
-    intrinsics,
-    make_cameras,
     read_cameras,
     scale_intrinsics,
     write_cameras,
@@ -43,9 +38,6 @@ from stages.shared.log import logger
 from stages.shared.masks import read_masks
 from stages.shared.sequences import Sequence, read_sequence
 from stages.shared.threads import threaded
-
-STATUS = {"moving": "estimated", "near-still": "near-still", "rotating": "rotation-only", "failed": "failed"}
-GAUGE = "the first camera is the world; the median inverse depth of the solver's pixels is 1"
 
 
 def main(
@@ -102,13 +94,13 @@ def main(
     stride_px = options.depth_stride_px / matches.scale
     if options.depth_from == "truth":
         maps = _true_depth(maps, solution.state, frames, stride_px, options)
-    cameras = replace(_cameras(solution, graph, frames, matches.scale), masks_trusted=trusted)
+    cameras = replace(outputs.cameras_of(solution, graph, frames, matches.scale), masks_trusted=trusted)
     started = {"from_previous_round": previous is not None}
-    write_cameras(poses, cameras, _pose_metadata(solution, flags, static[matches.shot], options) | started)
+    write_cameras(poses, cameras, outputs.pose_metadata(solution, flags, static[matches.shot], options) | started)
     write_tum(trajectory, cameras, frames.stamps)
-    _write_depth(depth, maps, frames, stride_px)
-    _write_convergence(convergence, solution)
-    _draw(figure, frames.name, solution, graph, cameras, maps)
+    outputs.write_depth(depth, maps, frames, stride_px)
+    outputs.write_convergence(convergence, solution)
+    outputs.draw(figure, frames.name, solution, graph, cameras, maps)
     return f"{has_pose(cameras).sum()} of {len(frames.numbers)} frames, camera {solution.camera}, " + (
         f"focal length {_focal_in_words(cameras.Ks[:, 0, 0])} px ({solution.focal['decision']})"
     )
@@ -201,7 +193,7 @@ def _known_intrinsics(frames: Sequence, matches: _Matches, options: BAOptions) -
 def _previous(poses: Path | None, scale: float) -> PoseGuess | None:
     """The poses of the previous round; None if it failed or found no translation."""
     cameras = read_cameras(poses) if poses else None
-    if cameras is None or set(cameras.status) & {STATUS["failed"], STATUS["rotating"]}:
+    if cameras is None or set(cameras.status) & {outputs.STATUS["failed"], outputs.STATUS["rotating"]}:
         return None
     focals_px = cameras.Ks[:, 0, 0] * scale
     if (focals_px == focals_px[0]).all():
@@ -215,62 +207,6 @@ def _round_warnings(solution: Estimate, static: np.ndarray, ignored: np.ndarray,
     before = read_metadata(previous) if previous else {}
     found = diagnostics.of_masks(static, ignored, before.get("static_share"))
     return found + (diagnostics.of_rounds(solution.focal, before["focal"]) if before else [])
-
-
-def _cameras(solution: Estimate, graph: FlowGraph, frames: Sequence, scale: float) -> Cameras:
-    """Cameras for full-size frames; a frame without enough matches has the status "unobserved"."""
-    focals_px = solution.state.focals_px
-    Ks = intrinsics(focals_px, focals_px, *graph.centre)
-    status = np.full(graph.T, STATUS[solution.camera], object)
-    if solution.camera != "failed":
-        status[~graph.observed_frames()] = "unobserved"
-    Ks = scale_intrinsics(Ks, 1 / scale)
-    return make_cameras(solution.state.cam_from_world, Ks, np.array(frames.numbers), solution.covariance, status)
-
-
-def _pose_metadata(solution: Estimate, flags: list[str], static: np.ndarray, options: BAOptions) -> dict[str, Any]:
-    return {
-        "camera": solution.camera,
-        "focal": solution.focal,
-        "zoom": asdict(solution.zoom),
-        "statistics": {name: _or_null(value) for name, value in solution.statistics.items()},
-        "residual_px": _or_null(solution.residual_px),
-        "flags": flags,
-        "static_share": float(static.mean()),
-        "gauge": GAUGE,
-        "covariance_std_factor": CORRELATION,
-        "options": options.model_dump(),
-    }
-
-
-def _or_null(value: Any) -> Any:
-    """The value; None in place of infinity and NaN, which JSON cannot hold."""
-    return None if isinstance(value, float) and not np.isfinite(value) else value
-
-
-def _write_depth(path: Path, maps: DepthMaps, frames: Sequence, stride_px: float) -> None:
-    columns = {
-        "frame": np.array(frames.numbers),
-        "inverse_depth": maps.inverse_depth.astype(np.float32),
-        "variance": maps.variance.astype(np.float32),
-        "filled": maps.filled.astype(np.uint8),
-    }
-    units = "inverse depth in 1 / scene units; pixel k lies at full-frame pixel stride_px k + (stride_px - 1) / 2"
-    write_dense(path, columns, {"stride_px": stride_px, "units": units})
-
-
-def _write_convergence(path: Path, solution: Estimate) -> None:
-    rows = [asdict(step) for step in solution.steps]
-    names = ("sigma_px", "cost", "step", "damping", "focal_px", "accepted", "seconds")
-    columns: dict[str, Any] = {"iteration": np.arange(len(rows)), "phase": [row["phase"] for row in rows]}
-    columns |= {name: np.array([row[name] for row in rows]) for name in names}
-    write_table(path, columns, {"units": "px, px^2, s"})
-
-
-def _draw(path: Path, name: str, solution: Estimate, graph: FlowGraph, cameras: Cameras, maps: DepthMaps) -> None:
-    errors = dba.errors_px(graph, solution.state)[graph.weights > MIN_WEIGHT]
-    title = f"{name}: camera {solution.camera}, focal length {solution.focal['decision']}"
-    figure.draw(path, cameras.centres, solution.steps, maps.inverse_depth, errors, title)
 
 
 if __name__ == "__main__":
