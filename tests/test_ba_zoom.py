@@ -1,6 +1,7 @@
 """A focal length that changes over the frames: estimated where held-out pixels call for it, and absent elsewhere."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,9 +9,13 @@ from numpy.testing import assert_allclose
 from synthetic import make_scene, observe, trajectory_error
 
 from stages.ba import dba, twoview, zoom
+from stages.ba.__main__ import _previous
 from stages.ba.dba import FocalPrior, Level, State, Unknowns
 from stages.ba.estimate import Problem, estimate
+from stages.ba.graph import FlowGraph
 from stages.ba.options import BAOptions
+from stages.ba.uncertainty import solution_covariance
+from stages.shared.cameras import intrinsics, make_cameras, write_cameras
 
 OPTIONS = BAOptions(start_focals=(1.05,))
 NOISE_PX = 0.1
@@ -63,16 +68,52 @@ def test_epipolar_geometry_of_a_pair_gives_the_ratio_of_its_focal_lengths() -> N
     assert twoview.zoom_ratio(motion, *rays, 0.5, scene.focal_px) == pytest.approx(1.04, abs=0.002)
 
 
-def test_frames_without_matches_take_a_focal_length_between_those_of_their_neighbours() -> None:
-    curve = ramp(8, 0.2)
+def with_a_blind_frame(curve: np.ndarray) -> tuple[FlowGraph, State]:
+    """Eight frames of a lens that zooms, without matches of the fifth, and their true state."""
     scene = make_scene(size=(64, 96), zoom=curve)
     graph = observe(scene)
     blind = (graph.source == 4) | (graph.target == 4)
     graph = replace(graph, weights=np.where(blind[:, None], 0, graph.weights).astype(np.float32))
-    start = State(scene.cam_from_world, graph.resample(1 / scene.depth, 1), scene.focal_px, np.ones(8))
-    unknowns, prior = Unknowns(focal=True, zoom=True), FocalPrior(scene.focal_px)
+    return graph, State(scene.cam_from_world, graph.resample(1 / scene.depth, 1), scene.focal_px, curve)
+
+
+def test_frames_without_matches_take_a_focal_length_between_those_of_their_neighbours() -> None:
+    curve = ramp(8, 0.2)
+    graph, true = with_a_blind_frame(curve)
+    unknowns, prior = Unknowns(focal=True, zoom=True), FocalPrior(true.focal_px)
+    start = replace(true, zoom=np.ones(8))
     found, _ = dba.solve(graph, start, (Level(2.0, 30), Level(0.5, 40)), unknowns, prior, "test")
     assert_allclose(found.focals_px / found.focals_px[0], curve, rtol=0.005)
+
+
+def test_a_frame_without_matches_has_a_focal_length_with_the_error_of_the_prior() -> None:
+    graph, state = with_a_blind_frame(ramp(8, 0.2))
+    sigma = np.sqrt(np.diagonal(solution_covariance(graph, dba.normalise(state), zoom.PER_FRAME))[6 * graph.T :])
+    assert sigma[3] < sigma[4] < 1.2 * sigma[3]
+
+
+def test_without_matches_the_prior_alone_makes_the_curve_straight_about_its_centre() -> None:
+    graph, state = with_a_blind_frame(ramp(8, 0.2))
+    graph = replace(graph, weights=np.zeros_like(graph.weights))
+    unknowns, prior = Unknowns(focal=True, translation=False, zoom=True), FocalPrior(1.1 * state.focal_px)
+    found, _ = dba.propose(graph, state, 1.0, 0.0, unknowns, prior)
+    assert found is not None
+    logs = np.log(found.focals_px / prior.focal_px)
+    assert_allclose(np.diff(logs, 2), 0, atol=1e-4)
+    assert_allclose(logs.mean(), 0, atol=1e-4)
+
+
+def test_the_next_round_begins_from_the_focal_curve_of_the_one_before(tmp_path: Path) -> None:
+    focals_px = 100 * ramp(8, 0.2)
+    Ks = intrinsics(focals_px, focals_px, 47.5, 31.5)
+    file = tmp_path / "poses.parquet"
+    poses = np.tile(np.eye(4), (8, 1, 1))
+    write_cameras(file, make_cameras(poses, Ks, np.arange(8)), {})
+    guess = _previous(file, 0.5)
+    assert guess is not None
+    assert guess.zoom is not None
+    assert_allclose(guess.focal_px * guess.zoom, focals_px / 2)
+    assert guess.focal_px == pytest.approx(np.exp(np.log(focals_px / 2).mean()))
 
 
 @pytest.mark.parametrize(

@@ -7,8 +7,10 @@ import pytest
 from numpy.testing import assert_allclose
 from synthetic import PLANE, camera_path, make_scene, observe, rotation_error_deg, trajectory_error
 
+from stages.ba import cuts
 from stages.ba.estimate import Estimate, Problem, estimate
 from stages.ba.options import BAOptions
+from stages.ba.start import PoseGuess
 from stages.shared import lie
 
 OPTIONS = BAOptions(start_focals=(1.05,))
@@ -98,3 +100,16 @@ def test_a_zoom_that_the_options_assume_is_reported_as_such_where_it_is_not_obse
     assert solution.state.zoom is not None
     assert solution.zoom.decision == "changing", "focal lengths that differ are not reported as one"
     assert solution.zoom.reason.startswith("as the options say")
+
+
+def test_the_zoom_of_a_shot_within_a_clip_is_put_back_on_its_frames() -> None:
+    """Also with the cameras of a round before, which cover the whole clip."""
+    room = make_scene(T=T, size=(96, 160), zoom=RAMP)
+    shot = (np.arange(T) > 0) & (np.arange(T) < 8)
+    graph = cuts.isolate(observe(room, noise_px=0.1), shot)
+    before = PoseGuess(room.cam_from_world, room.focal_px, RAMP)
+    solution = cuts.estimate_shot(Problem(graph, masked=True, previous=before), shot, OPTIONS)
+    assert solution.zoom.decision == "changing"
+    focals_px = solution.state.focals_px
+    assert_allclose(focals_px[shot], (room.focal_px * RAMP)[shot], rtol=0.02)
+    assert_allclose(focals_px[[0, 8, 9]], focals_px[[1, 7, 7]])
