@@ -9,9 +9,10 @@ from synthetic import Scene, make_scene, observe, rotation_error_deg, trajectory
 
 from stages.ba import dba, kernel, reduced
 from stages.ba.dba import FocalPrior, Level, State, Unknowns
-from stages.ba.estimate import Problem, estimate
+from stages.ba.estimate import estimate
 from stages.ba.graph import FlowGraph
 from stages.ba.options import BAOptions
+from stages.ba.problem import Problem
 from stages.shared import lie
 
 OPTIONS = BAOptions()

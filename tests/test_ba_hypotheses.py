@@ -8,10 +8,11 @@ from synthetic import PLANE, make_scene, observe, trajectory_error
 from stages.ba import dba, planar, start
 from stages.ba.classify import longest_step, measure
 from stages.ba.dba import FocalPrior, Level, State, Unknowns
-from stages.ba.estimate import FINE_PX, Problem, _adjust_twice, estimate
+from stages.ba.estimate import FINE_PX, _adjust_twice, estimate
 from stages.ba.graph import build_graph, favour_distance, mask_graph, thin_graph
 from stages.ba.initialise import Candidate, adjust, initial_state, pair_chain
 from stages.ba.options import BAOptions
+from stages.ba.problem import Problem
 from stages.ba.start import Observed
 
 OPTIONS = BAOptions()

@@ -11,10 +11,11 @@ from synthetic import Scene, make_scene, observe, rotation_error_deg, trajectory
 from stages.ba import classify, dba, twoview
 from stages.ba.dba import FocalPrior, Level, State, Unknowns
 from stages.ba.depth import contact_inverse_depth, depth_maps, fill
-from stages.ba.estimate import Problem, estimate
+from stages.ba.estimate import estimate
 from stages.ba.graph import FlowGraph, static_areas
 from stages.ba.initialise import Hypothesis, chain, initial_state
 from stages.ba.options import BAOptions
+from stages.ba.problem import Problem
 from stages.ba.start import PoseGuess
 from stages.ba.uncertainty import focal_sigma
 from stages.shared import lie

@@ -9,7 +9,6 @@ import numpy as np
 
 from stages.ba import cuts, dba, diagnostics, from_truth, outputs, rounds
 from stages.ba.depth import DepthMaps, depth_maps
-from stages.ba.estimate import Estimate, Problem
 from stages.ba.graph import (
     FlowGraph,
     build_graph,
@@ -19,6 +18,7 @@ from stages.ba.graph import (
     with_texture,
 )
 from stages.ba.options import BAOptions
+from stages.ba.problem import Estimate, Problem
 from stages.ba.start import PoseGuess
 from stages.ba.texture import texture_weights
 from stages.shared import cli, sintel

@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 from scipy.sparse.csgraph import connected_components
 
-from stages.ba.estimate import Estimate, Problem, estimate
+from stages.ba.estimate import estimate
 from stages.ba.graph import MIN_MATCHES, FlowGraph, shared_matches
 from stages.ba.options import BAOptions
+from stages.ba.problem import Estimate, Problem
 from stages.ba.start import PoseGuess
 from stages.shared import lie
 

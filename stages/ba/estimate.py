@@ -1,7 +1,6 @@
 """Bundle adjustment from observations: camera model, initialisation, refinement, focal length, diagnostics."""
 
-from dataclasses import asdict, dataclass, field, replace
-from typing import Any
+from dataclasses import asdict, replace
 
 import numpy as np
 
@@ -11,7 +10,8 @@ from stages.ba.dba import FocalPrior, Level, State, Step, Unknowns
 from stages.ba.graph import MIN_MATCHES, FlowGraph, favour_distance, shared_matches
 from stages.ba.initialise import Candidate
 from stages.ba.options import BAOptions
-from stages.ba.start import Observed, PoseGuess, Start, find_start
+from stages.ba.problem import Estimate, Focal, Problem
+from stages.ba.start import Observed, Start, find_start
 from stages.ba.uncertainty import focal_sigma, median_residual, solution_covariance
 from stages.ba.zoom import NOT_TESTED, Evidence
 
@@ -27,66 +27,6 @@ FINE_PX = (1.0, 0.5)
 """Robust scales of the refinement in px, before the last one."""
 SHARP, SHARP_PX = 2.0, (0.05, 0.5)
 """The last robust scale in units of the median residual, and its limits in px."""
-
-
-@dataclass(frozen=True)
-class Problem:
-    """Input of the estimation: masked observations and prior knowledge.
-
-    Attributes:
-        graph: masked observations.
-        masked: whether masks were used, or poses of an earlier round that was solved with masks.
-        known_focal_px: the true focal length on the flow grid, if it is to be used.
-        previous: the solution of the previous round.
-        unmasked: the same observations without masks, as a fallback.
-        iterations: largest number of iterations of the refinement at each robust scale.
-    """
-
-    graph: FlowGraph
-    masked: bool
-    known_focal_px: float | None = None
-    previous: PoseGuess | None = None
-    unmasked: FlowGraph | None = None
-    iterations: int = 15
-
-
-@dataclass(frozen=True)
-class Focal:
-    """The decision about the focal length: "estimated", "weakly observed", "held at prior" or "known".
-
-    `relative_sigma` is the predicted relative error of estimating it; `reason` says why it was held.
-    """
-
-    decision: str
-    relative_sigma: float | None
-    reason: str = ""
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """A solution with its diagnostics.
-
-    Attributes:
-        camera: "moving", "near-still", "rotating" or "failed".
-        covariance: [T, 6, 6] of the left twists, in the gauge of the state.
-        residual_px: median reprojection error of the confident static matches.
-        focal: the decision about the focal length and its numbers.
-        failed_checks: checks of the statistics that the solution failed, in words; flags: these and other warnings.
-        static: [T, height, width] 0..1, the static area used instead of the input masks; None: the masks were kept.
-        zoom: the decision whether the focal length changes over the frames.
-    """
-
-    state: State
-    camera: str
-    covariance: np.ndarray
-    residual_px: float
-    focal: dict[str, Any]
-    statistics: dict[str, Any]
-    failed_checks: list[str] = field(default_factory=list)
-    flags: list[str] = field(default_factory=list)
-    steps: list[Step] = field(default_factory=list)
-    static: np.ndarray | None = None
-    zoom: Evidence = NOT_TESTED
 
 
 def estimate(problem: Problem, options: BAOptions) -> Estimate:

@@ -6,8 +6,8 @@ import numpy as np
 from stages.ba import classify, initialise
 from stages.ba.dba import State
 from stages.ba.depth import DepthMaps
-from stages.ba.estimate import Estimate
 from stages.ba.graph import FlowGraph
+from stages.ba.problem import Estimate
 from stages.ba.uncertainty import median_residual
 from stages.shared import lie, sintel
 from stages.shared.cameras import frame_from_grid, pixel_grid

@@ -8,9 +8,9 @@ import numpy as np
 
 from stages.ba import dba, figure
 from stages.ba.depth import DepthMaps
-from stages.ba.estimate import Estimate
 from stages.ba.graph import MIN_WEIGHT, FlowGraph
 from stages.ba.options import BAOptions
+from stages.ba.problem import Estimate
 from stages.ba.uncertainty import CORRELATION
 from stages.shared.artifacts import write_dense, write_table
 from stages.shared.cameras import Cameras, intrinsics, make_cameras, scale_intrinsics

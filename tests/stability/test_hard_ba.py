@@ -14,9 +14,10 @@ from stages.ba import classify, dba, kernel, reduced, residuals, twoview
 from stages.ba.__main__ import main
 from stages.ba.dba import FocalPrior, Level, State, Unknowns
 from stages.ba.depth import depth_maps, fill
-from stages.ba.estimate import Estimate, Problem, estimate
+from stages.ba.estimate import estimate
 from stages.ba.graph import build_graph, mask_graph, static_areas, trusted_static_areas
 from stages.ba.options import BAOptions
+from stages.ba.problem import Estimate, Problem
 from stages.ba.start import PoseGuess
 from stages.shared import lie
 from stages.shared.artifacts import read_dense, read_metadata

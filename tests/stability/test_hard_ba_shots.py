@@ -12,10 +12,10 @@ from synthetic import PLANE, Scene, flow_arrays, make_scene, trajectory_error
 from stages.ba import cuts, reduced
 from stages.ba.__main__ import main
 from stages.ba.dba import Unknowns, linear_system
-from stages.ba.estimate import Problem
 from stages.ba.graph import FlowGraph, build_graph
 from stages.ba.initialise import Hypothesis, chain, initial_state
 from stages.ba.options import BAOptions
+from stages.ba.problem import Problem
 from stages.shared.artifacts import read_dense, read_metadata
 from stages.shared.cameras import read_cameras
 

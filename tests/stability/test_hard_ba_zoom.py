@@ -8,8 +8,9 @@ from numpy.testing import assert_allclose
 from synthetic import PLANE, camera_path, make_scene, observe, rotation_error_deg, trajectory_error
 
 from stages.ba import cuts
-from stages.ba.estimate import Estimate, Problem, estimate
+from stages.ba.estimate import estimate
 from stages.ba.options import BAOptions
+from stages.ba.problem import Estimate, Problem
 from stages.ba.start import PoseGuess
 from stages.shared import lie
 
