@@ -4,12 +4,15 @@ from pathlib import Path
 
 import export_clip as truth
 import numpy as np
+import pytest
 from PIL import Image
 
 from stages.export import __main__ as export_stage
 from stages.export.options import ExportOptions
 from stages.export.points import DepthGrid, find_points
+from stages.shared.artifacts import read_dense, write_dense
 from stages.shared.cameras import intrinsics, make_cameras, pixel_grid, unproject, write_cameras
+from stages.shared.errors import InputError
 
 NEAR, FAR = 2.0, 4.0
 """Depths of a strip |x| < HALF, and of the wall behind it, both upright and across the optical axis."""
@@ -50,3 +53,18 @@ def test_masks_that_were_not_trusted_are_exported_empty(tmp_path: Path) -> None:
         assert np.array_equal(picture == 0, expected)
         assert np.array_equal(archive["masks"][k], expected)
         assert np.array_equal(archive["instances"][k] > 0, expected)
+
+
+def test_poses_and_depth_of_another_sequence_are_refused(tmp_path: Path) -> None:
+    inputs, fewer = truth.write_clip(tmp_path), truth.T - 1
+    cameras = make_cameras(truth.CAM_FROM_WORLD[:fewer], truth.K, np.arange(1, truth.T))
+    write_cameras(tmp_path / "other.parquet", cameras)
+    columns = {name: values[1:] for name, values in read_dense(inputs["depth"]).items()}
+    write_dense(tmp_path / "other.arrow", columns, {"stride_px": truth.STRIDE})
+    for name, other, found in (("poses", "other.parquet", "from 1 on"), ("depth", "other.arrow", "from 2 on")):
+        with pytest.raises(InputError, match=f"{other}: expected 8 frames from 1 on, .*, found 7 frames {found}"):
+            export_stage.main(
+                **inputs | {name: tmp_path / other},
+                output=tmp_path / "export",
+                options=ExportOptions(formats=("npz",)),
+            )

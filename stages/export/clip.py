@@ -81,9 +81,14 @@ def read_clip(sequence: Path, poses: Path, masks: Path, depth: Path) -> Clip:
     """The clip of these artifacts, with a warning for frames without a pose.
 
     Raises:
-        InputError: if no frame has an estimated pose.
+        InputError: if no frame has an estimated pose, or poses or depth are of other frames.
     """
     content, cameras = read_sequence(sequence), read_cameras(poses)
+    grid, stride_px = read_dense(depth), float(read_metadata(depth)["stride_px"])
+    for path, numbers in {poses: cameras.numbers, depth: grid["frame"]}.items():
+        if numbers.tolist() != content.numbers:
+            said, found = (f"{len(of)} frames from {of[0]} on" for of in (content.numbers, numbers.tolist()))
+            raise InputError(path, f"{said}, as in {sequence}", found, "give the files of one sequence and run")
     posed = has_pose(cameras)
     if not posed.any():
         found = f"the status '{cameras.status[0]}' for all {len(posed)} frames"
@@ -94,7 +99,6 @@ def read_clip(sequence: Path, poses: Path, masks: Path, depth: Path) -> Clip:
         logger.warning(
             "export: frames %s have no pose of their own: not in COLMAP's model and transforms.json", numbers
         )
-    grid, stride_px = read_dense(depth), float(read_metadata(depth)["stride_px"])
     known = measured(grid["inverse_depth"], grid["variance"], grid["filled"])
     if not known.any():
         logger.warning("export: no depth is triangulated (%s): no points, and black depth images", cameras.status[0])
