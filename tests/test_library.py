@@ -66,10 +66,11 @@ FLOORS = {
     "toy_train": Floor(ate_percent=0.043, iou=0.47, moving_db=19.5, psnr_db=28.8, static_db=30.2),
     "zoom_station": Floor(ate_percent=3.7, iou=0.13, moving_db=20.2, psnr_db=26.5, static_db=28.7),
 }
-"""Twice the error, IoU less 0.07, PSNR less 1 dB (moving: 1.5 dB) of what docs/results.md shows; of glossy_zoom, with the model of a zoom.
+"""Twice the error, IoU less 0.07, PSNR less 1 dB (moving: 1.5 dB) of what docs/results.md shows.
 
-The mover of fog_harbour is not found at all: its IoU asks for nothing. The zoom of zoom_station is flagged, not solved:
-it is held where it is.
+Of glossy_zoom these are the figures with the model of a zoom, which that run is older than.
+The mover of fog_harbour is not found at all: its IoU asks for nothing. The zoom of zoom_station is flagged, not
+solved: it is held where it is.
 """
 KNOWN = {
     "all_moving": "nothing is at rest",
