@@ -157,6 +157,12 @@ def artifact(stage, name):
     )
 
 
+def for_formats(stage, name, *formats):
+    """The input function of what a stage makes; empty if none of the export's formats that need it is asked for."""
+    wanted = set(formats) & set(CONFIG.export.formats)
+    return artifact(stage, name) if wanted else []
+
+
 def artifacts(stage, name):
     """The input function of a stage's results in all of its rounds, in order (one, if rounds do not repeat it)."""
 

@@ -1,9 +1,3 @@
-def for_formats(stage, name, *formats):
-    """The input function of what a stage makes; empty if none of the export's formats that need it is asked for."""
-    wanted = set(formats) & set(CONFIG.export.formats)
-    return artifact(stage, name) if wanted else []
-
-
 rule export_sequence:
     input:
         sequence=artifact("inspect", "sequence.json"),
