@@ -53,4 +53,4 @@ bench: $(INSTALLED)
 	for bench in benchmarks/bench_*.py; do $(BIN)/python -m benchmarks.$$(basename $$bench .py) || exit 1; done
 
 clean:
-	rm -rf results simulated logs .snakemake $(LIBRARY)
+	rm -rf results simulated decoded logs .snakemake $(LIBRARY)
