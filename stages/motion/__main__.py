@@ -6,12 +6,13 @@ from typing import Annotated, Any
 import numpy as np
 
 from stages.motion import epipolar, photometric, resweep
-from stages.motion.epipolar import Evidence, PairMatches
+from stages.motion.epipolar import Evidence
+from stages.motion.flow_pairs import FlowPairs
 from stages.motion.options import MotionOptions
-from stages.motion.pooling import evidence_weights, pool
+from stages.motion.pooling import pool
 from stages.shared import cli, drawing
 from stages.shared.artifacts import read_dense, read_metadata, write_dense
-from stages.shared.cameras import Cameras, pixel_grid, read_cameras, scale_intrinsics
+from stages.shared.cameras import Cameras, read_cameras, scale_intrinsics
 from stages.shared.cli import In, Out
 from stages.shared.errors import InputError
 from stages.shared.images import read_reduced, write_figure
@@ -45,18 +46,15 @@ def main(
     output says which was used, and why.
     """
     frames = read_sequence(sequence)
-    pairs, scale = read_dense(flow), float(read_metadata(flow)["scale"])
-    pairs["flow"] = pairs["flow"].astype(np.float32)
-    pairs["weights"] = evidence_weights(pairs["flow"], pairs["confidence"])
-    edges = {(int(i), int(j)): e for e, (i, j) in enumerate(zip(pairs["source"], pairs["target"], strict=True))}
-    rgb = read_reduced(frames.frames, pairs["confidence"].shape[:0:-1])
+    pairs, scale = FlowPairs(**read_dense(flow)), float(read_metadata(flow)["scale"])
+    rgb = read_reduced(frames.frames, pairs.confidence.shape[:0:-1])
     cameras = _usable_cameras(previous_poses, previous_depth)
     if cameras is None or previous_depth is None:
-        evidence, facts = _from_flow(pairs, edges, len(frames.numbers), options.seed)
+        evidence, facts = _from_flow(pairs, len(frames.numbers), options.seed)
     else:
         stride_px = float(read_metadata(previous_depth)["stride_px"])
         evidence, facts = _from_cameras(rgb, pairs, cameras, read_dense(previous_depth), scale, stride_px)
-    residual = pool(evidence, rgb, edges, pairs["flow"], pairs["weights"])
+    residual = pool(evidence, rgb, pairs)
     probability = to_probability(residual, *(FLOW_CURVE if cameras is None else CAMERA_CURVE))
     facts |= {"moving_share": float((probability > 0.5).mean())}
     logger.info("%s: %s", frames.name, facts)
@@ -83,35 +81,29 @@ def _usable_cameras(poses: Path | None, depth: Path | None) -> Cameras | None:
     return cameras
 
 
-def _from_flow(
-    pairs: dict[str, np.ndarray], edges: dict[tuple[int, int], int], T: int, seed: int
-) -> tuple[Evidence, dict[str, Any]]:
+def _from_flow(pairs: FlowPairs, T: int, seed: int) -> tuple[Evidence, dict[str, Any]]:
     """Evidence from two-view geometry, and which model was used."""
-    pixels = pixel_grid(*pairs["weights"].shape[1:]).astype(np.float32)
-    matches = PairMatches(pixels, pixels + pairs["flow"], pairs["weights"])
-    flat = epipolar.flat_share(edges, matches, seed)
+    flat = epipolar.flat_share(pairs, seed)
     parallax = flat < epipolar.FLAT_SHARE
-    evidence = epipolar.two_view_evidence(edges, matches, T, parallax, seed)
+    evidence = epipolar.two_view_evidence(pairs, T, parallax, seed)
     model = "fundamental matrices" if parallax else "homographies: too little parallax for epipolar geometry"
     return evidence, {"source": "flow", "model": model, "flat_share": flat}
 
 
 def _from_cameras(
     rgb: np.ndarray,
-    pairs: dict[str, np.ndarray],
+    pairs: FlowPairs,
     cameras: Cameras,
     depth: dict[str, np.ndarray],
     scale: float,
     stride_px: float,
 ) -> tuple[Evidence, dict[str, Any]]:
     """Evidence from the cameras of the previous round with depth searched anew, and which model was used."""
-    h, w = pairs["confidence"].shape[1:]
+    h, w = pairs.confidence.shape[1:]
     start = resweep.resample(depth["inverse_depth"], stride_px * scale, h, w)
     seen = cameras.cam_from_world, scale_intrinsics(cameras.Ks, scale)
     unobserved = cameras.status == "unobserved"  # their poses are interpolated, so their flow is no evidence
-    known = ~(unobserved[pairs["source"]] | unobserved[pairs["target"]])
-    if unobserved.any():  # otherwise the copy would only cost memory
-        pairs = pairs | {"weights": pairs["weights"] * known[:, None, None]}
+    pairs = pairs.counting(~(unobserved[pairs.source] | unobserved[pairs.target]))
     evidence, inverse_depth, sigma_px = resweep.camera_evidence(pairs, *seen, start)
     evidence = photometric.corroborate(evidence, rgb, pairs, resweep.projections(pairs, *seen), inverse_depth)
     rotating = set(cameras.status[~unobserved]) == {"rotation-only"}

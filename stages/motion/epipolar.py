@@ -7,6 +7,7 @@ import cv2
 import numba
 import numpy as np
 
+from stages.motion.flow_pairs import FlowPairs
 from stages.shared.sampson import sampson_distances
 from stages.shared.threads import threaded
 
@@ -33,24 +34,16 @@ class Evidence(NamedTuple):
     weight: np.ndarray
 
 
-class PairMatches(NamedTuple):
-    """Pixels of the flow grid [h, w, 2], where each edge takes them [E, h, w, 2], and the weights [E, h, w]."""
-
-    pixels: np.ndarray
-    matches: np.ndarray
-    weights: np.ndarray
-
-
-def flat_share(edges: dict[tuple[int, int], int], pairs: PairMatches, seed: int) -> float:
+def flat_share(pairs: FlowPairs, seed: int) -> float:
     """Share of the confident matches that a homography fits to 1 px, at the frame distance where it is least.
 
     Near 1 there is no parallax: the camera only turns, hardly moves, or looks at a plane. Then the epipole is
     undetermined and a fit would place it to explain moving objects. 1 without matches.
     """
-    forward = [(i, j) for i, j in edges if i < j]
+    forward = [(i, j) for i, j in pairs.edges if i < j]
 
     def share(pair: tuple[int, int]) -> float | None:
-        x, y = _confident(pairs, edges[pair], edges[pair[::-1]])
+        x, y = _confident(pairs, pair)
         H = fit_homography(x, y, _usac(FLAT_PX, seed)) if len(x) >= MIN_MATCHES else None
         return None if H is None else float((homography_errors(H, x, y) < FLAT_PX).mean())
 
@@ -61,50 +54,49 @@ def flat_share(edges: dict[tuple[int, int], int], pairs: PairMatches, seed: int)
     return min((float(np.median(of_distance)) for of_distance in shares.values()), default=1.0)
 
 
-def two_view_evidence(
-    edges: dict[tuple[int, int], int], pairs: PairMatches, T: int, parallax: bool, seed: int
-) -> Evidence:
+def two_view_evidence(pairs: FlowPairs, T: int, parallax: bool, seed: int) -> Evidence:
     """Geman-McClure cost of the epipolar (or, without parallax, homography) residual, averaged over a frame's edges.
 
-    Args:
-        edges: (source, target) -> row; every edge has its reverse.
+    Every edge has its reverse.
     """
     fit, errors = (fit_fundamental, epipolar_errors) if parallax else (fit_homography, homography_errors)
-    params = _usac(ransac_threshold_px(edges, pairs), seed)
-    forward = [(i, j) for i, j in edges if i < j]
+    params = _usac(ransac_threshold_px(pairs), seed)
+    forward = [(i, j) for i, j in pairs.edges if i < j]
 
     def fitted(pair: tuple[int, int]) -> tuple[np.ndarray, float] | None:
-        x, y = _confident(pairs, edges[pair], edges[pair[::-1]])
+        x, y = _confident(pairs, pair)
         model = fit(x, y, params) if len(x) >= MIN_MATCHES else None
         return None if model is None else (model, float(np.clip(3 * np.median(errors(model, x, y)), *SIGMA_RANGE_PX)))
 
     fits = dict(zip(forward, threaded(fitted, forward), strict=True))
 
     def of_frame(frame: int) -> tuple[np.ndarray, np.ndarray]:
-        residual, weight = (np.zeros(pairs.weights.shape[1:], np.float32) for _ in range(2))
-        for (i, j), e in edges.items():
-            found = fits[min(i, j), max(i, j)] if i == frame else None
+        residual, weight = (np.zeros(pairs.pixels.shape[:2], np.float32) for _ in range(2))
+        for e in pairs.leaving(frame, frame + 1):
+            i, j = frame, int(pairs.target[e])
+            found = fits[min(i, j), max(i, j)]
             if found is not None:
                 model, sigma_px = found
                 its_model = model if i < j else model.T if parallax else np.linalg.inv(model)
-                squared = (errors(its_model, pairs.pixels, pairs.matches[e]) / np.float32(sigma_px)) ** 2
-                residual += pairs.weights[e] * squared / (1 + squared)
-                weight += pairs.weights[e]
+                squared = (errors(its_model, pairs.pixels, pairs.matches(e)) / np.float32(sigma_px)) ** 2
+                of_edge = pairs.weights(e)
+                residual += of_edge * squared / (1 + squared)
+                weight += of_edge
         return residual / np.maximum(weight, 1e-6), weight
 
     residuals, weights = zip(*threaded(of_frame, range(T)), strict=True)
     return Evidence(np.stack(residuals), np.stack(weights))
 
 
-def ransac_threshold_px(edges: dict[tuple[int, int], int], pairs: PairMatches) -> float:
+def ransac_threshold_px(pairs: FlowPairs) -> float:
     """Inlier threshold: 7.5 % of the median motion of the shortest edges within 0.2..0.5 px.
 
     A wider one counts moving objects as inliers and biases the geometry.
     """
-    shortest = min((abs(i - j) for i, j in edges), default=0)
+    shortest = min((abs(i - j) for i, j in pairs.edges), default=0)
     moves = [
-        np.median(np.linalg.norm((pairs.matches[e] - pairs.pixels)[::2, ::2], axis=-1))
-        for (i, j), e in edges.items()
+        np.median(np.linalg.norm((pairs.matches(e) - pairs.pixels)[::2, ::2], axis=-1))
+        for (i, j), e in pairs.edges.items()
         if abs(i - j) == shortest
     ]
     return float(np.clip(0.075 * np.median(moves), 0.2, 0.5)) if moves else 0.2
@@ -150,10 +142,11 @@ def _transfer(H, x, y):  # type: ignore[no-untyped-def]
     return errors
 
 
-def _confident(pairs: PairMatches, edge: int, back: int) -> tuple[np.ndarray, np.ndarray]:
+def _confident(pairs: FlowPairs, pair: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
     """Confident matches x [n, 2] and y [n, 2] of every other row and column of an edge and its reverse, pooled."""
-    x, y = _collect(pairs.pixels, pairs.matches[edge], pairs.weights[edge])
-    y_back, x_back = _collect(pairs.pixels, pairs.matches[back], pairs.weights[back])
+    edge, back = pairs.edges[pair], pairs.edges[pair[::-1]]
+    x, y = _collect(pairs.pixels, pairs.matches(edge), pairs.weights(edge))
+    y_back, x_back = _collect(pairs.pixels, pairs.matches(back), pairs.weights(back))
     return np.concatenate([x, x_back]), np.concatenate([y, y_back])
 
 

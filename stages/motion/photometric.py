@@ -5,12 +5,11 @@ images tell them apart. Warped with a static depth (the pixel's own or that of i
 warped with the flow, unless the pixel moved.
 """
 
-from collections.abc import Mapping
-
 import cv2
 import numpy as np
 
 from stages.motion.epipolar import Evidence
+from stages.motion.flow_pairs import FlowPairs
 from stages.motion.pooling import PRIOR_WEIGHT
 from stages.motion.resweep import dense_static_flow
 from stages.shared.threads import threaded
@@ -37,7 +36,7 @@ NEVER = np.float32(1e30)
 def corroborate(
     evidence: Evidence,
     rgb: np.ndarray,
-    pairs: Mapping[str, np.ndarray],
+    pairs: FlowPairs,
     projections: tuple[np.ndarray, np.ndarray],
     inverse_depth: np.ndarray,
 ) -> Evidence:
@@ -49,19 +48,18 @@ def corroborate(
     Args:
         evidence: residual [T, h, w] of the flow to a static world, and its weight.
         rgb: [T, h, w, 3] uint8 frames on the flow grid.
-        pairs: source, target [E], flow [E, h, w, 2] px, confidence [E, h, w].
         projections: A [E, 3, 3] and b [E, 3] of `resweep`; inverse_depth: [T, h, w] in the units of b.
     """
     frames = np.stack([cv2.GaussianBlur(frame, (0, 0), 0.7) for frame in rgb])
 
     def of_frame(i: int) -> tuple[np.ndarray, np.ndarray]:
-        edges = np.flatnonzero(pairs["source"] == i)
-        confidence = pairs["confidence"][edges].astype(np.float32)
+        edges = np.array(pairs.leaving(i, i + 1), int)
+        confidence = pairs.confidence[edges].astype(np.float32)
         reliability = confidence.sum(axis=0) / (RELIABLE * max(len(edges), 1))
         depths = _static_depths(inverse_depth[i].astype(np.float32), evidence.residual[i])
-        near = edges[np.abs(i - pairs["target"][edges]) <= REACH]
+        near = edges[np.abs(i - pairs.target[edges]) <= REACH]
         cameras = projections[0][near], projections[1][near]
-        contradicted = _contradicted(frames, i, pairs["target"][near], pairs["flow"][near], cameras, depths)
+        contradicted = _contradicted(frames, i, pairs.target[near], pairs.flow[near], cameras, depths)
         residual = evidence.residual[i] * np.maximum(np.minimum(reliability, 1), contradicted)
         weight = max((confidence > 0.5).mean(), PRIOR_WEIGHT) if len(edges) else 0
         return residual, np.maximum(evidence.weight[i], weight)

@@ -1,14 +1,13 @@
 """Evidence of motion gathered over neighbouring pixels and, along the flow, over neighbouring frames."""
 
 import cv2
-import numba
 import numpy as np
 
 from stages.motion.epipolar import Evidence
-from stages.shared.threads import spread, threaded
+from stages.motion.flow_pairs import FlowPairs, blocks
+from stages.shared.threads import threaded
 from stages.shared.warp import warp
 
-MIN_WEIGHT = 0.1
 POOLED_OFFSETS = (1, 2)
 PRIOR_WEIGHT = 0.3
 """Weight of the prior that a pixel is static (residual 0): a pixel without evidence counts as static."""
@@ -19,40 +18,7 @@ COLOUR_SIGMA = 4.0
 """Colour step (0..255) that stops the smoothing."""
 
 
-def evidence_weights(flow: np.ndarray, confidence: np.ndarray) -> np.ndarray:
-    """Weights [E, h, w] float32 of flow [E, h, w, 2] px as evidence of motion: its confidence, with a small minimum.
-
-    Objects that move fast or rotate are matched badly in every pair. Flow that fits neither a static world nor the
-    backward flow is weak evidence of motion, and often the only one. Flow that leaves the frame has weight 0.
-    """
-    weights = confidence.astype(np.float32)  # half precision is slow to compare
-    spread(_weigh, len(weights), flow.astype(np.float32, copy=False), weights)
-    return weights
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _weigh(first, last, flow, weights):  # type: ignore[no-untyped-def]
-    _, h, w = weights.shape
-    for e in range(first, last):
-        confident = 0
-        for y in range(h):
-            for x in range(w):
-                confident += weights[e, y, x] > 0.5
-        floor = np.float32(MIN_WEIGHT * confident / (h * w))
-        for y in range(h):
-            for x in range(w):
-                u, v = x + flow[e, y, x, 0], y + flow[e, y, x, 1]
-                inside = u >= 0 and u <= w - 1 and v >= 0 and v <= h - 1
-                weights[e, y, x] = max(weights[e, y, x], floor) if inside else np.float32(0)
-
-
-def pool(
-    evidence: Evidence,
-    rgb: np.ndarray,
-    edges: dict[tuple[int, int], int],
-    flow: np.ndarray,
-    weights: np.ndarray,
-) -> np.ndarray:
+def pool(evidence: Evidence, rgb: np.ndarray, pairs: FlowPairs) -> np.ndarray:
     """Weighted mean residual [T, h, w] in 0..1 over similar pixels and over the frames one and two away.
 
     Within a frame, evidence spreads up to colour edges in proportion to its weight: well-matched pixels decide for
@@ -60,19 +26,27 @@ def pool(
 
     Args:
         rgb: [T, h, w, 3] uint8 frames on the flow grid.
-        edges: (source, target) -> row of flow [E, h, w, 2] px and weights [E, h, w].
     """
-    numerator, denominator = np.stack(threaded(_spread, *evidence, rgb), axis=1)
+    pooled = np.empty(evidence.residual.shape, np.float32)
+    T, reach = len(pooled), max(POOLED_OFFSETS)
+    for first, last in blocks(T):
+        near = slice(max(first - reach, 0), min(last + reach, T))
+        sums = threaded(_spread, evidence.residual[near], evidence.weight[near], rgb[near])
+        of_frame = dict(zip(range(near.start, near.stop), sums, strict=True))
+        pooled[first:last] = threaded(lambda k, sums=of_frame: _pooled(k, sums, pairs), range(first, last))
+    return pooled
 
-    def of_frame(frame: int) -> np.ndarray:
-        pooled, total = numerator[frame].copy(), denominator[frame].copy()
-        for (i, j), e in edges.items():
-            if i == frame and abs(i - j) in POOLED_OFFSETS:
-                pooled += weights[e] * warp(numerator[j], flow[e])
-                total += weights[e] * warp(denominator[j], flow[e])
-        return np.asarray(pooled / (total + PRIOR_WEIGHT))
 
-    return np.stack(threaded(of_frame, range(len(numerator))))
+def _pooled(frame: int, sums: dict[int, np.ndarray], pairs: FlowPairs) -> np.ndarray:
+    """The mean residual [h, w] of a frame, from the sums [2, h, w] of it and its neighbours."""
+    pooled, total = sums[frame].copy()
+    for e in pairs.leaving(frame, frame + 1):
+        j = int(pairs.target[e])
+        if abs(frame - j) in POOLED_OFFSETS:
+            flow, weights = pairs.flow[e].astype(np.float32), pairs.weights(e)
+            pooled += weights * warp(sums[j][0], flow)
+            total += weights * warp(sums[j][1], flow)
+    return np.asarray(pooled / (total + PRIOR_WEIGHT))
 
 
 def _spread(residual: np.ndarray, weight: np.ndarray, rgb: np.ndarray) -> np.ndarray:

@@ -5,15 +5,16 @@ inverse depth d >= 0. A pixel moves if its flows to several frames fit no single
 masks: a depth solved with a mask, or a mask in the weights, would confirm the mask.
 """
 
-from collections.abc import Mapping
+import itertools
 
 import numba
 import numpy as np
 
 from stages.motion.epipolar import Evidence
+from stages.motion.flow_pairs import FlowPairs, blocks
 from stages.shared.cameras import grid_from_frame, pixel_grid, projection, static_flow
 from stages.shared.finite import require_finite
-from stages.shared.threads import spread
+from stages.shared.threads import spread, threaded
 from stages.shared.warp import bilinear
 
 D_MAX = 50.0
@@ -30,7 +31,7 @@ COARSE = 8
 
 
 def camera_evidence(
-    pairs: Mapping[str, np.ndarray], cam_from_world: np.ndarray, Ks: np.ndarray, start: np.ndarray
+    pairs: FlowPairs, cam_from_world: np.ndarray, Ks: np.ndarray, start: np.ndarray
 ) -> tuple[Evidence, np.ndarray, float]:
     """Residual [T, h, w] at the best depth with its weight; that inverse depth; the robust scale in px.
 
@@ -39,31 +40,41 @@ def camera_evidence(
     The weight of an edge is proportional to its frame distance: slow motion shows over many frames only.
 
     Args:
-        pairs: source, target [E], flow [E, h, w, 2] px, weights [E, h, w].
         cam_from_world: [T, 4, 4]; Ks: [T, 3, 3] on the flow grid; start: [T, h, w] inverse depth.
     """
-    require_finite(flow=pairs["flow"], weights=pairs["weights"], poses=cam_from_world, intrinsics=Ks, start=start)
+    require_finite(flow=pairs.flow, confidence=pairs.confidence, poses=cam_from_world, intrinsics=Ks, start=start)
     unit = float(np.median(start))
     A, b = projections(pairs, cam_from_world, Ks)
     b = unit * b
-    pointer = np.searchsorted(pairs["source"], np.arange(len(start) + 1))
-    distance = np.abs(pairs["source"] - pairs["target"])
-    weights = pairs["weights"] * (distance / distance.mean()).astype(np.float32)[:, None, None]
-    inputs = (pairs["flow"], weights, (start / unit).astype(np.float32))
-    _, inverse_depth = sweep(pointer, A, b, *inputs, 1.0, COARSE)
-    sigma_px = float(np.clip(NOISE_SCALE * _median_residual(A, b, pairs, inverse_depth), *SIGMA_RANGE_PX))
-    residual, inverse_depth = sweep(pointer, A, b, *inputs, sigma_px, 1)
-    weight = np.zeros(start.shape, np.float32)
-    for of_edge, i in zip(weights, pairs["source"], strict=True):
-        weight[i] += of_edge
-    return Evidence(residual, weight), unit * inverse_depth, sigma_px
+    distance = np.abs(pairs.source - pairs.target)
+    importance = (distance / distance.mean()).astype(np.float32)
+
+    def solved(first: int, last: int, sigma_px: float, stride: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Residual and inverse depth of a run of frames on every `stride`-th pixel, and their weights on all."""
+        rows = pairs.leaving(first, last)
+        edges = slice(rows.start, rows.stop)
+        pointer = np.searchsorted(pairs.source[edges], np.arange(first, last + 1))
+        weights = np.zeros((len(rows), *start.shape[1:]), np.float32)
+        for e, of_edge in zip(rows, threaded(pairs.weights, rows), strict=True):
+            weights[e - rows.start] = importance[e] * of_edge
+        near = (start[first:last] / unit).astype(np.float32)
+        found = sweep(pointer, A[edges], b[edges], pairs.flow[edges], weights, near, sigma_px, stride)
+        return *found, np.stack([weights[begin:end].sum(axis=0) for begin, end in itertools.pairwise(pointer)])
+
+    T = len(start)
+    coarse = np.concatenate([solved(*block, 1.0, COARSE)[1] for block in blocks(T)])
+    sigma_px = float(np.clip(NOISE_SCALE * _median_residual(A, b, pairs, coarse), *SIGMA_RANGE_PX))
+    residual, inverse_depth, weight = (np.empty(start.shape, np.float32) for _ in range(3))
+    for first, last in blocks(T):
+        run = slice(first, last)
+        residual[run], inverse_depth[run], weight[run] = solved(first, last, sigma_px, 1)
+    inverse_depth *= np.float32(unit)
+    return Evidence(residual, weight), inverse_depth, sigma_px
 
 
-def projections(
-    pairs: Mapping[str, np.ndarray], cam_from_world: np.ndarray, Ks: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def projections(pairs: FlowPairs, cam_from_world: np.ndarray, Ks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """A [E, 3, 3] and b [E, 3] of every edge, as above."""
-    i, j = pairs["source"], pairs["target"]
+    i, j = pairs.source, pairs.target
     return projection((cam_from_world[i], Ks[i]), (cam_from_world[j], Ks[j]))
 
 
@@ -94,15 +105,15 @@ def resample(inverse_depth: np.ndarray, cell_px: float, h: int, w: int) -> np.nd
     return np.stack([bilinear(d, cells) for d in inverse_depth])
 
 
-def _median_residual(A: np.ndarray, b: np.ndarray, pairs: Mapping[str, np.ndarray], inverse_depth: np.ndarray) -> float:
+def _median_residual(A: np.ndarray, b: np.ndarray, pairs: FlowPairs, inverse_depth: np.ndarray) -> float:
     """Median residual in px of confident flow at the coarse inverse depths."""
     grid = slice((COARSE - 1) // 2, None, COARSE)
-    pixels = pixel_grid(*pairs["weights"].shape[1:])[grid, grid]
+    pixels = pixel_grid(*pairs.confidence.shape[1:])[grid, grid]
     residuals = []
-    for e, i in enumerate(pairs["source"]):
+    for e, i in enumerate(pairs.source):
         flow, ratio = static_flow(pixels, inverse_depth[i], A[e], b[e])
-        confident = (pairs["weights"][e, grid, grid] > 0.5) & (ratio > Z_MIN)
-        residuals.append(np.linalg.norm((pairs["flow"][e, grid, grid] - flow)[confident], axis=-1))
+        confident = (pairs.weights(e)[grid, grid] > 0.5) & (ratio > Z_MIN)
+        residuals.append(np.linalg.norm((pairs.flow[e, grid, grid] - flow)[confident], axis=-1))
     pooled = np.concatenate(residuals)
     return float(np.median(pooled)) if pooled.size else 0.0
 

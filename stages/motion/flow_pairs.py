@@ -1,0 +1,85 @@
+"""The flow of a clip, read edge by edge: the flow of a thousand frames does not fit into memory."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numba
+import numpy as np
+
+from stages.shared.cameras import pixel_grid
+
+MIN_WEIGHT = 0.1
+BLOCK = 32
+"""Frames whose flow is held at the same time."""
+
+
+@dataclass(frozen=True)
+class FlowPairs:
+    """The edges of flow/pairs.arrow, sorted by source, and how much each pixel counts.
+
+    Attributes:
+        source, target: [E] frames. flow: [E, h, w, 2] px and confidence: [E, h, w], mapped from the file in float16.
+        counts: [E] bool, whether an edge is evidence; None: all are.
+    """
+
+    source: np.ndarray
+    target: np.ndarray
+    flow: np.ndarray
+    confidence: np.ndarray
+    counts: np.ndarray | None = None
+
+    @cached_property
+    def edges(self) -> dict[tuple[int, int], int]:
+        """(source, target) -> row."""
+        return {(int(i), int(j)): e for e, (i, j) in enumerate(zip(self.source, self.target, strict=True))}
+
+    @cached_property
+    def pixels(self) -> np.ndarray:
+        """Pixels of the flow grid [h, w, 2], float32."""
+        return pixel_grid(*self.confidence.shape[1:]).astype(np.float32)
+
+    def leaving(self, first: int, last: int) -> range:
+        """Rows of the edges that leave the frames first..last - 1."""
+        begin, end = np.searchsorted(self.source, (first, last))
+        return range(int(begin), int(end))
+
+    def matches(self, edge: int) -> np.ndarray:
+        """Where an edge takes the pixels [h, w, 2], float32."""
+        return np.asarray(self.pixels + self.flow[edge].astype(np.float32))
+
+    def weights(self, edge: int) -> np.ndarray:
+        """Weights [h, w] float32 of an edge as evidence of motion: its confidence, with a small minimum.
+
+        Objects that move fast or rotate are matched badly in every pair. Flow that fits neither a static world nor the
+        backward flow is weak evidence of motion, and often the only one. Flow that leaves the frame has weight 0.
+        """
+        weights = self.confidence[edge].astype(np.float32)  # half precision is slow to compare
+        if self.counts is not None and not self.counts[edge]:
+            return np.zeros_like(weights)
+        _weigh(self.flow[edge].astype(np.float32), weights)
+        return weights
+
+    def counting(self, counts: np.ndarray) -> "FlowPairs":
+        """The same pairs, of which only some [E] are evidence."""
+        return replace(self, counts=counts)
+
+
+def blocks(T: int) -> Iterator[tuple[int, int]]:
+    """First frame and end of the runs of at most BLOCK frames that T frames are."""
+    return ((first, min(first + BLOCK, T)) for first in range(0, T, BLOCK))
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _weigh(flow, weights):  # type: ignore[no-untyped-def]
+    h, w = weights.shape
+    confident = 0
+    for y in range(h):
+        for x in range(w):
+            confident += weights[y, x] > 0.5
+    floor = np.float32(MIN_WEIGHT * confident / (h * w))
+    for y in range(h):
+        for x in range(w):
+            u, v = x + flow[y, x, 0], y + flow[y, x, 1]
+            inside = u >= 0 and u <= w - 1 and v >= 0 and v <= h - 1
+            weights[y, x] = max(weights[y, x], floor) if inside else np.float32(0)
