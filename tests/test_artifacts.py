@@ -1,5 +1,6 @@
 """Round trips of every file kind, metadata, and what a failed write leaves behind."""
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -212,3 +213,21 @@ def test_nothing_in_the_project_pickles() -> None:
             text = text.replace(refused, "")
         assert "pickle" not in text, path
         assert "torch.save" not in text, path
+
+
+def test_a_mapped_file_reads_the_same_after_its_memory_was_given_back(tmp_path: Path) -> None:
+    """Resident memory falls by about the size of the file, and what is read again is equal."""
+    values = np.random.default_rng(0).standard_normal((256, 64, 512)).astype(np.float32)
+    artifacts.write_dense(tmp_path / "values.arrow", {"values": values})
+    columns = artifacts.read_dense(tmp_path / "values.arrow")
+    total, held = columns["values"].sum(), resident_mb()
+    columns.release()
+    assert held - resident_mb() > 0.9 * values.nbytes / 1e6
+    assert columns["values"].sum() == total
+    np.testing.assert_array_equal(columns["values"], values)
+
+
+def resident_mb() -> float:
+    """Resident memory of this process, MB."""
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6

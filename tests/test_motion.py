@@ -9,27 +9,25 @@ from conftest import write_frames
 from synthetic import Scene, flow_arrays, make_scene, painted
 
 from stages.motion import __main__ as motion_stage
-from stages.motion import epipolar, pooling, resweep
-from stages.motion.epipolar import Evidence, PairMatches
+from stages.motion import epipolar, photometric, pooling, resweep
+from stages.motion import flow_pairs as flow_pairs_module
+from stages.motion.epipolar import Evidence
+from stages.motion.flow_pairs import FlowPairs
 from stages.shared import lie
-from stages.shared.artifacts import read_dense, read_metadata, write_dense, write_json
+from stages.shared.artifacts import Dense, read_dense, read_metadata, write_dense, write_json
 from stages.shared.cameras import make_cameras, pixel_grid, projection, static_flow, write_cameras
 from stages.shared.errors import InputError
 from stages.shared.sequences import check_sequence, sequence_to_json
 
 
-def observed(scene: Scene) -> tuple[dict[str, np.ndarray], dict[tuple[int, int], int]]:
-    """Exact flow of a scene as the motion stage reads it, and its edges."""
-    source, target, flow, confidence = flow_arrays(scene)
-    weights = pooling.evidence_weights(flow, confidence)
-    edges = {(int(i), int(j)): e for e, (i, j) in enumerate(zip(source, target, strict=True))}
-    return {"source": source, "target": target, "flow": flow, "confidence": confidence, "weights": weights}, edges
+def observed(scene: Scene) -> FlowPairs:
+    """Exact flow of a scene as the motion stage reads it."""
+    return flow_pairs(*flow_arrays(scene))
 
 
-def matches(pairs: dict[str, np.ndarray]) -> PairMatches:
-    """Pixels and where they go."""
-    pixels = pixel_grid(*pairs["weights"].shape[1:]).astype(np.float32)
-    return PairMatches(pixels, pixels + pairs["flow"], pairs["weights"])
+def flow_pairs(source: np.ndarray, target: np.ndarray, flow: np.ndarray, confidence: np.ndarray) -> FlowPairs:
+    """Flow [E, h, w, 2] of edges, and its confidence [E, h, w]."""
+    return FlowPairs(Dense({"source": source, "target": target, "flow": flow, "confidence": confidence}))
 
 
 def overlap(found: np.ndarray, truth: np.ndarray) -> float:
@@ -52,14 +50,14 @@ def test_sampson_error_is_the_distance_to_the_nearest_true_match() -> None:
 def test_a_mover_stands_out_without_cameras() -> None:
     """A block that moves across the epipolar lines; motion along them is beyond two views."""
     scene = make_scene(T=5, size=(128, 192))
-    pairs, edges = observed(scene)
+    pairs = observed(scene)
     moving = np.zeros(scene.depth.shape, bool)
     moving[:, 40:80, 60:110] = True
-    steps = (pairs["target"] - pairs["source"])[:, None, None, None]
-    pairs["flow"] = pairs["flow"] + moving[0][..., None] * steps * np.array([0, 3], np.float32)
-    assert epipolar.flat_share(edges, matches(pairs), 0) < epipolar.FLAT_SHARE
-    evidence = epipolar.two_view_evidence(edges, matches(pairs), scene.T, parallax=True, seed=0)
-    residual = pooling.pool(evidence, painted(moving), edges, pairs["flow"], pairs["weights"])
+    steps = (pairs.target - pairs.source)[:, None, None, None]
+    pairs.columns["flow"] = pairs.flow + moving[0][..., None] * steps * np.array([0, 3], np.float32)
+    assert epipolar.flat_share(pairs, 0) < epipolar.FLAT_SHARE
+    evidence = epipolar.two_view_evidence(pairs, scene.T, parallax=True, seed=0)
+    residual = pooling.pool(evidence, painted(moving), pairs)
     probability = motion_stage.to_probability(residual, *motion_stage.FLOW_CURVE)
     assert overlap(probability > 0.5, moving) > 0.6
 
@@ -67,32 +65,50 @@ def test_a_mover_stands_out_without_cameras() -> None:
 def test_threads_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     """Edges and frames are worked on side by side: their sums must not depend on how many at once."""
     scene = make_scene(T=5, size=(64, 96), disc_radius=0.5)
-    pairs, edges = observed(scene)
+    pairs = observed(scene)
     found = []
     for threads in ("1", "4"):
         monkeypatch.setenv("OMP_NUM_THREADS", threads)
-        evidence = epipolar.two_view_evidence(edges, matches(pairs), scene.T, parallax=True, seed=0)
-        residual = pooling.pool(evidence, painted(scene.dynamic), edges, pairs["flow"], pairs["weights"])
+        evidence = epipolar.two_view_evidence(pairs, scene.T, parallax=True, seed=0)
+        residual = pooling.pool(evidence, painted(scene.dynamic), pairs)
         found.append([*evidence, residual])
     for alone, together in zip(*found, strict=True):
         np.testing.assert_array_equal(alone, together)
 
 
+def test_the_length_of_runs_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Frames at the ends of a run have neighbours in the next one."""
+    scene = make_scene(T=7, size=(48, 64), disc_radius=0.5)
+    pairs, Ks = observed(scene), np.broadcast_to(scene.K, (scene.T, 3, 3))
+    rgb, start = painted(scene.dynamic), np.full(scene.depth.shape, 0.2, np.float32)
+    found = []
+    for frames in (1, 3, 16):
+        monkeypatch.setattr(flow_pairs_module, "BLOCK", frames)
+        flat = epipolar.two_view_evidence(pairs, scene.T, parallax=True, seed=0)
+        evidence, inverse_depth, _ = resweep.camera_evidence(pairs, scene.cam_from_world, Ks, start)
+        lines = resweep.projections(pairs, scene.cam_from_world, Ks)
+        sure = photometric.corroborate(evidence, rgb, pairs, lines, inverse_depth)
+        found.append([*flat, *evidence, inverse_depth, *sure, pooling.pool(sure, rgb, pairs)])
+    for one, three, sixteen in zip(*found, strict=True):
+        np.testing.assert_array_equal(one, sixteen)
+        np.testing.assert_array_equal(three, sixteen)
+
+
 def test_a_mover_stands_out_sharply_with_cameras() -> None:
     scene = make_scene(disc_radius=0.5)
-    pairs, edges = observed(scene)
+    pairs = observed(scene)
     Ks = np.broadcast_to(scene.K, (scene.T, 3, 3))
     evidence, _, _ = resweep.camera_evidence(
         pairs, scene.cam_from_world, Ks, np.full(scene.depth.shape, 0.2, np.float32)
     )
-    residual = pooling.pool(evidence, painted(scene.dynamic), edges, pairs["flow"], pairs["weights"])
+    residual = pooling.pool(evidence, painted(scene.dynamic), pairs)
     assert overlap(motion_stage.to_probability(residual, *motion_stage.CAMERA_CURVE) > 0.5, scene.dynamic) > 0.7
 
 
 def test_static_scene_fits_its_depth_exactly() -> None:
     """The re-sweep starts from a wrong constant and must find the true depth of every pixel that shows parallax."""
     scene = make_scene(T=5)
-    pairs, _ = observed(scene)
+    pairs = observed(scene)
     Ks = np.broadcast_to(scene.K, (scene.T, 3, 3))
     start = np.full(scene.depth.shape, 0.3, np.float32)
     evidence, _, sigma_px = resweep.camera_evidence(pairs, scene.cam_from_world, Ks, start)
@@ -103,15 +119,16 @@ def test_static_scene_fits_its_depth_exactly() -> None:
 def test_sweep_is_as_good_as_trying_every_depth() -> None:
     """Brute force in numpy over 4000 inverse depths, on noisy flow with a mover, finds nothing much better."""
     scene = make_scene(T=4, size=(16, 24), disc_radius=0.6)
-    pairs, _ = observed(scene)
-    flow = pairs["flow"] + 0.3 * np.random.default_rng(1).standard_normal(pairs["flow"].shape).astype(np.float32)
-    i, j = pairs["source"], pairs["target"]
+    pairs = observed(scene)
+    flow = pairs.flow + 0.3 * np.random.default_rng(1).standard_normal(pairs.flow.shape).astype(np.float32)
+    i, j = pairs.source, pairs.target
     relative = scene.cam_from_world[j] @ lie.inverse(scene.cam_from_world[i])
     A = scene.K @ relative[:, :3, :3] @ np.linalg.inv(scene.K)
     b = (scene.K @ relative[:, :3, 3:])[..., 0]
     pointer = np.searchsorted(i, np.arange(scene.T + 1))
     start = np.full(scene.depth.shape, 0.3, np.float32)
-    residual, inverse_depth = resweep.sweep(pointer, A, b, flow, pairs["weights"], start, 0.5, 1)
+    weights = np.stack([pairs.weights(e) for e in range(len(flow))])
+    residual, inverse_depth = resweep.sweep(pointer, A, b, flow, weights, start, 0.5, 1)
     reference, at_found = brute_force(scene, A, b, flow, pairs, inverse_depth, 0.5)
     np.testing.assert_allclose(residual, at_found, atol=1e-4)
     assert np.quantile(residual - reference, 0.95) < 0.05
@@ -122,7 +139,7 @@ def brute_force(
     A: np.ndarray,
     b: np.ndarray,
     flow: np.ndarray,
-    pairs: dict[str, np.ndarray],
+    pairs: FlowPairs,
     found: np.ndarray,
     sigma_px: float,
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -132,13 +149,13 @@ def brute_force(
 
     def residual(d: np.ndarray) -> np.ndarray:
         cost, total = np.zeros(scene.depth.shape), np.zeros(scene.depth.shape)
-        for e, i in enumerate(pairs["source"]):
+        for e, i in enumerate(pairs.source):
             there = homogeneous @ A[e].T + d[i][..., None] * b[e]
             behind = there[..., 2] < resweep.Z_MIN
             z = np.where(behind, 1.0, there[..., 2])
             q = ((pixels + flow[e] - there[..., :2] / z[..., None]) ** 2).sum(axis=-1) / sigma_px**2
-            cost[i] += pairs["weights"][e] * np.where(behind, 1.0, q / (1 + q))
-            total[i] += pairs["weights"][e]
+            cost[i] += pairs.weights(e) * np.where(behind, 1.0, q / (1 + q))
+            total[i] += pairs.weights(e)
         return cost / np.maximum(total, 1e-12)
 
     grid = np.concatenate([[0], np.geomspace(1e-3, resweep.D_MAX, 4000)])
@@ -169,9 +186,9 @@ def test_pooling_fills_from_neighbouring_frames() -> None:
     residual, weight = np.zeros((3, 20, 20), np.float32), np.ones((3, 20, 20), np.float32)
     residual[1:, 5:15, 5:15] = 1.0
     weight[0] = 0
-    edges = {(0, 1): 0, (0, 2): 1}
-    flow, weights = np.zeros((2, 20, 20, 2), np.float32), np.ones((2, 20, 20), np.float32)
-    pooled = pooling.pool(Evidence(residual, weight), painted(residual > 0), edges, flow, weights)
+    flow, confidence = np.zeros((2, 20, 20, 2), np.float32), np.ones((2, 20, 20), np.float32)
+    pairs = flow_pairs(np.array([0, 0]), np.array([1, 2]), flow, confidence)
+    pooled = pooling.pool(Evidence(residual, weight), painted(residual > 0), pairs)
     assert pooled[0, 10, 10] > 0.8
     assert pooled[0, 1, 1] < 1e-6
 
@@ -182,8 +199,9 @@ def test_evidence_speaks_for_pixels_alike_up_to_a_colour_edge() -> None:
     moving[:, :, 60:68] = True
     residual, weight = moving.astype(np.float32), np.zeros(moving.shape, np.float32)
     weight[:, :20, 60:68] = 5.0
-    flow, weights = np.zeros((0, 40, 128, 2), np.float32), np.zeros((0, 40, 128), np.float32)
-    pooled = pooling.pool(Evidence(residual, weight), painted(moving), {}, flow, weights)
+    none = np.zeros(0, int)
+    pairs = flow_pairs(none, none, np.zeros((0, 40, 128, 2), np.float32), np.zeros((0, 40, 128), np.float32))
+    pooled = pooling.pool(Evidence(residual, weight), painted(moving), pairs)
     assert pooled[0, 22, 62:66].min() > 0.5
     assert pooled[0, :, 56:59].max() < 0.01
 
@@ -193,19 +211,19 @@ def test_badly_matched_flow_weighs_little_and_flow_out_of_the_frame_nothing() ->
     flow[0, :, 15:] = (10, 0)
     confidence = np.ones((1, 20, 20), np.float32)
     confidence[0, :5] = 0
-    weights = pooling.evidence_weights(flow, confidence)
-    assert 0 < weights[0, 0, 0] < 0.1
-    assert (weights[0, :, 15:] == 0).all()
-    assert weights[0, 10, 5] == 1
+    weights = flow_pairs(np.array([0]), np.array([1]), flow, confidence).weights(0)
+    assert 0 < weights[0, 0] < 0.1
+    assert (weights[:, 15:] == 0).all()
+    assert weights[10, 5] == 1
 
 
 def write_inputs(folder: Path, scene: Scene) -> tuple[Path, Path]:
     """sequence.json and pairs.arrow of a scene (frames are noise: only the figure shows them)."""
     clip = write_frames(folder / "clip", scene.T, scene.depth.shape[1:])
     write_json(folder / "sequence.json", sequence_to_json(check_sequence("clip", clip)))
-    pairs, _ = observed(scene)
-    columns = {name: pairs[name] for name in ("source", "target")}
-    columns |= {name: pairs[name].astype(np.float16) for name in ("flow", "confidence")}
+    pairs = observed(scene)
+    columns = {name: pairs.columns[name] for name in ("source", "target")}
+    columns |= {name: pairs.columns[name].astype(np.float16) for name in ("flow", "confidence")}
     write_dense(folder / "pairs.arrow", columns, {"width": 96, "height": 64, "scale": 1.0})
     return folder / "sequence.json", folder / "pairs.arrow"
 

@@ -46,7 +46,7 @@ def main(
     output says which was used, and why.
     """
     frames = read_sequence(sequence)
-    pairs, scale = FlowPairs(**read_dense(flow)), float(read_metadata(flow)["scale"])
+    pairs, scale = FlowPairs(read_dense(flow)), float(read_metadata(flow)["scale"])
     rgb = read_reduced(frames.frames, pairs.confidence.shape[:0:-1])
     cameras = _usable_cameras(previous_poses, previous_depth)
     if cameras is None or previous_depth is None:
@@ -100,11 +100,12 @@ def _from_cameras(
 ) -> tuple[Evidence, dict[str, Any]]:
     """Evidence from the cameras of the previous round with depth searched anew, and which model was used."""
     h, w = pairs.confidence.shape[1:]
-    start = resweep.resample(depth["inverse_depth"], stride_px * scale, h, w)
     seen = cameras.cam_from_world, scale_intrinsics(cameras.Ks, scale)
     unobserved = cameras.status == "unobserved"  # their poses are interpolated, so their flow is no evidence
     pairs = pairs.counting(~(unobserved[pairs.source] | unobserved[pairs.target]))
-    evidence, inverse_depth, sigma_px = resweep.camera_evidence(pairs, *seen, start)
+    evidence, inverse_depth, sigma_px = resweep.camera_evidence(
+        pairs, *seen, resweep.resample(depth["inverse_depth"], stride_px * scale, h, w)
+    )
     evidence = photometric.corroborate(evidence, rgb, pairs, resweep.projections(pairs, *seen), inverse_depth)
     rotating = set(cameras.status[~unobserved]) == {"rotation-only"}
     model = "rotations: the camera does not translate" if rotating else "depth re-sweep"

@@ -48,7 +48,7 @@ def flat_share(pairs: FlowPairs, seed: int) -> float:
         return None if H is None else float((homography_errors(H, x, y) < FLAT_PX).mean())
 
     shares: dict[int, list[float]] = {}
-    for (i, j), found in zip(forward, threaded(share, forward), strict=True):
+    for (i, j), found in zip(forward, pairs.threaded(share, forward), strict=True):
         if found is not None:
             shares.setdefault(j - i, []).append(found)
     return min((float(np.median(of_distance)) for of_distance in shares.values()), default=1.0)
@@ -68,7 +68,7 @@ def two_view_evidence(pairs: FlowPairs, T: int, parallax: bool, seed: int) -> Ev
         model = fit(x, y, params) if len(x) >= MIN_MATCHES else None
         return None if model is None else (model, float(np.clip(3 * np.median(errors(model, x, y)), *SIGMA_RANGE_PX)))
 
-    fits = dict(zip(forward, threaded(fitted, forward), strict=True))
+    fits = dict(zip(forward, pairs.threaded(fitted, forward), strict=True))
 
     def of_frame(frame: int) -> tuple[np.ndarray, np.ndarray]:
         residual, weight = (np.zeros(pairs.pixels.shape[:2], np.float32) for _ in range(2))
@@ -84,8 +84,11 @@ def two_view_evidence(pairs: FlowPairs, T: int, parallax: bool, seed: int) -> Ev
                 weight += of_edge
         return residual / np.maximum(weight, 1e-6), weight
 
-    residuals, weights = zip(*threaded(of_frame, range(T)), strict=True)
-    return Evidence(np.stack(residuals), np.stack(weights))
+    residual, weight = (np.empty((T, *pairs.pixels.shape[:2]), np.float32) for _ in range(2))
+    for first, last in pairs.blocks(T):
+        for k, found in enumerate(threaded(of_frame, range(first, last)), first):
+            residual[k], weight[k] = found
+    return Evidence(residual, weight)
 
 
 def ransac_threshold_px(pairs: FlowPairs) -> float:

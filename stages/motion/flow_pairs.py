@@ -1,16 +1,20 @@
 """The flow of a clip, read edge by edge: the flow of a thousand frames does not fit into memory."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any, TypeVar
 
 import numba
 import numpy as np
 
+from stages.shared.artifacts import Dense
 from stages.shared.cameras import pixel_grid
+from stages.shared.threads import threaded
 
+ResultT = TypeVar("ResultT")
 MIN_WEIGHT = 0.1
-BLOCK = 32
+BLOCK = 8
 """Frames whose flow is held at the same time."""
 
 
@@ -19,15 +23,32 @@ class FlowPairs:
     """The edges of flow/pairs.arrow, sorted by source, and how much each pixel counts.
 
     Attributes:
-        source, target: [E] frames. flow: [E, h, w, 2] px and confidence: [E, h, w], mapped from the file in float16.
+        columns: source, target [E] frames; flow [E, h, w, 2] px and confidence [E, h, w], mapped from the file.
         counts: [E] bool, whether an edge is evidence; None: all are.
     """
 
-    source: np.ndarray
-    target: np.ndarray
-    flow: np.ndarray
-    confidence: np.ndarray
+    columns: Dense
     counts: np.ndarray | None = None
+
+    @property
+    def source(self) -> np.ndarray:
+        """The frame [E] that each edge leaves."""
+        return self.columns["source"]
+
+    @property
+    def target(self) -> np.ndarray:
+        """The frame [E] that each edge reaches."""
+        return self.columns["target"]
+
+    @property
+    def flow(self) -> np.ndarray:
+        """Flow [E, h, w, 2] px, float16."""
+        return self.columns["flow"]
+
+    @property
+    def confidence(self) -> np.ndarray:
+        """Confidence of the flow [E, h, w] in 0..1, float16."""
+        return self.columns["confidence"]
 
     @cached_property
     def edges(self) -> dict[tuple[int, int], int]:
@@ -64,10 +85,19 @@ class FlowPairs:
         """The same pairs, of which only some [E] are evidence."""
         return replace(self, counts=counts)
 
+    def threaded(self, function: Callable[..., ResultT], items: Sequence[Any]) -> list[ResultT]:
+        """Like `threads.threaded`; the flow that was read is given back from run to run of the items."""
+        found = []
+        for first in range(0, len(items), BLOCK):
+            found += threaded(function, items[first : first + BLOCK])
+            self.columns.release()
+        return found
 
-def blocks(T: int) -> Iterator[tuple[int, int]]:
-    """First frame and end of the runs of at most BLOCK frames that T frames are."""
-    return ((first, min(first + BLOCK, T)) for first in range(0, T, BLOCK))
+    def blocks(self, T: int) -> Iterator[tuple[int, int]]:
+        """First frame and end of the runs of at most BLOCK frames; the flow read for a run is given back after it."""
+        for first in range(0, T, BLOCK):
+            yield first, min(first + BLOCK, T)
+            self.columns.release()
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

@@ -5,6 +5,8 @@ images tell them apart. Warped with a static depth (the pixel's own or that of i
 warped with the flow, unless the pixel moved.
 """
 
+import itertools
+
 import cv2
 import numpy as np
 
@@ -50,9 +52,9 @@ def corroborate(
         rgb: [T, h, w, 3] uint8 frames on the flow grid.
         projections: A [E, 3, 3] and b [E, 3] of `resweep`; inverse_depth: [T, h, w] in the units of b.
     """
-    frames = np.stack([cv2.GaussianBlur(frame, (0, 0), 0.7) for frame in rgb])
+    T = len(rgb)
 
-    def of_frame(i: int) -> tuple[np.ndarray, np.ndarray]:
+    def of_frame(i: int, frames: dict[int, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         edges = np.array(pairs.leaving(i, i + 1), int)
         confidence = pairs.confidence[edges].astype(np.float32)
         reliability = confidence.sum(axis=0) / (RELIABLE * max(len(edges), 1))
@@ -64,8 +66,13 @@ def corroborate(
         weight = max((confidence > 0.5).mean(), PRIOR_WEIGHT) if len(edges) else 0
         return residual, np.maximum(evidence.weight[i], weight)
 
-    residual, weight = zip(*threaded(of_frame, range(len(frames))), strict=True)
-    return Evidence(np.stack(residual), np.stack(weight))
+    residual, weight = (np.empty(evidence.residual.shape, np.float32) for _ in range(2))
+    for first, last in pairs.blocks(T):
+        near = range(max(first - REACH, 0), min(last + REACH, T))
+        frames = {k: cv2.GaussianBlur(rgb[k], (0, 0), 0.7) for k in near}
+        for k, found in enumerate(threaded(of_frame, range(first, last), itertools.repeat(frames)), first):
+            residual[k], weight[k] = found
+    return Evidence(residual, weight)
 
 
 def _static_depths(inverse_depth: np.ndarray, residual: np.ndarray) -> list[np.ndarray]:
@@ -83,7 +90,7 @@ def _static_depths(inverse_depth: np.ndarray, residual: np.ndarray) -> list[np.n
 
 
 def _contradicted(
-    frames: np.ndarray,
+    frames: dict[int, np.ndarray],
     i: int,
     targets: np.ndarray,
     flows: np.ndarray,
@@ -99,7 +106,7 @@ def _contradicted(
     total, seen = np.zeros((2, 2, 1 + len(depths), *here.shape[:2]), np.float32)
     for j, flow, A, b in zip(targets, flows, *projections, strict=True):
         ways = [flow.astype(np.float32, copy=False), *(dense_static_flow(A, b, depth) for depth in depths)]
-        warped = [warp(frames[j], way) for way in ways]
+        warped = [warp(frames[int(j)], way) for way in ways]
         expected = _exposed(here, warped[0])
         for k, (way, found) in enumerate(zip(ways, warped, strict=True)):
             inside = is_inside(way)

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 
 from stages.motion.epipolar import Evidence
-from stages.motion.flow_pairs import FlowPairs, blocks
+from stages.motion.flow_pairs import FlowPairs
 from stages.shared.threads import threaded
 from stages.shared.warp import warp
 
@@ -29,7 +29,7 @@ def pool(evidence: Evidence, rgb: np.ndarray, pairs: FlowPairs) -> np.ndarray:
     """
     pooled = np.empty(evidence.residual.shape, np.float32)
     T, reach = len(pooled), max(POOLED_OFFSETS)
-    for first, last in blocks(T):
+    for first, last in pairs.blocks(T):
         near = slice(max(first - reach, 0), min(last + reach, T))
         sums = threaded(_spread, evidence.residual[near], evidence.weight[near], rgb[near])
         of_frame = dict(zip(range(near.start, near.stop), sums, strict=True))

@@ -11,7 +11,7 @@ import numba
 import numpy as np
 
 from stages.motion.epipolar import Evidence
-from stages.motion.flow_pairs import FlowPairs, blocks
+from stages.motion.flow_pairs import FlowPairs
 from stages.shared.cameras import grid_from_frame, pixel_grid, projection, static_flow
 from stages.shared.finite import require_finite
 from stages.shared.threads import spread, threaded
@@ -42,7 +42,7 @@ def camera_evidence(
     Args:
         cam_from_world: [T, 4, 4]; Ks: [T, 3, 3] on the flow grid; start: [T, h, w] inverse depth.
     """
-    require_finite(flow=pairs.flow, confidence=pairs.confidence, poses=cam_from_world, intrinsics=Ks, start=start)
+    require_finite(poses=cam_from_world, intrinsics=Ks, start=start)
     unit = float(np.median(start))
     A, b = projections(pairs, cam_from_world, Ks)
     b = unit * b
@@ -53,6 +53,7 @@ def camera_evidence(
         """Residual and inverse depth of a run of frames on every `stride`-th pixel, and their weights on all."""
         rows = pairs.leaving(first, last)
         edges = slice(rows.start, rows.stop)
+        require_finite(flow=pairs.flow[edges], confidence=pairs.confidence[edges])
         pointer = np.searchsorted(pairs.source[edges], np.arange(first, last + 1))
         weights = np.zeros((len(rows), *start.shape[1:]), np.float32)
         for e, of_edge in zip(rows, threaded(pairs.weights, rows), strict=True):
@@ -62,10 +63,10 @@ def camera_evidence(
         return *found, np.stack([weights[begin:end].sum(axis=0) for begin, end in itertools.pairwise(pointer)])
 
     T = len(start)
-    coarse = np.concatenate([solved(*block, 1.0, COARSE)[1] for block in blocks(T)])
+    coarse = np.concatenate([solved(*block, 1.0, COARSE)[1] for block in pairs.blocks(T)])
     sigma_px = float(np.clip(NOISE_SCALE * _median_residual(A, b, pairs, coarse), *SIGMA_RANGE_PX))
     residual, inverse_depth, weight = (np.empty(start.shape, np.float32) for _ in range(3))
-    for first, last in blocks(T):
+    for first, last in pairs.blocks(T):
         run = slice(first, last)
         residual[run], inverse_depth[run], weight[run] = solved(first, last, sigma_px, 1)
     inverse_depth *= np.float32(unit)
@@ -110,7 +111,9 @@ def _median_residual(A: np.ndarray, b: np.ndarray, pairs: FlowPairs, inverse_dep
     grid = slice((COARSE - 1) // 2, None, COARSE)
     pixels = pixel_grid(*pairs.confidence.shape[1:])[grid, grid]
     residuals = []
-    for e, i in enumerate(pairs.source):
+    edges = (e for block in pairs.blocks(len(inverse_depth)) for e in pairs.leaving(*block))
+    for e in edges:
+        i = pairs.source[e]
         flow, ratio = static_flow(pixels, inverse_depth[i], A[e], b[e])
         confident = (pairs.weights(e)[grid, grid] > 0.5) & (ratio > Z_MIN)
         residuals.append(np.linalg.norm((pairs.flow[e, grid, grid] - flow)[confident], axis=-1))

@@ -7,6 +7,7 @@ writers add `format_version` and the digest of the code that wrote the file.
 
 import contextlib
 import json
+import mmap
 import shutil
 import sys
 from collections.abc import Iterable, Iterator, Mapping
@@ -23,6 +24,8 @@ from stages.shared.errors import InputError
 from stages.shared.finite import is_finite
 
 FORMAT_VERSION = 1
+ROWS_AT_ONCE = 64
+"""Rows of a mapped file that are held while it is checked."""
 SNAKEMAKE_STAMP = ".snakemake_timestamp"
 """File that Snakemake writes into a folder that is the output of a job."""
 
@@ -105,16 +108,41 @@ def write_dense(path: Path, columns: Mapping[str, np.ndarray], metadata: Mapping
         writer.write_batch(pa.record_batch(list(arrays.values()), schema=schema))
 
 
-def read_dense(path: Path) -> dict[str, np.ndarray]:
+class Dense(dict[str, np.ndarray]):
+    """The columns of a dense file, [n] and [n, ...], read-only, mapped from it where they come from one."""
+
+    def __init__(self, columns: Mapping[str, np.ndarray], mapped: mmap.mmap | None = None) -> None:
+        super().__init__(columns)
+        self._mapped = mapped
+
+    def release(self) -> None:
+        """Give back the memory of what was read; it is read from the file again where it is used again.
+
+        The pages of a mapped file count as memory of the process until then, and as used memory of its control group.
+        """
+        if self._mapped is not None:
+            self._mapped.madvise(mmap.MADV_DONTNEED)
+
+
+def read_dense(path: Path) -> Dense:
     """Memory-map an Arrow IPC file: read-only arrays [n] and [n, ...] without a copy.
 
     Raises:
         InputError: if it is not an Arrow IPC file, or holds NaN or infinity.
     """
-    table = _checked(path, "an Arrow IPC file", lambda: pa.ipc.open_file(pa.memory_map(str(path))).read_all())
-    columns = {name: array_of(table[name]) for name in table.column_names}
-    refuse_infinite(path, columns)
+    mapped = _checked(path, "an Arrow IPC file", lambda: _mapped(path))
+    table = _checked(path, "an Arrow IPC file", lambda: pa.ipc.open_file(pa.py_buffer(mapped)).read_all())
+    columns = Dense({name: array_of(table[name]) for name in table.column_names}, mapped)
+    for name, values in columns.items():
+        for first in range(0, len(values), ROWS_AT_ONCE):
+            refuse_infinite(path, {name: values[first : first + ROWS_AT_ONCE]})
+            columns.release()
     return columns
+
+
+def _mapped(path: Path) -> mmap.mmap:
+    with path.open("rb") as file:
+        return mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
 
 
 def refuse_infinite(path: Path, columns: Mapping[str, np.ndarray]) -> None:

@@ -11,26 +11,25 @@ from stages.flow.dis import estimate_flow
 from stages.flow.edges import edge_list
 from stages.motion import __main__ as motion_stage
 from stages.motion import epipolar, photometric, pooling, resweep
-from stages.motion.epipolar import Evidence, PairMatches
+from stages.motion.epipolar import Evidence
+from stages.motion.flow_pairs import FlowPairs
 from stages.segment.options import SegmentOptions
 from stages.segment.permanence import confidence_of, persistent
 from stages.segment.refinement import guarded_threshold, smooth_along_edges, to_mask
 from stages.segment.superpixels import superpixels
 from stages.shared import sintel
-from stages.shared.cameras import pixel_grid
+from stages.shared.artifacts import Dense
 from stages.shared.images import read_mask, read_rgb
 
-Edges = dict[tuple[int, int], int]
+
+def observed(scene: Scene) -> FlowPairs:
+    """Exact flow of a scene."""
+    return flow_pairs(*flow_arrays(scene))
 
 
-def observed(scene: Scene) -> tuple[dict[str, np.ndarray], Edges, PairMatches]:
-    """Exact flow of a scene: pairs, edges and matches."""
-    source, target, flow, confidence = flow_arrays(scene)
-    weights = pooling.evidence_weights(flow, confidence)
-    edges = {(int(i), int(j)): e for e, (i, j) in enumerate(zip(source, target, strict=True))}
-    pixels = pixel_grid(*weights.shape[1:]).astype(np.float32)
-    pairs = {"source": source, "target": target, "flow": flow, "weights": weights}
-    return pairs, edges, PairMatches(pixels, pixels + flow, weights)
+def flow_pairs(source: np.ndarray, target: np.ndarray, flow: np.ndarray, confidence: np.ndarray) -> FlowPairs:
+    """Flow [E, h, w, 2] of edges, and its confidence [E, h, w]."""
+    return FlowPairs(Dense({"source": source, "target": target, "flow": flow, "confidence": confidence}))
 
 
 def coloured(grey: np.ndarray) -> np.ndarray:
@@ -40,12 +39,12 @@ def coloured(grey: np.ndarray) -> np.ndarray:
 
 def prior_with_cameras(scene: Scene, cam_from_world: np.ndarray | None = None) -> np.ndarray:
     """Probability of motion [T, h, w] from exact flow and cameras."""
-    pairs, edges, _ = observed(scene)
+    pairs = observed(scene)
     poses = scene.cam_from_world if cam_from_world is None else cam_from_world
     Ks = np.broadcast_to(scene.K, (scene.T, 3, 3))
     start = np.full(scene.depth.shape, np.median(1 / scene.depth), np.float32)
     evidence, _, _ = resweep.camera_evidence(pairs, poses, Ks, start)
-    residual = pooling.pool(evidence, painted(scene.dynamic), edges, pairs["flow"], pairs["weights"])
+    residual = pooling.pool(evidence, painted(scene.dynamic), pairs)
     return motion_stage.to_probability(residual, *motion_stage.CAMERA_CURVE)
 
 
@@ -63,10 +62,10 @@ def test_textureless_and_saturated_frames_give_finite_still_flow(grey_level: int
 
 def test_still_frames_have_no_parallax_and_no_motion() -> None:
     scene = make_scene(T=4, motion="still")
-    _, edges, matches = observed(scene)
-    matches = matches._replace(matches=np.broadcast_to(matches.pixels, matches.matches.shape))
-    assert epipolar.flat_share(edges, matches, 0) == 1.0
-    evidence = epipolar.two_view_evidence(edges, matches, scene.T, parallax=False, seed=0)
+    pairs = observed(scene)
+    pairs.columns["flow"] = np.zeros_like(pairs.flow)
+    assert epipolar.flat_share(pairs, 0) == 1.0
+    evidence = epipolar.two_view_evidence(pairs, scene.T, parallax=False, seed=0)
     assert evidence.residual.max() < 1e-3
 
 
@@ -74,9 +73,9 @@ def test_still_frames_have_no_parallax_and_no_motion() -> None:
 def test_rotation_and_planes_take_homographies(motion_kind: str, planes: tuple | None) -> None:
     """A fundamental matrix is undetermined there, and its epipole free to explain a mover away."""
     scene = make_scene(T=5, motion=motion_kind, **({"planes": planes} if planes else {}))
-    _, edges, matches = observed(scene)
-    assert epipolar.flat_share(edges, matches, 0) > 0.95
-    evidence = epipolar.two_view_evidence(edges, matches, scene.T, parallax=False, seed=0)
+    pairs = observed(scene)
+    assert epipolar.flat_share(pairs, 0) > 0.95
+    evidence = epipolar.two_view_evidence(pairs, scene.T, parallax=False, seed=0)
     assert evidence.residual.max() < 0.01
 
 
@@ -94,7 +93,7 @@ def test_failed_flow_is_no_motion_unless_the_pictures_say_so() -> None:
     for k in range(3):
         grey[k, 20:44, 54 + 2 * k : 82 + 2 * k] = texture[20:44, :28]
     source, target = np.array(edges).T
-    pairs = {"source": source, "target": target, "flow": flow, "confidence": confidence}
+    pairs = flow_pairs(source, target, flow, confidence)
     projections = np.tile(np.eye(3), (len(edges), 1, 1)), (target - source)[:, None] * [-2.0, 0, 0]
     all_residual = Evidence(np.ones(grey.shape, np.float32), np.ones(grey.shape, np.float32))
     cut = photometric.corroborate(all_residual, coloured(grey), pairs, projections, np.ones(grey.shape)).residual
@@ -113,7 +112,7 @@ def test_a_wrong_depth_beside_a_thin_thing_is_no_motion() -> None:
     confidence, strip = np.ones(flow.shape[:3], np.float32), np.s_[:, 40:48]
     inverse_depth, residual = np.ones(grey.shape, np.float32), np.zeros(grey.shape, np.float32)
     confidence[:, :, 40:48], inverse_depth[:, :, 40:48], residual[:, :, 40:48] = 0, 2.5, 1
-    pairs = {"source": source, "target": target, "flow": flow, "confidence": confidence}
+    pairs = flow_pairs(source, target, flow, confidence)
     projections = np.tile(np.eye(3), (len(edges), 1, 1)), (target - source)[:, None] * [-2.0, 0, 0]
     evidence = Evidence(residual, np.zeros(grey.shape, np.float32))
     cut = photometric.corroborate(evidence, coloured(grey), pairs, projections, inverse_depth)
@@ -133,7 +132,7 @@ def test_motion_that_only_colour_shows_is_confirmed_where_all_is_matched_badly()
     source, target = np.array(edges).T
     steps = (target - source)[:, None, None, None]
     flow = np.where(moving[source][..., None], steps * [24.0, 0], 0).astype(np.float32)
-    pairs = {"source": source, "target": target, "flow": flow, "confidence": np.zeros(flow.shape[:3], np.float32)}
+    pairs = flow_pairs(source, target, flow, np.zeros(flow.shape[:3], np.float32))
     projections = np.tile(np.eye(3), (len(edges), 1, 1)), np.zeros((len(edges), 3))
     evidence = Evidence(np.ones(moving.shape, np.float32), np.zeros(moving.shape, np.float32))
     found = photometric.corroborate(evidence, rgb, pairs, projections, np.ones(moving.shape))
@@ -145,7 +144,7 @@ def test_motion_that_only_colour_shows_is_confirmed_where_all_is_matched_badly()
 def test_pure_rotation_keeps_the_depth_it_starts_from() -> None:
     """Triangulating with no baseline divides nothing by nothing."""
     scene = make_scene(T=5, motion="rotate")
-    pairs, _, _ = observed(scene)
+    pairs = observed(scene)
     Ks = np.broadcast_to(scene.K, (scene.T, 3, 3))
     evidence, _, _ = resweep.camera_evidence(pairs, scene.cam_from_world, Ks, np.ones(scene.depth.shape, np.float32))
     assert np.isfinite(evidence.residual).all()
@@ -155,13 +154,13 @@ def test_pure_rotation_keeps_the_depth_it_starts_from() -> None:
 def test_wrong_cameras_cannot_hide_behind_no_flow() -> None:
     """Without one confident match the prior is static, not NaN."""
     scene = make_scene(T=4)
-    pairs, edges, _ = observed(scene)
-    pairs["weights"] = np.zeros_like(pairs["weights"])
+    pairs = observed(scene)
+    pairs = pairs.counting(np.zeros(len(pairs.source), bool))
     Ks = np.broadcast_to(scene.K, (scene.T, 3, 3))
     evidence, _, sigma_px = resweep.camera_evidence(
         pairs, scene.cam_from_world, Ks, np.ones(scene.depth.shape, np.float32)
     )
-    assert (pooling.pool(evidence, painted(scene.dynamic), edges, pairs["flow"], pairs["weights"]) == 0).all()
+    assert (pooling.pool(evidence, painted(scene.dynamic), pairs) == 0).all()
     assert sigma_px == resweep.SIGMA_RANGE_PX[0]
 
 
@@ -197,25 +196,24 @@ def test_masks_of_rendered_sequences(rendered: Path, name: str, least_iou: float
     grey = np.stack([frame.mean(axis=-1).round().astype(np.uint8) for frame in frames])
     flows = estimate_flow(grey, edge_list(len(grey), (1, 2, 3, 5)), 0, threads=2)
     order = sorted(flows)
-    edges = {edge: e for e, edge in enumerate(order)}
     flow = np.stack([flows[edge] for edge in order])
     confidence = np.stack([flow_confidence(flows[i, j], flows[j, i], grey[i], grey[j]) for i, j in order])
     source, target = np.array(order).T
-    pairs = {"source": source, "target": target, "flow": flow}
-    pairs["weights"] = pooling.evidence_weights(flow, confidence)
+    pairs = flow_pairs(source, target, flow, confidence)
     poses = np.tile(np.eye(4), (len(grey), 1, 1))
     poses[:, :3] = [cam_from_world for _, cam_from_world in cameras]
     start = np.full(grey.shape, 0.2, np.float32)
-    pairs["confidence"] = confidence
     seen = poses, np.stack([K for K, _ in cameras])
     evidence, inverse_depth, _ = resweep.camera_evidence(pairs, *seen, start)
     rgb, projections = np.stack(frames), resweep.projections(pairs, *seen)
     evidence = photometric.corroborate(evidence, rgb, pairs, projections, inverse_depth)
-    residual = pooling.pool(evidence, rgb, edges, flow, pairs["weights"])
+    residual = pooling.pool(evidence, rgb, pairs)
     probability, options = motion_stage.to_probability(residual, *motion_stage.CAMERA_CURVE), SegmentOptions()
     pixels = superpixels(len(frames), lambda k: frames[k])
     sure_of = confidence_of(pixels.means(evidence.weight))
-    sure, _ = persistent(pixels, pairs, pixels.means(probability), sure_of, options.permanence, options.threshold)
+    sure, _ = persistent(
+        pixels, pairs.columns, pixels.means(probability), sure_of, options.permanence, options.threshold
+    )
     found = np.stack([to_mask(pixels.paint(sure, k), 0.5, options.min_area) for k in range(len(frames))])
     truth = np.stack([read_mask(training / "motion_mask" / name / f"frame_{n:04d}.png") for n in numbers])
     if least_iou is None:
@@ -228,9 +226,9 @@ def test_masks_of_rendered_sequences(rendered: Path, name: str, least_iou: float
 def test_a_frame_without_edges_has_no_evidence(lonely: int) -> None:
     """Summed by segments, an empty one takes what belongs to the next frame, and the last one none there is."""
     scene = make_scene(T=5)
-    pairs, _, _ = observed(scene)
-    kept = pairs["source"] != lonely
-    pairs = {name: values[kept] for name, values in pairs.items()}
+    pairs = observed(scene)
+    kept = pairs.source != lonely
+    pairs = flow_pairs(*(values[kept] for values in pairs.columns.values()))
     Ks, start = np.broadcast_to(scene.K, (scene.T, 3, 3)), np.ones(scene.depth.shape, np.float32)
     evidence, _, _ = resweep.camera_evidence(pairs, scene.cam_from_world, Ks, start)
     assert (evidence.weight[lonely] == 0).all()

@@ -9,9 +9,10 @@ from synthetic import flow_arrays, make_scene
 
 from stages.ba.graph import build_graph
 from stages.motion import resweep
+from stages.motion.flow_pairs import FlowPairs
 from stages.scene import __main__ as scene_stage
 from stages.shared import cli
-from stages.shared.artifacts import read_dense, read_metadata, read_model, read_table, write_dense, write_model
+from stages.shared.artifacts import Dense, read_dense, read_metadata, read_model, read_table, write_dense, write_model
 from stages.shared.artifacts import write_table as write_columns
 from stages.shared.errors import InputError
 
@@ -56,14 +57,14 @@ def test_the_adjustment_takes_no_flow_that_is_no_number(poisoned: int) -> None:
         build_graph(*edges, 3, 4)
 
 
-@pytest.mark.parametrize("poisoned", ["flow", "weights", "poses", "start"])
+@pytest.mark.parametrize("poisoned", ["flow", "confidence", "poses", "start"])
 def test_the_motion_prior_takes_nothing_that_is_no_number(poisoned: str) -> None:
     scene = make_scene(T=3, size=(16, 24))
-    names = ("source", "target", "flow", "weights")
+    names = ("source", "target", "flow", "confidence")
     arrays = dict(zip(names, flow_arrays(scene, (1,)), strict=True))
     arrays |= {"poses": scene.cam_from_world.copy(), "start": np.ones(scene.depth.shape, np.float32)}
     arrays[poisoned].flat[-1] = np.inf
-    pairs = {name: arrays[name] for name in names}
+    pairs = FlowPairs(Dense({name: arrays[name] for name in names}))
     Ks = np.broadcast_to(scene.K, (3, 3, 3))
     with pytest.raises(ValueError, match=f"{poisoned}: expected finite numbers"):
         resweep.camera_evidence(pairs, arrays["poses"], Ks, arrays["start"])
