@@ -70,6 +70,13 @@ def test_a_section_overrides_a_shared_key() -> None:
     assert "--seed 3" in configuration.flags(config, "control")
 
 
+@pytest.mark.parametrize("section", ["ba: {zoom: %s}", "scene: {dynamic: %s}"])
+def test_yes_and_no_need_no_quotes_in_yaml(section: str) -> None:
+    for word in ("yes", "no"):
+        plain, quoted = (configuration.load(yaml.safe_load(section % text)) for text in (word, f"'{word}'"))
+        assert plain == quoted != configuration.load({})
+
+
 def test_scenes_by_split() -> None:
     """The two words part the library: what was tuned on, and what nobody tunes on."""
     every, tuned, test = (

@@ -1,18 +1,12 @@
 """Options of the decision which effects a scene needs."""
 
-from typing import Annotated, Literal
+from typing import Literal
 
-from pydantic import BeforeValidator, Field
+from pydantic import Field
 
 from stages.shared.split import SplitOptions
 
-
-def _from_yaml(value: object) -> object:
-    """YAML 1.1 reads an unquoted yes or no as a boolean."""
-    return {True: "yes", False: "no"}[value] if isinstance(value, bool) else value
-
-
-Choice = Annotated[Literal["auto", "yes", "no"], BeforeValidator(_from_yaml)]
+Choice = Literal["auto", "yes", "no"]
 
 
 class SceneOptions(SplitOptions):

@@ -26,8 +26,13 @@ class Options(BaseModel):
     @field_validator("*", mode="before")
     @classmethod
     def _no_surprises(cls, value: Any, info: ValidationInfo) -> Any:
-        """Refuse true and false for a number; read an empty section as one with default values, and [all] as all."""
+        """Refuse true and false for a number; read an empty section as one with default values, and [all] as all.
+
+        YAML 1.1 reads an unquoted yes or no as true or false.
+        """
         annotation = cls.model_fields[str(info.field_name)].annotation
+        if isinstance(value, bool) and (word := "yes" if value else "no") in _words(annotation):
+            return word
         if isinstance(value, bool) and annotation in (int, float):
             raise ValueError(f"a number of type {annotation.__name__}")
         if isinstance(value, list) and len(value) == 1 and value[0] in _words(annotation):
@@ -114,10 +119,9 @@ def _fields(model: type[Options], path: list[str]) -> list[dict[str, FieldInfo]]
 
 
 def _words(annotation: Any) -> list[Any]:
-    """The words that an annotation allows in place of other values, as in Literal["all"] | tuple[int, ...]."""
-    if get_origin(annotation) not in (Union, types.UnionType):
-        return []
-    return [word for part in get_args(annotation) if get_origin(part) is Literal for word in get_args(part)]
+    """The words that an annotation allows, alone or beside other values, as in Literal["all"] | tuple[int, ...]."""
+    parts = get_args(annotation) if get_origin(annotation) in (Union, types.UnionType) else [annotation]
+    return [word for part in parts if get_origin(part) is Literal for word in get_args(part)]
 
 
 def _models(annotation: Any) -> list[type[Options]]:
