@@ -11,6 +11,7 @@ from stages.evaluate import image_baselines, image_metrics
 from stages.evaluate.lpips import Distance, load_lpips
 from stages.evaluate.options import EvaluateOptions
 from stages.shared.images import numbered_frames, read_rgb
+from stages.shared.masks import read_burnt_in
 from stages.shared.sequences import Sequence
 
 REGIONS = ("whole", "static", "dynamic")
@@ -37,13 +38,15 @@ def score_images(
         flow: columns of flow/pairs.arrow, for the baselines of held-out frames.
         regions: dynamic pixels [H, W] by frame number, and their source.
     """
+    burnt_in = read_burnt_in(sequence)
     distance = load_lpips(options.lpips_weights) if options.lpips_weights else None
     table: list[dict[str, Any]] = []
     frames: list[dict[str, Any]] = []
     for method, split, protocol, pairs in _pairs(sequence, renders, flow, options):
         about = {"sequence": sequence.name, "method": method, "split": split, "protocol": protocol}
         masks = regions[0] if split != "right" else {}  # the masks belong to the left eye
-        rows, per_frame = _score(about, pairs, masks, regions[1], distance)
+        left_out = burnt_in if split != "right" else None
+        rows, per_frame = _score(about, pairs, masks, regions[1], distance, left_out)
         table, frames = table + rows, frames + per_frame
     return table, frames
 
@@ -69,12 +72,13 @@ def _score(
     masks: Mapping[int, np.ndarray],
     mask_source: str,
     distance: Distance | None,
+    left_out: np.ndarray | None,
 ) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """Rows per region and rows per frame of one method and split."""
     scores: dict[str, list[tuple[float, float]]] = {region: [] for region in REGIONS}
     frames, distances = [], []
     for number, (image, truth) in pairs.items():
-        of_regions = score_frame(image, truth, masks.get(number))
+        of_regions = score_frame(image, truth, masks.get(number), left_out)
         for region, score in of_regions.items():
             scores[region].append(score)
         if distance:
@@ -93,26 +97,38 @@ def _score(
     return rows, frames
 
 
-def score_frame(image: np.ndarray, truth: np.ndarray, mask: np.ndarray | None) -> dict[str, tuple[float, float]]:
+def score_frame(
+    image: np.ndarray, truth: np.ndarray, mask: np.ndarray | None, left_out: np.ndarray | None = None
+) -> dict[str, tuple[float, float]]:
     """PSNR (dB) and SSIM by region; a region without pixels (or without a mask) is left out.
 
     Args:
         image: [H, W, 3] uint8.
         truth: [H', W', 3] uint8, reduced to the size of `image` if that is smaller.
         mask: dynamic pixels [H', W'], or None.
+        left_out: pixels [H', W'] that do not count, because something is burnt in there, or None.
     """
-    height, width = image.shape[:2]
     truth = reduced(truth, image)
-    if mask is not None and mask.shape != (height, width):
-        mask = cv2.resize(mask.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST) > 0
+    mask, left_out = (None if pixels is None else _resized(pixels, image) for pixels in (mask, left_out))
     x, y = image / 255, truth / 255
     similarity = image_metrics.ssim_map(x, y)
-    scores = {"whole": (image_metrics.psnr(x, y), float(similarity.mean()))}
-    for region, pixels in (("static", ~mask), ("dynamic", mask)) if mask is not None else ():
+    whole = None if left_out is None else ~left_out
+    over = similarity if whole is None else similarity[image_metrics.inside(whole)]
+    scores = {"whole": (image_metrics.psnr(x, y, whole), float(over.mean()))}
+    for region, chosen in (("static", ~mask), ("dynamic", mask)) if mask is not None else ():
+        pixels = chosen if whole is None else chosen & whole
         inner = image_metrics.inside(pixels)
         if inner.any():
             scores[region] = image_metrics.psnr(x, y, pixels), float(similarity[inner].mean())
     return scores
+
+
+def _resized(pixels: np.ndarray, image: np.ndarray) -> np.ndarray:
+    """Pixels [H', W'] bool at the size of `image` [H, W, 3]."""
+    height, width = image.shape[:2]
+    if pixels.shape == (height, width):
+        return pixels
+    return cv2.resize(pixels.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST) > 0
 
 
 def reduced(truth: np.ndarray, image: np.ndarray) -> np.ndarray:

@@ -10,6 +10,7 @@ from stages.shared.artifacts import write_json
 from stages.shared.errors import InputError
 from stages.shared.images import numbered_frames, read_rgb, write_image
 from stages.shared.log import progress
+from stages.shared.masks import read_burnt_in
 
 LEVELS = 65535
 """The largest number in a 16-bit image; 0 stands for an unknown depth."""
@@ -48,9 +49,14 @@ def depth_path(folder: Path, number: int) -> Path:
 
 
 def write_masks(folder: Path, clip: Clip) -> None:
-    """Write the mask of every frame in COLMAP's naming, <image name>.png: black is ignored, which is what moves."""
+    """Write the mask of every frame in COLMAP's naming, <image name>.png.
+
+    Black is ignored: what moves, and what is burnt into the frames.
+    """
+    burnt_in = read_burnt_in(clip.content)
     for k, name in enumerate(clip.names):
-        write_image(folder / f"{name}.png", ~clip.mask(k))
+        ignored = clip.mask(k) if burnt_in is None else clip.mask(k) | burnt_in
+        write_image(folder / f"{name}.png", ~ignored)
 
 
 def write_video(path: Path, renders: Path) -> str:

@@ -18,9 +18,12 @@ from stages.shared.artifacts import write_dense
 from stages.shared.cli import In, Out
 from stages.shared.images import read_reduced, reduced_size, write_figure
 from stages.shared.log import logger
+from stages.shared.masks import read_scene_on_grid, within
 from stages.shared.sequences import read_sequence
 from stages.shared.threads import threaded
 
+DIS_PATCH_PX = 8
+"""Flow within half of this distance from a logo may be that of the logo."""
 Flows = dict[Edge, np.ndarray]
 
 
@@ -46,6 +49,9 @@ def main(
     else:
         flows, confidences, facts = _match(rgb, options)
     edges = sorted(flows)
+    if (scene := read_scene_on_grid(frames, (w, h))) is not None:
+        scene = cv2.erode(scene.astype(np.uint8), np.ones((DIS_PATCH_PX + 1,) * 2, np.uint8), borderValue=1) > 0
+        confidences = {edge: confidences[edge] * within(scene, flows[edge]) for edge in edges}
     flow = np.stack(threaded(lambda edge: stored(flows[edge]), edges))
     confidence = np.stack([confidences[edge].astype(np.float16, copy=False) for edge in edges])
     facts |= {"source": options.source, "long_edges": sum(j - i > max(options.offsets) for i, j in edges)}

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from stages.gaussians.training_frames import TrainingFrames
@@ -10,10 +11,11 @@ from stages.shared.cameras import Cameras, read_cameras
 from stages.shared.dense_depth import dense_depth, nearest_on_frame
 from stages.shared.images import read_rgb
 from stages.shared.log import logger
-from stages.shared.masks import read_mask
+from stages.shared.masks import read_burnt_in, read_mask
 from stages.shared.sequences import read_sequence
 from stages.shared.split import SplitOptions, frame_times, held_out
 
+REACH_PX = 3
 MIN_OBSERVED = 2
 """Least number of training frames: tables over time are interpolated between them."""
 
@@ -28,7 +30,9 @@ def read_observations(sequence: Path, masks: Path, poses: Path, depth: Path, spl
     """
     content, cameras = read_sequence(sequence), read_cameras(poses)
     frames = training_indices(cameras, split).tolist()
-    images = np.stack([read_rgb(content.frames[k]) for k in frames]).astype(np.float32) / 255
+    burnt_in = read_burnt_in(content)
+    pictures = (without(burnt_in, read_rgb(content.frames[k])) for k in frames)
+    images = np.stack(list(pictures)).astype(np.float32) / 255
     grid, stride_px = read_dense(depth), float(read_metadata(depth)["stride_px"])
     dense = [dense_depth(grid["inverse_depth"][k], image, stride_px) for k, image in zip(frames, images, strict=True)]
     guessed = nearest_on_frame(grid["filled"][frames] > 0, stride_px, content.height, content.width)
@@ -40,7 +44,18 @@ def read_observations(sequence: Path, masks: Path, poses: Path, depth: Path, spl
         cameras.cam_from_world[frames],
         cameras.Ks[frames],
         frame_times(len(content.frames))[frames],
+        None if burnt_in is None else ~burnt_in,
     )
+
+
+def without(burnt_in: np.ndarray | None, image: np.ndarray) -> np.ndarray:
+    """A frame [H, W, 3] uint8 whose surroundings are continued over what is burnt in [H, W] (Telea, JGT 2004).
+
+    Nothing is trained there. But windows of SSIM and filters of the depth reach over its outline.
+    """
+    if burnt_in is None:
+        return image
+    return np.asarray(cv2.inpaint(image, burnt_in.astype(np.uint8), REACH_PX, cv2.INPAINT_TELEA))
 
 
 def training_indices(cameras: Cameras, split: SplitOptions) -> np.ndarray:

@@ -51,7 +51,7 @@ def lift(seen: TrainingFrames, f: int, keep: np.ndarray, stride_px: int) -> Poin
     """Points lifted from every `stride_px`-th pixel of frame f, each way, where keep [H, W] bool is true."""
     grid = np.zeros(keep.shape, bool)
     grid[stride_px // 2 :: stride_px, stride_px // 2 :: stride_px] = True
-    v, u = np.nonzero(keep & grid)
+    v, u = np.nonzero(keep & grid if seen.scene is None else keep & grid & seen.scene)
     depth = seen.depths[f, v, u].astype(float)
     positions = unproject(np.stack([u, v], axis=-1), depth, seen.cam_from_world[f], seen.Ks[f])
     return Points(positions, seen.images[f, v, u], depth / seen.Ks[f, 0, 0] * stride_px, np.full(len(u), f))
@@ -92,7 +92,10 @@ def _covered(seen: TrainingFrames, f: int, positions: np.ndarray, stride_px: int
 def _pixels(
     seen: TrainingFrames, f: int, positions: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Nearest pixel u, v [n] (0 if outside) and z-depth [n] of points [n, 3] in frame f, and whether it is inside."""
+    """Nearest pixel u, v [n] (0 if outside) and z-depth [n] of points [n, 3] in frame f, and whether it is inside.
+
+    Pixels of what is burnt in do not count as inside.
+    """
     height, width = seen.depths.shape[1:]
     xyz = positions @ seen.cam_from_world[f, :3, :3].T + seen.cam_from_world[f, :3, 3]
     front = xyz[:, 2] > 0
@@ -100,7 +103,7 @@ def _pixels(
     uv[front] = project(positions[front], seen.cam_from_world[f], seen.Ks[f])[0]
     inside = (uv > -0.5).all(axis=1) & (uv[:, 0] < width - 0.5) & (uv[:, 1] < height - 0.5)
     u, v = np.where(inside[:, None], np.rint(uv), 0).astype(int).T
-    return u, v, xyz[:, 2], inside
+    return u, v, xyz[:, 2], inside if seen.scene is None else inside & seen.scene[v, u]
 
 
 def dynamic_share(seen: TrainingFrames, tracks: np.ndarray, masks: np.ndarray) -> np.ndarray:

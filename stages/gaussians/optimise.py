@@ -82,6 +82,7 @@ class Trainer:
         self.viewmats = torch.as_tensor(seen.cam_from_world, device=self.device)
         self.Ks, self.times = torch.as_tensor(seen.Ks, device=self.device), seen.times
         self.height, self.width = seen.images.shape[1:3]
+        self.seen_pixels = None if seen.scene is None else torch.as_tensor(seen.scene, device=self.device)[..., None]
         self.optimiser = self.new_optimiser()
         self.record = GradientRecord.empty(len(scene.anchors), self.device)
         self.step, self.history = 0, History()
@@ -110,6 +111,8 @@ class Trainer:
         )
         view.centres[0].retain_grad()
         image, weight = view.colour[0], self.options.ssim_weight
+        if self.seen_pixels is not None:  # what is burnt in has neither residual nor gradient
+            image = torch.where(self.seen_pixels, image, target.image)
         difference = image - target.image
         loss = (1 - weight) * mean_by_rows(difference.abs()) + weight * (1 - ssim(image, target))
         if self.motion is not None and self.arap_weight > 0:
@@ -183,5 +186,6 @@ def training_psnr(scene: GaussianScene, seen: TrainingFrames) -> float:
         viewmat, K = (torch.as_tensor(matrix, device=device) for matrix in (seen.cam_from_world[f], seen.Ks[f]))
         height, width = seen.images.shape[1:3]
         image = scene.render(float(seen.times[f]), viewmat, K, width, height).colour[0].cpu().numpy()
-        values.append(psnr_db(float(np.square(image.clip(0, 1) - seen.images[f]).mean())))
+        error = np.square(image.clip(0, 1) - seen.images[f])
+        values.append(psnr_db(float(np.mean(error if seen.scene is None else error[seen.scene]))))
     return float(np.mean(values))

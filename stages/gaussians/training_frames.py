@@ -22,6 +22,7 @@ class TrainingFrames:
         depths: [F, H, W] float32, z-depth in scene units.
         guessed: [F, H, W] bool, true where the depth was not triangulated but filled in.
         cam_from_world: [F, 4, 4]. Ks: [F, 3, 3] px. times: [F] in 0..1.
+        scene: [H, W] bool, false where something is burnt into all frames; None: nothing is.
     """
 
     images: np.ndarray
@@ -31,6 +32,7 @@ class TrainingFrames:
     cam_from_world: np.ndarray
     Ks: np.ndarray
     times: np.ndarray
+    scene: np.ndarray | None = None
 
 
 def with_movers(seen: TrainingFrames, deformation: Deformation) -> TrainingFrames:

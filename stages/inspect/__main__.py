@@ -4,19 +4,21 @@ import hashlib
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 
 from stages.inspect.blur import blurred, detail
+from stages.inspect.burnt_in import Found, Watch
 from stages.inspect.options import InspectOptions
 from stages.shared import cli, sintel
 from stages.shared.artifacts import read_json, write_json
 from stages.shared.cli import In, Out
-from stages.shared.drawing import contact_sheet, overlay_mask, spread
+from stages.shared.drawing import BURNT_IN_COLOUR, contact_sheet, overlay_mask, spread
 from stages.shared.errors import InputError
-from stages.shared.images import read_mask, read_rgb, write_figure
+from stages.shared.images import read_mask, read_rgb, write_figure, write_image
 from stages.shared.log import logger, progress
+from stages.shared.masks import read_burnt_in, read_sized_mask
 from stages.shared.sequences import Sequence, check_sequence, folder_name, sequence_to_json
 
 
@@ -27,22 +29,28 @@ def main(
     options: InspectOptions,
     video: Annotated[Path | None, In("what `video` found, if the frames are of one: time stamps, warnings")] = None,
 ) -> str:
-    """Check all files of one sequence, so that no later stage fails on them."""
+    """Check all files of one sequence, so that no later stage fails on them.
+
+    A mask of what is burnt into the frames, if there is anything, is written beside the output as burnt_in.png.
+    """
     sequence, source = check_sequence(folder_name(frames), frames), str(frames)
     if video:
         about = read_json(video)
         source = about["video"]
         sequence = replace(sequence, times_s=about["times_s"], warnings=about["warnings"] + sequence.warnings)
     sequence = first_frames(sequence, options)
-    digest, details = read_all(sequence)
+    watch = Watch() if options.burnt_in == "auto" else None
+    digest, details = read_all(sequence, watch)
     if soft := [sequence.numbers[k] for k in blurred(details)]:
         warning = f"blurred beside their neighbours: frames {', '.join(map(str, soft))}"
         sequence = replace(sequence, warnings=[*sequence.warnings, warning])
     check_truth(sequence)
+    sequence, search = mark_burnt_in(sequence, output.parent / "burnt_in.png", options, watch)
     for warning in sequence.warnings:
         logger.warning("%s: %s", source, warning)
     write_figure(figure, draw(sequence))
-    write_json(output, sequence_to_json(sequence) | {"frames_sha256": digest, "missing_truth": missing_truth(sequence)})
+    facts = {"frames_sha256": digest, "missing_truth": missing_truth(sequence), "burnt_in_search": search}
+    write_json(output, sequence_to_json(sequence) | facts)
     return f"{len(sequence.frames)} frames of {sequence.width} x {sequence.height} px"
 
 
@@ -56,8 +64,11 @@ def first_frames(sequence: Sequence, options: InspectOptions) -> Sequence:
     return replace(sequence, frames=frames, numbers=numbers, truth=truth, times_s=times_s)
 
 
-def read_all(sequence: Sequence) -> tuple[str, list[float]]:
+def read_all(sequence: Sequence, watch: Watch | None = None) -> tuple[str, list[float]]:
     """SHA-256 over the pixels of all frames, as hexadecimal digits, and the detail [T] of each; decodes every frame.
+
+    Args:
+        watch: sees every frame.
 
     Raises:
         InputError: for a frame that cannot be decoded or whose size differs from that of the sequence.
@@ -70,7 +81,54 @@ def read_all(sequence: Sequence) -> tuple[str, list[float]]:
             raise InputError(path, expected, f"{image.shape[1]} x {image.shape[0]}", "export the frame again")
         digest.update(image.tobytes())
         details.append(detail(image))
+        if watch:
+            watch.see(image)
     return digest.hexdigest(), details
+
+
+def mark_burnt_in(
+    sequence: Sequence, path: Path, options: InspectOptions, watch: Watch | None
+) -> tuple[Sequence, dict[str, Any]]:
+    """The sequence with the mask of what is burnt into it, written to `path`; and what was found, for sequence.json.
+
+    Nothing is written where nothing is found.
+
+    Raises:
+        InputError: for a mask of the user's that is no image, has another size than the frames, or leaves nothing.
+    """
+    path.unlink(missing_ok=True)
+    found = watch.found() if watch else _given(sequence, options)
+    if found is None:
+        return sequence, {"by": "no"}
+    facts: dict[str, Any] = {
+        "by": "given" if watch is None else "auto",
+        "motion_enough": found.known,
+        "bars_px": found.bars_px,
+    }
+    if watch and not found.known:
+        logger.info("%s: the image moves too little to tell what is burnt in", sequence.name)
+    if not found.mask.any():
+        return sequence, facts
+    share = float(found.mask.mean())
+    write_image(path, found.mask)
+    facts |= {"share": share, "sha256": hashlib.sha256(np.packbits(found.mask).tobytes()).hexdigest()}
+    said = (
+        f"{share:.1%} of the image is burnt in (a logo, a time code, bars) and left out of flow, masks and training; "
+        "if that is wrong, set `inspect: {burnt_in: no}` or a mask of your own"
+    )
+    warnings = sequence.warnings if watch is None else [*sequence.warnings, said]
+    return replace(sequence, burnt_in=path, warnings=warnings), facts
+
+
+def _given(sequence: Sequence, options: InspectOptions) -> Found | None:
+    """The mask of the user's; None if there is none."""
+    if not isinstance(options.burnt_in, Path):
+        return None
+    advice = f"draw it over a frame of {sequence.frames[0].parent}"
+    mask = read_sized_mask(options.burnt_in, (sequence.width, sequence.height), advice)
+    if mask.all():
+        raise InputError(options.burnt_in, "a mask that is black where the scene shows", "white everywhere", advice)
+    return Found(mask, ((0, 0), (0, 0)), True)
 
 
 def check_truth(sequence: Sequence) -> None:
@@ -126,12 +184,13 @@ def missing_truth(sequence: Sequence) -> list[str]:
 
 
 def draw(sequence: Sequence) -> np.ndarray:
-    """A contact sheet [h, w, 3] uint8 of up to six frames, with true motion masks where these exist."""
-    images = []
+    """A contact sheet [h, w, 3] uint8 of up to six frames, with true motion masks; what is burnt in is magenta."""
+    images, burnt_in = [], read_burnt_in(sequence)
     for k in spread(len(sequence.frames), 6):
         image = read_rgb(sequence.frames[k])
         mask_file = sequence.truth.get("motion_mask", {}).get(sequence.numbers[k])
-        images.append(overlay_mask(image, read_mask(mask_file)) if mask_file else image)
+        image = overlay_mask(image, read_mask(mask_file)) if mask_file else image
+        images.append(image if burnt_in is None else overlay_mask(image, burnt_in, BURNT_IN_COLOUR))
     return contact_sheet(images, columns=3)
 
 

@@ -17,6 +17,7 @@ from stages.shared.cli import In, Out
 from stages.shared.errors import InputError
 from stages.shared.images import read_reduced, write_figure
 from stages.shared.log import logger
+from stages.shared.masks import read_scene_on_grid
 from stages.shared.sequences import read_sequence
 
 FLOW_CURVE = (0.17, 0.04)
@@ -46,7 +47,9 @@ def main(
     output says which was used, and why.
     """
     frames = read_sequence(sequence)
-    pairs, scale = FlowPairs(read_dense(flow)), float(read_metadata(flow)["scale"])
+    matched, scale = read_dense(flow), float(read_metadata(flow)["scale"])
+    scene = read_scene_on_grid(frames, matched["confidence"].shape[:0:-1])
+    pairs = FlowPairs(matched, scene=scene)
     rgb = read_reduced(frames.frames, pairs.confidence.shape[:0:-1])
     cameras = _usable_cameras(previous_poses, previous_depth)
     if cameras is None or previous_depth is None:
@@ -54,8 +57,12 @@ def main(
     else:
         stride_px = float(read_metadata(previous_depth)["stride_px"])
         evidence, facts = _from_cameras(rgb, pairs, cameras, read_dense(previous_depth), scale, stride_px)
+    if scene is not None:
+        evidence = Evidence(evidence.residual, evidence.weight * scene)
     residual = pool(evidence, rgb, pairs)
     probability = to_probability(residual, *(FLOW_CURVE if cameras is None else CAMERA_CURVE))
+    if scene is not None:
+        probability *= scene
     facts |= {"moving_share": float((probability > 0.5).mean())}
     logger.info("%s: %s", frames.name, facts)
     columns = {"frame": np.array(frames.numbers), "probability": probability.astype(np.float16)}

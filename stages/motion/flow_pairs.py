@@ -10,6 +10,7 @@ import numpy as np
 
 from stages.shared.artifacts import Dense
 from stages.shared.cameras import pixel_grid
+from stages.shared.masks import within
 from stages.shared.threads import threaded
 
 ResultT = TypeVar("ResultT")
@@ -25,10 +26,12 @@ class FlowPairs:
     Attributes:
         columns: source, target [E] frames; flow [E, h, w, 2] px and confidence [E, h, w], mapped from the file.
         counts: [E] bool, whether an edge is evidence; None: all are.
+        scene: [h, w] bool, false where something is burnt into the frames; None: nowhere.
     """
 
     columns: Dense
     counts: np.ndarray | None = None
+    scene: np.ndarray | None = None
 
     @property
     def source(self) -> np.ndarray:
@@ -73,13 +76,15 @@ class FlowPairs:
         """Weights [h, w] float32 of an edge as evidence of motion: its confidence, with a small minimum.
 
         Objects that move fast or rotate are matched badly in every pair. Flow that fits neither a static world nor the
-        backward flow is weak evidence of motion, and often the only one. Flow that leaves the frame has weight 0.
+        backward flow is weak evidence of motion, and often the only one. Flow that leaves the frame, or the scene in
+        it, has weight 0.
         """
         weights = self.confidence[edge].astype(np.float32)  # half precision is slow to compare
         if self.counts is not None and not self.counts[edge]:
             return np.zeros_like(weights)
-        _weigh(self.flow[edge].astype(np.float32), weights)
-        return weights
+        flow = self.flow[edge].astype(np.float32)
+        _weigh(flow, weights)
+        return weights if self.scene is None else weights * within(self.scene, flow)
 
     def counting(self, counts: np.ndarray) -> "FlowPairs":
         """The same pairs, of which only some [E] are evidence."""

@@ -17,7 +17,7 @@ from stages.shared.cli import In, Out
 from stages.shared.errors import InputError
 from stages.shared.images import enlarge, read_mask, read_rgb, reduce, write_figure, write_image
 from stages.shared.log import logger
-from stages.shared.masks import instances_path, mask_path
+from stages.shared.masks import instances_path, mask_path, read_burnt_in
 from stages.shared.sequences import Sequence, read_sequence
 
 DYNAMIC = 0.5
@@ -53,12 +53,12 @@ def main(
     compared with, as one instance.
     """
     frames = read_sequence(sequence)
-    masks = _masks(options, frames, flow, prior)
+    masks, burnt_in = _masks(options, frames, flow, prior), read_burnt_in(frames)
     found, shown, overlays = _Facts(), set(drawing.spread(len(frames.numbers), 6).tolist()), []
     with atomic_folder(output, ("frame_*.png", "instances/frame_*.png", "masks.json")) as folder:
         for k, (path, number) in enumerate(zip(frames.frames, frames.numbers, strict=True)):
             rgb = read_rgb(path)
-            mask = masks(k, rgb)
+            mask = masks(k, rgb) if burnt_in is None else _without(burnt_in, masks(k, rgb))
             write_image(mask_path(folder, number), mask.dynamic)
             write_image(instances_path(folder, number), mask.instances)
             found.add(number, mask)
@@ -131,6 +131,11 @@ def _true(frames: Sequence) -> Masks:
         expected = "motion_mask beside them, for every frame, for `source: truth`"
         raise InputError(frames.frames[0].parent, expected, "no motion_mask", "set `source: refined`")
     return lambda k, _: _as_one(read_mask(frames.truth["motion_mask"][frames.numbers[k]]))
+
+
+def _without(burnt_in: np.ndarray, mask: Mask) -> Mask:
+    """A mask without what is burnt in, [H, W] bool: a logo does not move in the world."""
+    return Mask(mask.dynamic & ~burnt_in, np.where(burnt_in, 0, mask.instances).astype(np.uint16), mask.guarded)
 
 
 def _as_one(dynamic: np.ndarray) -> Mask:

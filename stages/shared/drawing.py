@@ -6,6 +6,8 @@ import cv2
 import numpy as np
 
 MASK_COLOUR = np.array([255, 60, 40])
+BURNT_IN_COLOUR = np.array([255, 0, 255])
+"""Of logos, time codes and bars: magenta, which no instance has."""
 INSTANCE_COLOURS = np.array([MASK_COLOUR, (255, 187, 0), (44, 160, 44), (227, 119, 194), (23, 190, 207), (140, 86, 75)])
 """Of instances 1, 2, ..., over and over. Blue is left for what is true."""
 GAP_PX = 4

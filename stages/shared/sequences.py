@@ -52,6 +52,7 @@ class Sequence:
         truth: kind (a key of TRUTH_KINDS) -> frame number -> file.
         warnings: conversions of the image files, blurred frames, what was found about the video, as sentences.
         times_s: [T] seconds since the first frame of the video; None for a folder of frames, which has no time stamps.
+        burnt_in: mask of what is burnt into the frames, 255 where something is; None if nothing is known to be.
     """
 
     name: str
@@ -62,6 +63,7 @@ class Sequence:
     truth: dict[str, dict[int, Path]] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
     times_s: list[float] | None = None
+    burnt_in: Path | None = None
 
     @property
     def stamps(self) -> list[float]:
@@ -228,6 +230,7 @@ def sequence_to_json(sequence: Sequence) -> dict[str, Any]:
         "truth": truth,
         "warnings": sequence.warnings,
         "times_s": sequence.times_s,
+        "burnt_in": str(sequence.burnt_in.resolve()) if sequence.burnt_in else None,
     }
 
 
@@ -244,6 +247,7 @@ def read_sequence(path: Path) -> Sequence:
         truth,
         content["warnings"],
         content.get("times_s"),
+        Path(content["burnt_in"]) if content.get("burnt_in") else None,
     )
 
 

@@ -238,6 +238,12 @@ def frame_source(wildcards):
     return {"frames": str(folder), "truth": [str(folder) for folder in truth]}
 
 
+def burnt_in_mask(wildcards):
+    """The user's mask of what is burnt into the frames: an input, so that a change of the file is noticed."""
+    mask = setting_of(wildcards).config.inspect.burnt_in
+    return str(mask) if isinstance(mask, Path) else []
+
+
 def frame_times(wildcards):
     """What changes when a frame is rewritten; nothing for frames that a job of this run may still write."""
     if CONFIG.dataset == configuration.SIMULATED or VIDEO_SHOTS:

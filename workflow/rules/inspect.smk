@@ -1,6 +1,7 @@
 rule inspect:
     input:
         unpack(frame_source),
+        burnt_in=burnt_in_mask,
     output:
         sequence="<results>/{dataset}/{seq}/{setting}sequence.json",
         figure=report(
