@@ -106,12 +106,12 @@ def test_of_many_frames_and_in_jobs_the_first_header_alone_is_read(
 ) -> None:
     truncate(frames / "clip")
     config = configuration.load({"dataset": str(frames)})
-    folders = datasets.frame_folders(config)
+    folders = datasets.frame_folders(config, {})
     with pytest.raises(InputError, match="ends too early"):
-        datasets.find_sequences(config, folders)
-    in_job = datasets.find_sequences(config, folders, headers=False)["clip"]
+        datasets.find_sequences(config, folders, {})
+    in_job = datasets.find_sequences(config, folders, {}, headers=False)["clip"]
     monkeypatch.setattr(datasets, "EARLY_FRAMES", 3)
-    assert datasets.find_sequences(config, folders)["clip"] == in_job
+    assert datasets.find_sequences(config, folders, {})["clip"] == in_job
     assert (in_job.width, in_job.height, in_job.numbers) == (64, 48, [1, 2, 3, 4])
     with pytest.raises(InputError, match="ends too early"):
         check_sequence("clip", frames / "clip")

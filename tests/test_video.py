@@ -17,7 +17,7 @@ from stages.inspect.options import InspectOptions
 from stages.shared.artifacts import read_json
 from stages.shared.errors import InputError
 from stages.shared.images import read_rgb
-from stages.shared.sequences import read_sequence
+from stages.shared.sequences import check_sequence, read_sequence
 from stages.video import __main__ as video_stage
 from stages.video.index import Index, load_index, make_index
 from stages.video.options import VideoOptions
@@ -31,6 +31,12 @@ def decoded(video: Path, folder: Path, **options: object) -> list[np.ndarray]:
     """The frames that the stage writes for the first shot of a video."""
     video_stage.main(video, folder / "frames", folder / "frames.json", video_stage.DecodeOptions(**options))  # type: ignore[arg-type]
     return [read_rgb(path) for path in sorted((folder / "frames").glob("frame_*.png"))]
+
+
+def planned(values: dict[str, object]) -> dict[str, str]:
+    """The folder of frames of every sequence of a configuration."""
+    config = configuration.load(values)
+    return datasets.frame_folders(config, datasets.video_shots(config))
 
 
 def psnr(images: list[np.ndarray], truth: list[np.ndarray]) -> float:
@@ -266,21 +272,41 @@ def test_a_folder_of_videos(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     encode(folder / "a.mp4", moving(4))
     encode(folder / "b.MOV", moving(4) + moving(4, seed=1))
     config = configuration.load({"dataset": "data"})
-    folders = datasets.frame_folders(config)
+    shots = datasets.video_shots(config)
+    monkeypatch.setattr("stages.video.index.load_index", None)  # the indexes are read once
+    folders = datasets.frame_folders(config, shots)
     assert folders == {name: f"decoded/data/{name}" for name in ("a", "b_shot1", "b_shot2")}
-    sequences = datasets.find_sequences(config, folders)
+    sequences = datasets.find_sequences(config, folders, shots)
     assert (sequences["b_shot2"].numbers, sequences["a"].width) == ([1, 2, 3, 4], SIZE[0])
-    assert list(datasets.frame_folders(configuration.load({"dataset": "data", "sequences": ["b_shot2"]}))) == [
-        "b_shot2"
-    ]
+    monkeypatch.undo()
+    monkeypatch.chdir(tmp_path)
+    assert list(planned({"dataset": "data", "sequences": ["b_shot2"]})) == ["b_shot2"]
     with pytest.raises(InputError, match="did you mean 'b_shot"):
-        datasets.frame_folders(configuration.load({"dataset": "data", "sequences": ["b_shot3"]}))
+        planned({"dataset": "data", "sequences": ["b_shot3"]})
     encode(folder / "a.mkv", moving(4))
     with pytest.raises(InputError, match=r"a\.m(kv|p4): expected a name of its own"):
-        datasets.frame_folders(config)
+        planned({"dataset": "data"})
     write_frames(folder / "frames")
     with pytest.raises(InputError, match=r"expected videos or folders of frames, found 'a.mkv' and 'frames/'"):
-        datasets.frame_folders(config)
+        planned({"dataset": "data"})
+
+
+def test_videos_beside_pictures(tmp_path: Path) -> None:
+    """A single picture is no sequence; with enough of them the video is left out, and the input check says so."""
+    encode(tmp_path / "clip.mp4", moving(4))
+    write_frames(tmp_path, count=1)
+    said = "expected videos or at least 3 frames, found 'clip.mp4' and 1 picture, 'frame_0001.png'; move the pictures"
+    with pytest.raises(InputError, match=said):
+        planned({"dataset": str(tmp_path)})
+    write_frames(tmp_path, count=3)
+    assert planned({"dataset": str(tmp_path)}) == {tmp_path.name: str(tmp_path)}
+    said = "'clip.mp4' beside the frames is not used: name it as the `dataset:` if you mean the video"
+    assert said in check_sequence("clip", tmp_path).warnings
+
+
+def test_tiny_frames_are_warned_of(tmp_path: Path) -> None:
+    write_frames(tmp_path, size=(12, 16))
+    assert any("16 x 12 px" in warning for warning in check_sequence("clip", tmp_path).warnings)
 
 
 def test_a_name_with_braces_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -288,7 +314,7 @@ def test_a_name_with_braces_is_refused(tmp_path: Path, monkeypatch: pytest.Monke
     write_frames(tmp_path / "take {1}" / "left")
     for dataset in (encode(tmp_path / "clip {1}.mp4", moving(4)), tmp_path / "take {1}"):
         with pytest.raises(InputError, match=r"expected names without braces, found '(clip|take) \{1\}'; rename"):
-            datasets.frame_folders(configuration.load({"dataset": str(dataset)}))
+            planned({"dataset": str(dataset)})
 
 
 def test_times_and_warnings_reach_the_sequence(tmp_path: Path) -> None:

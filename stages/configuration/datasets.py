@@ -30,13 +30,15 @@ def dataset_name(config: Config) -> str:
     return dataset.stem if dataset.is_file() else dataset.name
 
 
-def find_sequences(config: Config, folders: Mapping[str, str], headers: bool = True) -> dict[str, Sequence]:
+def find_sequences(
+    config: Config, folders: Mapping[str, str], shots: Mapping[str, "VideoShot"], headers: bool = True
+) -> dict[str, Sequence]:
     """The chosen sequences with frames and sizes, without truth.
 
     Those of simulated sequences are taken from scene files, those of videos from their indexes.
 
     Args:
-        folders: the folder of frames of every chosen sequence.
+        folders: the folder of frames of every chosen sequence. shots: `video_shots`.
         headers: check the headers of all frames if there are at most EARLY_FRAMES of them.
 
     Raises:
@@ -45,7 +47,7 @@ def find_sequences(config: Config, folders: Mapping[str, str], headers: bool = T
     if config.dataset == SIMULATED:
         scenes = scene_files(config)
         return {name: _promised(name, scenes[name]) for name in folders}
-    if shots := video_shots(config):
+    if shots:
         return {name: _decoded(name, Path(folders[name]), shots[name].index) for name in folders}
     sequences = {name: list_sequence(name, Path(folder)) for name, folder in folders.items()}
     if headers and sum(len(sequence.frames) for sequence in sequences.values()) <= EARLY_FRAMES:
@@ -54,8 +56,11 @@ def find_sequences(config: Config, folders: Mapping[str, str], headers: bool = T
     return sequences
 
 
-def frame_folders(config: Config) -> dict[str, str]:
+def frame_folders(config: Config, shots: Mapping[str, "VideoShot"]) -> dict[str, str]:
     """The folder of frames of every chosen sequence; under simulated/ for a scene, under decoded/ for a video.
+
+    Args:
+        shots: `video_shots`, which reads the indexes of all videos.
 
     Raises:
         InputError: for an unknown sequence, or a name with braces, which mark wildcards in the paths of the workflow.
@@ -63,7 +68,7 @@ def frame_folders(config: Config) -> dict[str, str]:
     dataset = Path(config.dataset)
     if config.dataset == SIMULATED:
         folders = {name: Path(SIMULATED, "training", config.pass_, name) for name in scene_files(config)}
-    elif shots := video_shots(config):
+    elif shots:
         folders = {name: _decoded_folder(config) / name for name in shots}
     else:
         folders = sequence_folders(dataset, config.pass_)

@@ -31,6 +31,8 @@ VIDEO_SUFFIXES = (
     ".3gp",
 )
 MIN_FRAMES = 3
+SMALL_PX = 64
+"""Frames whose longer side is less are warned of: it is the least width that the flow can be asked for."""
 TRUTH_KINDS = {
     "camdata_left": ".cam",
     "depth": ".dpt",
@@ -106,14 +108,21 @@ def video_files(dataset: Path) -> dict[str, Path]:
     """The videos of `dataset`, a video itself or a folder of videos, by name; empty for what holds frames.
 
     Raises:
-        InputError: for a folder with videos and folders of frames, or with two videos of one name.
+        InputError: for a folder with videos and folders of frames, with two videos of one name, or with videos and
+            fewer pictures than a sequence needs.
     """
     if dataset.is_file():
         return {dataset.stem: dataset}
-    if not dataset.is_dir() or _frame_files(dataset):
+    if not dataset.is_dir():
         return {}
-    entries = sorted(dataset.iterdir())
-    files = [path for path in entries if path.suffix.lower() in VIDEO_SUFFIXES and path.is_file()]
+    entries, pictures = sorted(dataset.iterdir()), _frame_files(dataset)
+    files = [path for path in entries if _is_video(path)]
+    if pictures and (len(pictures) >= MIN_FRAMES or not files):
+        return {}
+    if pictures:
+        found = f"'{files[0].name}' and {len(pictures)} picture{'s' * (len(pictures) > 1)}, '{pictures[0].name}'"
+        advice = f"move the pictures away, or name the video, as in `dataset: {files[0]}`"
+        raise InputError(dataset, f"videos or at least {MIN_FRAMES} frames", found, advice)
     frames = [path for path in entries if path.is_dir() and (path.name == "training" or _frame_files(path))]
     if files and frames:
         advice = f"name the one that you want, as in `dataset: {files[0]}`"
@@ -176,7 +185,8 @@ def check_sequence(name: str, folder: Path) -> Sequence:
     """
     sequence = list_sequence(name, folder)
     modes = check_headers(sequence)
-    return replace(sequence, truth=find_truth(folder), warnings=_conversions(modes))
+    warnings = [*_conversions(modes), *_too_small(sequence), *_unused(folder)]
+    return replace(sequence, truth=find_truth(folder), warnings=warnings)
 
 
 def check_headers(sequence: Sequence) -> set[str]:
@@ -258,6 +268,23 @@ def _frame_files(folder: Path) -> list[Path]:
 
 def _is_frame(entry: os.DirEntry[str]) -> bool:
     return entry.name.lower().endswith(SUFFIXES) and entry.is_file()
+
+
+def _is_video(path: Path) -> bool:
+    return path.suffix.lower() in VIDEO_SUFFIXES and path.is_file()
+
+
+def _too_small(sequence: Sequence) -> list[str]:
+    size = sequence.width, sequence.height
+    said = f"frames of {size[0]} x {size[1]} px show too little: poses and masks need a side of {SMALL_PX} px or more"
+    return [said] if max(size) < SMALL_PX else []
+
+
+def _unused(folder: Path) -> list[str]:
+    """That a video beside frames is not used: the frames may be taken from it, or be a cover."""
+    videos = sorted(path for path in folder.iterdir() if _is_video(path))
+    said = "beside the frames is not used: name it as the `dataset:` if you mean the video"
+    return [f"'{videos[0].name}' {said}"] if videos else []
 
 
 def _number(path: Path) -> int:

@@ -65,10 +65,10 @@ try:
     CONFIGURED = settings.configured(config, MINE)
     CONFIG = CONFIGURED.config
     VIDEO_SHOTS = datasets.video_shots(CONFIG)
-    FOLDERS = datasets.frame_folders(CONFIG)
+    FOLDERS = datasets.frame_folders(CONFIG, VIDEO_SHOTS)
     # Jobs on a cluster read this file again; checking all headers once is enough.
     SEQUENCES = datasets.find_sequences(
-        CONFIG, FOLDERS, headers=workflow.is_main_process
+        CONFIG, FOLDERS, VIDEO_SHOTS, headers=workflow.is_main_process
     )
     SWEPT, SCALED = settings.compared(config, MINE)
     SWEPT_SEQUENCES = settings.choose_sequences(CONFIG.sweep, SEQUENCES)
