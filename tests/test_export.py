@@ -1,6 +1,7 @@
 """Exports, each read again by programs or readers that know nothing of us: cameras, points, depth, masks, archive."""
 
 import json
+import shutil
 from pathlib import Path
 
 import cv2
@@ -221,6 +222,9 @@ def test_failed_poses_and_missing_inputs_are_one_line_and_no_output(tmp_path: Pa
     inputs = truth.write_clip(tmp_path, status=np.full(truth.T, "failed", object))
     with pytest.raises(InputError, match=r"expected estimated poses, found the status 'failed' for all 8 frames"):
         export(tmp_path, "colmap", **inputs)
+    masks = export(tmp_path, "masks", **inputs) / "masks"
+    assert len(list(masks.iterdir())) == truth.T, "masks need no poses"
+    shutil.rmtree(tmp_path / "export")
     del inputs["model"], inputs["renders"]
     for name, flag in {"spz": "--model", "video": "--renders"}.items():
         with pytest.raises(InputError, match=flag):

@@ -35,14 +35,14 @@ def main(
 
     colmap: images/, sparse/0 (binary) and sparse_text; nerfstudio: images/, transforms.json and points3D.ply; npz:
     scene.npz, everything in our conventions; depth_png: depth/; masks: masks/ in COLMAP's naming; ply, spz: splats/;
-    video: video.mp4. Frames whose pose was not estimated are left out of the first two.
+    video: video.mp4. Frames whose pose was not estimated are left out of the first two; masks alone need no poses.
     """
     from stages.export.clip import read_clip
     from stages.shared.artifacts import atomic_folder
 
     _require(options.writes("ply", "spz"), model, "--model", "gaussians/model.safetensors")
     _require(options.writes("video"), renders, "--renders", "the folder renders/")
-    clip = read_clip(sequence, poses, masks, depth)
+    clip = read_clip(sequence, poses, masks, depth, needs_poses=set(options.formats) != {"masks"})
     with atomic_folder(output, FILES) as folder:
         _write_cameras(folder, clip, options)
         _write_images(folder, clip, options)

@@ -77,11 +77,11 @@ class Clip:
         return ((k, self.content.frames[k]) for k in np.flatnonzero(self.posed).tolist())
 
 
-def read_clip(sequence: Path, poses: Path, masks: Path, depth: Path) -> Clip:
+def read_clip(sequence: Path, poses: Path, masks: Path, depth: Path, needs_poses: bool = True) -> Clip:
     """The clip of these artifacts, with a warning for frames without a pose.
 
     Raises:
-        InputError: if no frame has an estimated pose, or poses or depth are of other frames.
+        InputError: if poses are needed and no frame has an estimated one, or poses or depth are of other frames.
     """
     content, cameras = read_sequence(sequence), read_cameras(poses)
     grid, stride_px = read_dense(depth), float(read_metadata(depth)["stride_px"])
@@ -90,16 +90,16 @@ def read_clip(sequence: Path, poses: Path, masks: Path, depth: Path) -> Clip:
             said, found = (f"{len(of)} frames from {of[0]} on" for of in (content.numbers, numbers.tolist()))
             raise InputError(path, f"{said}, as in {sequence}", found, "give the files of one sequence and run")
     posed = has_pose(cameras)
-    if not posed.any():
+    if needs_poses and not posed.any():
         found = f"the status '{cameras.status[0]}' for all {len(posed)} frames"
-        advice = "nothing is exported: the report says why the poses failed"
+        advice = "the report says why the poses failed; without them there are `export: {formats: [masks]}`"
         raise InputError(poses, "estimated poses", found, advice)
-    if not posed.all():
+    if needs_poses and not posed.all():
         numbers = cameras.numbers[~posed].tolist()
         logger.warning(
             "export: frames %s have no pose of their own: not in COLMAP's model and transforms.json", numbers
         )
     known = measured(grid["inverse_depth"], grid["variance"], grid["filled"])
-    if not known.any():
+    if needs_poses and not known.any():
         logger.warning("export: no depth is triangulated (%s): no points, and black depth images", cameras.status[0])
     return Clip(content, cameras, posed, masks, stride_px, grid["inverse_depth"], known)
