@@ -25,7 +25,7 @@ def cost_row(setting: str, ate: float | None, seconds: float, psnr: float = 20.0
         "overrides": "{}",
     }
     row |= dict.fromkeys(METRICS, 1.0) | {"ate_percent": ate, "psnr_db": psnr, "status": "ok"}
-    row |= {"note": "", "from_truth": "true masks" if "truth" in str(changes) else None}
+    row |= {"note": "", "taken": "true masks" if "truth" in str(changes) else None}
     return row | {"poses_wall_s": seconds / 2, "wall_s": seconds} | changes
 
 

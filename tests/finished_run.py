@@ -215,7 +215,7 @@ def _write_baseline(path: Path, cam_from_world: np.ndarray) -> None:
     columns |= {name: [quats[k, i] for k in rows] for i, name in enumerate(("qw", "qx", "qy", "qz"))}
     columns |= {name: [cam_from_world[k, i, 3] for k in rows] for i, name in enumerate(("tx", "ty", "tz"))}
     columns |= {name: [value] * 4 for name, value in (("fx", 99.0), ("fy", 99.0), ("cx", K[0, 2]), ("cy", K[1, 2]))}
-    about = {"protocol": "as is", "total": T, "wall_s": 1.5, "cpu_s": 1.5, "threads": 1, "from_truth": None}
+    about = {"protocol": "as is", "total": T, "wall_s": 1.5, "cpu_s": 1.5, "threads": 1, "taken": None}
     partial = {"method": "COLMAP global", "registered": 4, "failure": None}
     failed = {"method": "COLMAP incremental", "registered": 0, "failure": "reconstruct: no model"}
     write_table(path, columns, {"variants": [partial | about, failed | about]})

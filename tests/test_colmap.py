@@ -121,7 +121,7 @@ def test_masked_variants_have_no_features_on_dynamic_pixels(tmp_path: Path, monk
     write_json(tmp_path / "masks/masks.json", {"options": {"source": "truth"}})
     colmap_stage.main(sequence, output, ColmapOptions(window=1, upsample_masked=(1,)), masks=tmp_path / "masks")
     true = colmap_candidates(output)[0]
-    assert (true.method, true.from_truth, true.threads) == ("COLMAP global, with true motion masks", "true masks", 1)
+    assert (true.method, true.taken, true.threads) == ("COLMAP global, with true motion masks", "true masks", 1)
 
 
 def test_frames_without_texture_are_a_failed_row_with_a_reason(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ from conftest import REPO
 from stages.shared.chain import STAGES
 from stages.shared.digest import imported_modules
 
-COMMON = {"shared", "deformation", "splatting"}
+COMMON = {"shared", "deformation", "splatting", "given"}
 """What every stage may use."""
 LATER = {
     "simulate": COMMON,
@@ -19,6 +19,7 @@ LATER = {
     "results": {*COMMON, "evaluate", "comparisons", "report"},
     "shared": set(),
     "deformation": {"shared"},
+    "given": {"shared"},
     "splatting": {"shared", "deformation"},
 }
 """What the others may use; `configuration` itself imports the options of all."""

@@ -203,14 +203,14 @@ def test_inputs_from_ground_truth_stand_on_the_first_screen_and_on_every_table(t
     run.score(folder)
     report_stage.main([folder], PUBLISHED, tmp_path / "index.html", tmp_path / "tables", ReportOptions())
     page = (tmp_path / "index.html").read_text()
-    from_truth = "true masks, true intrinsics"
-    assert f"Taken from ground truth, not estimated: {from_truth}." in page.partition("</header>")[0]
+    taken = "true masks, true intrinsics"
+    assert f"Not estimated: {taken}." in page.partition("</header>")[0]
     titles = re.findall(r'<h3 id="(\w+)">([^<]*)', page)
-    ours = {name for name, title in titles if f"(from ground truth: {from_truth})" in title}
+    ours = {name for name, title in titles if f"(not estimated: {taken})" in title}
     assert {"poses", "images", "masks", "checks", "adjustment", "decisions"} <= ours
     poses = pq.read_table(tmp_path / "tables/poses.parquet").to_pylist()
-    assert {row["method"]: row["from_truth"] for row in poses}["ours"] == from_truth
-    assert {row["method"]: row["from_truth"] for row in poses}["COLMAP global"] is None
+    assert {row["method"]: row["taken"] for row in poses}["ours"] == taken
+    assert {row["method"]: row["taken"] for row in poses}["COLMAP global"] is None
     masks = pq.read_table(tmp_path / "tables/masks.parquet").to_pylist()
     assert {row["method"] for row in masks} == {"motion prior", "true motion masks"}
 

@@ -1,5 +1,6 @@
 """Mask refinement: edges, specks, instances, and what the script writes."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,12 @@ from stages.shared.images import read_mask, write_image
 from stages.shared.sequences import check_sequence, sequence_to_json
 
 OPTIONS = SegmentOptions()
+
+
+def run(inputs: Sequence[Path], output: Path, figure: Path, options: SegmentOptions) -> None:
+    """Run the stage on sequence, flow and prior."""
+    sequence, *evidence = inputs
+    segment_stage.main(sequence, output, figure, options, *evidence)
 
 
 def painted(h: int = 80, w: int = 120) -> tuple[np.ndarray, np.ndarray]:
@@ -96,7 +103,7 @@ def moving_disc(tmp_path: Path) -> tuple[Path, Path, Path, np.ndarray]:
 
 def test_script_writes_full_size_masks_by_frame_number(moving_disc: tuple[Path, ...], tmp_path: Path) -> None:
     *inputs, disc = moving_disc
-    segment_stage.main(*inputs, tmp_path / "masks", tmp_path / "segment.png", OPTIONS)
+    run(inputs, tmp_path / "masks", tmp_path / "segment.png", OPTIONS)
     names = sorted(path.name for path in (tmp_path / "masks").glob("*.png"))
     assert names == ["frame_0007.png", "frame_0008.png", "frame_0009.png"]
     mask = read_mask(tmp_path / "masks" / "frame_0008.png")
@@ -133,7 +140,7 @@ def passing_disc(moving_disc: tuple[Any, ...]) -> tuple[Path, Path, Path, list[n
 
 def test_each_frame_has_its_own_mask(passing_disc: tuple[Any, ...], tmp_path: Path) -> None:
     *inputs, discs = passing_disc
-    segment_stage.main(*inputs, tmp_path / "masks", tmp_path / "segment.png", OPTIONS)
+    run(inputs, tmp_path / "masks", tmp_path / "segment.png", OPTIONS)
     for number, disc in zip((7, 8, 9), discs, strict=True):
         assert overlap(read_mask(tmp_path / f"masks/frame_{number:04d}.png"), disc) > 0.9
         numbers = cv2.imread(str(tmp_path / f"masks/instances/frame_{number:04d}.png"), cv2.IMREAD_UNCHANGED)
@@ -150,20 +157,20 @@ def test_the_options_reach_the_system(
     columns["probability"][1:] = 0.02
     write_dense(inputs[2], columns)
     options = SegmentOptions(permanence=permanence, threshold=0.2)
-    segment_stage.main(*inputs, tmp_path / "masks", tmp_path / "segment.png", options)
+    run(inputs, tmp_path / "masks", tmp_path / "segment.png", options)
     assert read_mask(tmp_path / "masks/frame_0008.png").any() == found
 
 
 def test_evidence_of_little_weight_is_none(passing_disc: tuple[Any, ...], tmp_path: Path) -> None:
     *inputs, _ = passing_disc
     write_dense(inputs[2], dict(read_dense(inputs[2])) | {"weight": np.full((3, 40, 60), 0.1, np.float16)})
-    segment_stage.main(*inputs, tmp_path / "masks", tmp_path / "segment.png", OPTIONS)
+    run(inputs, tmp_path / "masks", tmp_path / "segment.png", OPTIONS)
     assert not read_mask(tmp_path / "masks/frame_0008.png").any()
 
 
 def test_frames_that_are_cut_back_are_named(passing_disc: tuple[Any, ...], tmp_path: Path) -> None:
     *inputs, discs = passing_disc
-    segment_stage.main(*inputs, tmp_path / "masks", tmp_path / "segment.png", SegmentOptions(max_share=0.1))
+    run(inputs, tmp_path / "masks", tmp_path / "segment.png", SegmentOptions(max_share=0.1))
     assert read_json(tmp_path / "masks/masks.json")["guarded"] == [7, 8, 9]
     assert 0.02 < read_mask(tmp_path / "masks/frame_0008.png").mean() < 0.105 < discs[1].mean()
 
@@ -173,7 +180,7 @@ def test_a_prior_of_an_earlier_version_is_refused(moving_disc: tuple[Any, ...], 
     columns = {name: values.copy() for name, values in read_dense(inputs[2]).items() if name != "weight"}
     write_dense(inputs[2], columns)
     with pytest.raises(InputError, match="run the motion stage again"):
-        segment_stage.main(*inputs, tmp_path / "masks", tmp_path / "segment.png", OPTIONS)
+        run(inputs, tmp_path / "masks", tmp_path / "segment.png", OPTIONS)
 
 
 def with_true_mask(sequence: Path, frames: list[int]) -> np.ndarray:
@@ -194,7 +201,7 @@ def test_sources_that_refinement_is_compared_with(moving_disc: tuple[Path, ...],
     found = {}
     for source in ("prior", "none", "truth"):
         output = tmp_path / source
-        segment_stage.main(*inputs, output, tmp_path / "segment.png", SegmentOptions(source=source))
+        run(inputs, output, tmp_path / "segment.png", SegmentOptions(source=source))
         found[source] = read_mask(output / "frame_0008.png")
     np.testing.assert_array_equal(found["truth"], truth)
     assert not found["none"].any()
@@ -205,5 +212,5 @@ def test_true_masks_must_be_there_for_every_frame(moving_disc: tuple[Path, ...],
     *inputs, _ = moving_disc
     with_true_mask(inputs[0], [7, 8])
     with pytest.raises(InputError, match="motion_mask"):
-        segment_stage.main(*inputs, tmp_path / "masks", tmp_path / "segment.png", SegmentOptions(source="truth"))
+        run(inputs, tmp_path / "masks", tmp_path / "segment.png", SegmentOptions(source="truth"))
     assert not (tmp_path / "masks").exists()

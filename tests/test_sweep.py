@@ -35,7 +35,7 @@ def write_scores(folder: Path, ate: float | None, psnr: dict[str, float]) -> Non
         "total": 8,
         "note": "",
         "threads": 2,
-        "from_truth": None,
+        "taken": None,
     }
     write("poses", [{"method": m, "ate_percent": a} | errors for m, a in (("ours, round 1", 9.0), ("ours", ate))])
     write("masks", [{"method": "refined masks", "round": r, "iou": r / 10, "boundary_f": r / 20} for r in (2, 1)])

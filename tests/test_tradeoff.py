@@ -60,7 +60,7 @@ def test_settings_are_means_over_sequences_and_failures_are_counted() -> None:
 
 
 def test_the_report_draws_settings_beside_colmap_and_lists_every_group() -> None:
-    pose = {"status": "ok", "from_truth": None, "ate": 0.1, "rpe_trans": 0.1, "rpe_rot_deg": 0.1}
+    pose = {"status": "ok", "taken": None, "ate": 0.1, "rpe_trans": 0.1, "rpe_rot_deg": 0.1}
     pose |= {"focal_error_percent": 1.0, "cpu_s": 9.0}
     poses = [
         {"sequence": "wall", "method": "COLMAP global", "ate_percent": 7.0, "wall_s": None, **pose},

@@ -19,7 +19,7 @@ from stages.shared.cli import In, Out
 from stages.shared.images import read_rgb, write_image
 from stages.shared.log import logger
 from stages.shared.masks import read_mask
-from stages.shared.run_inputs import MASKS, TRUTH, WITH_MASKS, mask_source
+from stages.shared.run_inputs import ESTIMATED_MASKS, GIVEN_MASKS, TRUTH, WITH_MASKS, mask_name, mask_source
 from stages.shared.sequences import Sequence, read_sequence
 
 COLUMNS = ("method", "frame", "qw", "qx", "qy", "qz", "tx", "ty", "tz", "fx", "fy", "cx", "cy")
@@ -54,20 +54,20 @@ class Variant:
     """The result of one variant of COLMAP.
 
     Attributes:
-        method: its name. protocol: how it was run. from_truth: inputs taken from ground truth.
+        method: its name. protocol: how it was run. taken: inputs taken from ground truth or from the user.
         rows: one per registered frame, with the entries COLUMNS. failure: the reason for having none. cpu_s: seconds.
     """
 
     method: str
     protocol: str
-    from_truth: str | None
+    taken: str | None
     rows: list[tuple[Any, ...]]
     failure: str | None
     cpu_s: float
 
     def outcome(self, total: int) -> dict[str, Any]:
         """Everything but the rows, for the metadata of the table."""
-        about = {name: getattr(self, name) for name in ("method", "protocol", "from_truth", "failure", "cpu_s")}
+        about = {name: getattr(self, name) for name in ("method", "protocol", "taken", "failure", "cpu_s")}
         return about | {"threads": THREADS, "registered": len(self.rows), "total": total}
 
 
@@ -97,7 +97,7 @@ def run_variants(
             arguments = (images, database, mapper, options.seed)
             found, failure, seconds = _timed(reconstruct, arguments, options, shared_s)
             rows = _rows(_method(mapper, factor, masks), factor, *found) if found else []
-        names = _method(mapper, factor, masks), _protocol(factor, masks, options), _from_truth(masks)
+        names = _method(mapper, factor, masks), _protocol(factor, masks, options), _taken(masks)
         variants.append(Variant(*names, rows, failure, shared_s + seconds))
     return variants
 
@@ -133,11 +133,13 @@ def _method(mapper: str, factor: int, masks: Path | None) -> str:
 def _owned(masks: Path) -> str:
     """Source of the masks in words: "true motion masks" or, for example, "our refined masks"."""
     source = mask_source(masks)
-    return MASKS[source] if source == TRUTH else f"our {MASKS[source]}"
+    return mask_name(source) if _taken(masks) else f"our {mask_name(source)}"
 
 
-def _from_truth(masks: Path | None) -> str | None:
-    return "true masks" if masks and mask_source(masks) == TRUTH else None
+def _taken(masks: Path | None) -> str | None:
+    if masks is None or (source := mask_source(masks)) in ESTIMATED_MASKS:
+        return None
+    return "true masks" if source == TRUTH else GIVEN_MASKS
 
 
 def _protocol(factor: int, masks: Path | None, options: ColmapOptions) -> str:

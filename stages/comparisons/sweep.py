@@ -18,7 +18,7 @@ from stages.shared.tables import Row, read_rows, write_rows
 POSE_SCORES = (
     *("ate", "ate_percent", "rpe_trans", "rpe_rot_deg", "focal_error_percent", "path"),
     *("registered", "total", "status", "note", "camera", "focal", "focal_sigma_percent", "warnings"),
-    *("threads", "from_truth"),
+    *("threads", "taken"),
 )
 COLUMNS = (
     *("sequence", "group", "setting", "knob", "value", "is_default", "overrides"),

@@ -49,6 +49,7 @@ def scaled_run(settings: Sequence[Setting], setting: Setting, sequence: str) -> 
             for number in rounds_of(setting, stage)
         ]
         for stage in GROWING[setting.group]
+        if rounds_of(setting, stage)
     }
     return {
         "sequence": sequence,
@@ -72,8 +73,9 @@ def needed_files(run: dict[str, Any]) -> list[str]:
 
 
 def _stages(settings: Sequence[Setting]) -> dict[str, int]:
-    """Number of rounds of each stage in the configured run, which is the first of the settings."""
-    return {stage: len(rounds_of(settings[0], stage)) for stage in MEASURED}
+    """Number of rounds of each stage that the configured run has, which is the first of the settings."""
+    rounds = {stage: len(rounds_of(settings[0], stage)) for stage in MEASURED}
+    return {stage: number for stage, number in rounds.items() if number}
 
 
 def _path(

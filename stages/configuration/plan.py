@@ -15,15 +15,34 @@ Step = tuple[str, int]
 """A stage and the round in which it runs, 1, 2, ...; the last round for stages that rounds do not repeat."""
 
 
+def repeated(setting: Setting) -> tuple[str, ...]:
+    """The stages that rounds repeat: those of REPEATED, but masks that are not estimated are made once, before them."""
+    return REPEATED if setting.config.segment.estimates else ("ba",)
+
+
 def rounds_of(setting: Setting, stage: str) -> range:
     """The rounds in which a setting runs a stage: the last one for stages that rounds do not repeat.
 
-    If `first_masks` is "none", the first of several rounds runs `ba` alone.
+    If `first_masks` is "none", the first of several rounds runs `ba` alone. Where masks are not estimated, `motion`
+    runs in no round.
     """
     rounds, without = setting.config.rounds, setting.config.first_masks == "none"
-    if stage not in REPEATED:
+    if stage == "motion" and stage not in repeated(setting):
+        return range(0)
+    if stage not in repeated(setting):
         return range(rounds, rounds + 1)
     return range(2 if stage != "ba" and without and rounds > 1 else 1, rounds + 1)
+
+
+def round_to_read(setting: Setting, stage: str, number: int) -> int | None:
+    """The round whose results of a stage a job of round `number` reads; None if there are none, as in round 0.
+
+    What is made once, before the rounds, is that of every round.
+    """
+    rounds = rounds_of(setting, stage)
+    if stage in REPEATED and stage not in repeated(setting):
+        return rounds[0] if rounds and number > 0 else None
+    return number if number in rounds else None
 
 
 @functools.cache
@@ -35,8 +54,10 @@ def steps(setting: Setting, stage: str) -> tuple[Step, ...]:
     last = setting.config.rounds
     if stage == "colmap":
         return (("inspect", last), ("colmap", last))
-    repeated = [(name, n) for n in range(1, last + 1) for name in REPEATED if n in rounds_of(setting, name)]
-    chain = [*((name, last) for name in BEFORE), *repeated, *((name, last) for name in AFTER)]
+    again = repeated(setting)
+    once = [(name, last) for name in REPEATED if name not in again and rounds_of(setting, name)]
+    rounds = [(name, n) for n in range(1, last + 1) for name in again if n in rounds_of(setting, name)]
+    chain = [*((name, last) for name in BEFORE), *once, *rounds, *((name, last) for name in AFTER)]
     return tuple(chain[: chain.index((stage, last)) + 1])
 
 
@@ -63,10 +84,10 @@ def find_home(settings: Sequence[Setting], setting: Setting, stage: str, number:
     Raises:
         ValueError: if `setting` is none of the settings, or does not run the stage in that round.
     """
-    wanted = _flags_up_to(setting, stage, number if stage in REPEATED else setting.config.rounds)
+    wanted = _flags_up_to(setting, stage, number if stage in repeated(setting) else setting.config.rounds)
     for other in settings:
         last = other.config.rounds
-        same_round = number if stage in REPEATED else last
+        same_round = number if stage in repeated(other) else last
         if same_round in rounds_of(other, stage) and _flags_up_to(other, stage, same_round) == wanted:
             return other.folder + ("" if same_round == last else f"round{same_round}/")
     raise ValueError(f"{setting.folder!r} is none of the settings")

@@ -46,19 +46,19 @@ POSES = (
         "status",
         "note",
         "protocol",
-        "from_truth",
+        "taken",
     ),
     *pose_diagnostics.DECISIONS,
 )
 IMAGES = (
     *("sequence", "method", "split", "region", "psnr_db", "ssim", "lpips", "frames", "width", "height"),
-    *("mask_source", "protocol", "from_truth"),
+    *("mask_source", "protocol", "taken"),
 )
 MASKS = (
     *("sequence", "method", "round", "iou", "boundary_f", "precision", "recall", "dynamic_percent", "true_percent"),
-    *("frames", "protocol", "from_truth"),
+    *("frames", "protocol", "taken"),
 )
-CHECKS = ("sequence", "quantity", "value", "unit", "n", "protocol", "from_truth")
+CHECKS = ("sequence", "quantity", "value", "unit", "n", "protocol", "taken")
 TIME = ("sequence", "stage", "round", "threads", "wall_s", "cpu_s", "peak_mb", "gpu_peak_mb", "output_mb")
 TRAJECTORY = ("method", "frame", "x", "y", "z", "error")
 FRAMES = ("kind", "method", "split", "frame", "metric", "value")
@@ -67,8 +67,8 @@ FRAMES = ("kind", "method", "split", "frame", "metric", "value")
 def main(
     sequence: Annotated[Path, In("sequence.json of the input check")],
     flow: Annotated[Path, In("optical flow over the edge list")],
-    priors: Annotated[list[Path], In("motion priors, one file per round, in order")],
-    masks: Annotated[list[Path], In("folders of masks, one per round, in order")],
+    priors: Annotated[list[Path], In("motion priors, one file per round; none if masks are not estimated", True)],
+    masks: Annotated[list[Path], In("folders of masks, one per round, in order, or one")],
     poses: Annotated[list[Path], In("tables of estimated poses, one per round, in order")],
     depth: Annotated[Path, In("inverse depth of the last round")],
     colmap: Annotated[list[Path], In("poses of the baseline, without and with our masks")],
@@ -138,12 +138,12 @@ def _write_masks(
 ) -> list[Row]:
     """Write scores of the priors and the masks of every round that has any; returns those of single frames."""
     size = frames.width, frames.height
-    masks = {
-        k: {score_masks.PRIOR: score_masks.read_prior_masks(prior, *size), inputs.masks: own}
-        for k, (prior, own) in enumerate(zip(*by_round, strict=True), inputs.masked_from)
-    }
+    priors, own_masks = by_round
+    masks = {k: {inputs.masks: own} for k, own in enumerate(own_masks, inputs.masked_from)}
+    for k, prior in enumerate(priors, inputs.masked_from):
+        masks[k] = {score_masks.PRIOR: score_masks.read_prior_masks(prior, *size)} | masks[k]
     rows, of_frames = score_masks.score_masks(frames.name, masks, *true_masks(frames))
-    write_rows(table, _with(inputs.truth, rows), MASKS, {"protocol": mask_metrics.PROTOCOL})
+    write_rows(table, _with(inputs.taken, rows), MASKS, {"protocol": mask_metrics.PROTOCOL})
     return _long(of_frames, "masks", ("iou", "boundary_f"))
 
 
@@ -161,7 +161,7 @@ def _write_images(
     regions = (moving, source) if moving else (own_masks, f"our own masks ({inputs.masks})")
     rows, of_frames = score_images.score_images(frames, renders, flow, regions, options)
     write_rows(
-        table, _with(inputs.truth, rows), IMAGES, {"protocol": f"{image_metrics.PROTOCOL}. {_lpips_protocol(options)}"}
+        table, _with(inputs.taken, rows), IMAGES, {"protocol": f"{image_metrics.PROTOCOL}. {_lpips_protocol(options)}"}
     )
     return _long(of_frames, "images", ("psnr_db", "ssim"))
 
@@ -177,12 +177,12 @@ def _score_geometry(
 def _write_checks(checks: Rows[Row], inputs: RunInputs, table: Path) -> None:
     """Write what was checked of flow, depth, motion and file sizes."""
     _log_rows("checks", checks)
-    write_rows(table, _with(inputs.truth, checks), CHECKS, {})
+    write_rows(table, _with(inputs.taken, checks), CHECKS, {})
 
 
-def _with(from_truth: str | None, rows: Rows[Row]) -> list[Row]:
-    """The rows with the column of inputs taken from ground truth."""
-    return [row | {"from_truth": from_truth} for row in rows]
+def _with(taken: str | None, rows: Rows[Row]) -> list[Row]:
+    """The rows with the column of inputs that were taken instead of estimated."""
+    return [row | {"taken": taken} for row in rows]
 
 
 def _lpips_protocol(options: EvaluateOptions) -> str:

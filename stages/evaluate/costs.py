@@ -20,10 +20,13 @@ def time_rows(name: str, files: Sequence[Path]) -> list[Row]:
     """
     of_stage = Counter(path.stem for path in files)
     rounds, seen, rows = max(of_stage.values()), Counter[str](), []
+    # Masks that are not estimated are made once, before the rounds.
+    repeated = REPEATED if of_stage["motion"] else ("ba",)
     for path in files:
         seen[path.stem] += 1
         # The first round may have no masks, the last one always has.
-        rows.append(_time_row(name, path, rounds - of_stage[path.stem] + seen[path.stem]))
+        number = rounds - of_stage[path.stem] + seen[path.stem]
+        rows.append(_time_row(name, path, number if path.stem in repeated else None))
     return sorted(rows, key=_stage_order)
 
 
@@ -31,7 +34,8 @@ def spent_to_poses(rows: Sequence[Row], rounds: int) -> list[tuple[float, float,
     """Wall and CPU seconds from the frames to the poses of each round, and the most threads of any stage of it."""
     spent = []
     for k in range(1, rounds + 1):
-        part = [row for row in rows if row["stage"] == "flow" or (row["round"] or rounds + 1) <= k]
+        before = [row for row in rows if row["stage"] in ("flow", "segment") and row["round"] is None]
+        part = before + [row for row in rows if row["round"] is not None and row["round"] <= k]
         seconds = (sum(row[key] for row in part) for key in ("wall_s", "cpu_s"))
         spent.append((*seconds, max(row["threads"] for row in part)))
     return spent
@@ -42,16 +46,16 @@ def is_ours(row: Row) -> bool:
     return not str(row["stage"]).startswith("colmap")
 
 
-def _time_row(name: str, path: Path, number: int) -> Row:
+def _time_row(name: str, path: Path, number: int | None) -> Row:
     content = read_json(path)
     costs = {key: content[key] for key in ("threads", "wall_s", "cpu_s", "peak_mb", "gpu_peak_mb", "output_mb")}
-    return {"sequence": name, "stage": path.stem, "round": number if path.stem in REPEATED else None} | costs
+    return {"sequence": name, "stage": path.stem, "round": number} | costs
 
 
 def _stage_order(row: Row) -> tuple[int, ...]:
     """Stages before the rounds, each round, stages after them."""
     stage = row["stage"]
-    if stage in REPEATED:
+    if row["round"] is not None:
         return 1, row["round"], REPEATED.index(stage)
-    before = stage in BEFORE
-    return 0 if before else 2, (BEFORE if before else LAST).index(stage)
+    before = (*BEFORE, "segment")
+    return 0 if stage in before else 2, (before if stage in before else LAST).index(stage)

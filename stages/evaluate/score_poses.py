@@ -28,7 +28,7 @@ class Candidate:
         wall_s, cpu_s, threads: seconds of the whole method, and how many threads it had at most. COLMAP gives way to
             our stages, so its wall seconds are meaningless and None; on an idle core its one thread would take its CPU
             seconds.
-        from_truth: what it took from ground truth, in words.
+        taken: what it took from ground truth or from the user, in words.
         decided: decisions of our adjustment, the columns pose_diagnostics.DECISIONS; all None for a baseline.
     """
 
@@ -40,7 +40,7 @@ class Candidate:
     wall_s: float | None
     cpu_s: float
     threads: int
-    from_truth: str | None = None
+    taken: str | None = None
     decided: Mapping[str, Any] = field(default_factory=lambda: dict.fromkeys(pose_diagnostics.DECISIONS))
 
 
@@ -57,7 +57,7 @@ def own_candidates(
         cameras, metadata = read_cameras(path), read_metadata(path)
         good = has_pose(cameras)
         method = "ours" if k == len(tables) else f"ours, round {k}"
-        source = f"from ground truth: {inputs.truth or 'nothing'}"
+        source = f"not estimated: {inputs.taken or 'nothing'}"
         protocol = f"{source}; {inputs.masks_in(k)}; after round {k} of {len(tables)}"
         registered = select(cameras, good) if good.any() else None
         failure = (
@@ -66,7 +66,7 @@ def own_candidates(
             else "; ".join(metadata.get("flags", [])).removeprefix("failed: ") or str(cameras.status[0])
         )
         decided = pose_diagnostics.decisions(metadata)
-        candidates.append(Candidate(method, protocol, len(good), registered, failure, *spent, inputs.truth, decided))
+        candidates.append(Candidate(method, protocol, len(good), registered, failure, *spent, inputs.taken, decided))
     return candidates
 
 
@@ -87,7 +87,7 @@ def _variants(table: Path) -> Iterator[Candidate]:
             cameras = make_cameras(lie.from_parts(R, t), Ks, chosen["frame"])
         names = variant["method"], variant["protocol"], variant["total"]
         costs = None, variant["cpu_s"], variant["threads"]
-        yield Candidate(*names, cameras, variant["failure"], *costs, variant["from_truth"])
+        yield Candidate(*names, cameras, variant["failure"], *costs, variant["taken"])
 
 
 def score(name: str, candidate: Candidate, truth: Cameras | None) -> dict[str, Any]:
@@ -128,7 +128,7 @@ def _empty_row(name: str, candidate: Candidate) -> dict[str, Any]:
         "wall_s": candidate.wall_s,
         "cpu_s": candidate.cpu_s,
         "threads": candidate.threads,
-        "from_truth": candidate.from_truth,
+        "taken": candidate.taken,
         **candidate.decided,
     }
 

@@ -35,7 +35,7 @@ def pose_means(rows: Sequence[Row]) -> list[Row]:
     signed = "focal_error_percent"
     sized = [row | {"focal_abs_percent": None if row[signed] is None else abs(row[signed])} for row in rows]
     metrics = ("ate", "ate_percent", "rpe_trans", "rpe_rot_deg", "focal_abs_percent", "wall_s", "cpu_s")
-    return mean_rows(sized, ("method", "from_truth"), metrics)
+    return mean_rows(sized, ("method", "taken"), metrics)
 
 
 def image_means(rows: Sequence[Row]) -> list[Row]:

@@ -19,6 +19,7 @@ from stages.shared import cli
 from stages.shared.artifacts import atomic, atomic_folder, read_metadata
 from stages.shared.cli import In, Out
 from stages.shared.log import logger, progress
+from stages.shared.run_inputs import given_in_words, taken_inputs
 from stages.shared.tables import Row, Table, read_rows
 
 TEMPLATES = Path(__file__).parent / "templates"
@@ -63,6 +64,7 @@ def main(
         title=options.title,
         summary=overview.summary(rows),
         tiles=overview.tiles(rows),
+        given=given_lines(sequences),
         problems=overview.problems(rows, names),
         groups=groups,
         sections=sections,
@@ -87,6 +89,16 @@ def build_sections(folders: list[Path], tables: dict[str, Table]) -> list[Sectio
             )
         shown.append(section)
     return shown
+
+
+def given_lines(folders: list[Path]) -> list[str]:
+    """What the user handed in for each sequence, in words; without a sequence for which it is nothing."""
+    lines = []
+    for folder in folders:
+        files = folder / "flow/pairs.arrow", folder / "masks", folder / "ba/poses.parquet"
+        if all(file.exists() for file in files) and (words := given_in_words(folder.name, taken_inputs(*files))):
+            lines.append(f"{folder.name}: {words}" if len(folders) > 1 else words)
+    return lines
 
 
 def with_settings(poses: list[Row], settings: list[Row], names: list[str]) -> list[Row]:

@@ -15,7 +15,7 @@ ERRORS = (
     Column("rpe_rot_deg", "RPE", "degrees", 3),
 )
 SECONDS = Column("wall_s", "wall", "s", 1), Column("cpu_s", "CPU", "s", 1), Column("threads", "threads", "at most")
-FROM_TRUTH = Column("from_truth", "from ground truth")
+TAKEN = Column("taken", "not estimated")
 IMAGE_SCORES = (
     Column("psnr_db", "PSNR", "dB", 2),
     Column("ssim", "SSIM", "0..1", 3),
@@ -56,7 +56,7 @@ def pose_tables(rows: list[Row], protocol: str) -> tuple[Table, Table]:
         "poses_mean",
         "Poses, mean over sequences",
         f"{note} Unweighted mean over the scored sequences; partial: some frames without a pose, not in the mean.",
-        (METHOD, *ERRORS, focal, *SECONDS, *counts, FROM_TRUTH),
+        (METHOD, *ERRORS, focal, *SECONDS, *counts, TAKEN),
         summaries.pose_means(rows),
     )
     signed = (
@@ -68,7 +68,7 @@ def pose_tables(rows: list[Row], protocol: str) -> tuple[Table, Table]:
     path = Column("path", "true path", "scene units", 2, file_only=True)
     about = Column("status", "status"), Column("note", "note", long=True), path
     decided = (replace(column, file_only=True) for column in pose_diagnostics.COLUMNS)  # shown in their own table
-    columns = (SEQUENCE, METHOD, *ERRORS, *signed, *SECONDS, *frames, FROM_TRUTH, *about, HOW, *decided)
+    columns = (SEQUENCE, METHOD, *ERRORS, *signed, *SECONDS, *frames, TAKEN, *about, HOW, *decided)
     return mean, Table("poses", "Poses of every sequence", f"{note} {statements(rows, 'method')}", columns, rows)
 
 

@@ -11,7 +11,7 @@ from stages.evaluate.costs import is_ours
 from stages.evaluate.score_masks import PRIOR
 from stages.report import detail_tables, published
 from stages.report.sections import Figure
-from stages.shared.run_inputs import truth_used_by
+from stages.shared.run_inputs import taken_by
 from stages.shared.tables import Row, Table, decimal
 
 Rows = Mapping[str, list[Row]]
@@ -89,8 +89,8 @@ def build_groups(rows: Rows, protocols: Mapping[str, str], numbers: Mapping[str,
         Group("time", "Time and memory", [time_mean], [time] if many else []),
         Group("effects", "Effects", [] if many else effects, effects if many else []),
     ]
-    from_truth = truth_used_by(row for row in rows["poses"] if row["method"] == "ours")
-    return [_labelled(_without_empty(group), from_truth) for group in groups]
+    taken = taken_by(row for row in rows["poses"] if row["method"] == "ours")
+    return [_labelled(_without_empty(group), taken) for group in groups]
 
 
 def _without_empty(group: Group) -> Group:
@@ -98,14 +98,14 @@ def _without_empty(group: Group) -> Group:
     return replace(group, tables=tables, more=more)
 
 
-def _labelled(group: Group, from_truth: str) -> Group:
-    """The group with the inputs from ground truth in the title of each table that holds our numbers."""
-    if not from_truth:
+def _labelled(group: Group, taken: str) -> Group:
+    """The group with the inputs that were not estimated in the title of each table that holds our numbers."""
+    if not taken:
         return group
 
     def titled(table: Table) -> Table:
         ours = not table.name.startswith(("published", "simulation"))
-        return replace(table, title=f"{table.title} (from ground truth: {from_truth})") if ours else table
+        return replace(table, title=f"{table.title} (not estimated: {taken})") if ours else table
 
     return replace(group, tables=[titled(table) for table in group.tables], more=[titled(t) for t in group.more])
 
@@ -161,8 +161,8 @@ def summary(rows: Rows) -> str:
     """The report in one sentence."""
     values = {tile.label: f"{tile.value} {tile.unit}".strip() for tile in tiles(rows)}
     names = {row["sequence"] for row in rows["time"]}
-    from_truth = truth_used_by(row for row in rows["poses"] if row["method"] == "ours")
-    counted = f"{len(names)} sequence{'s' if len(names) != 1 else ''}" + (f", with {from_truth}" if from_truth else "")
+    taken = taken_by(row for row in rows["poses"] if row["method"] == "ours")
+    counted = f"{len(names)} sequence{'s' if len(names) != 1 else ''}" + (f", with {taken}" if taken else "")
     return (
         f"{counted}: cameras off by {values['Camera error (ATE)']}, "
         f"held-out views at {values['Held-out PSNR']}, masks at IoU {values['Mask IoU']}, "
@@ -173,9 +173,9 @@ def summary(rows: Rows) -> str:
 def problems(rows: Rows, names: Sequence[str]) -> list[str]:
     """Failures and missing results, one sentence each."""
     scored = {row["sequence"] for row in rows["poses"]}
-    from_truth = truth_used_by(row for row in rows["poses"] if row["method"] == "ours")
-    told = f"Taken from ground truth, not estimated: {from_truth}. This affects every result of ours."
-    found = [told] if from_truth else []
+    taken = taken_by(row for row in rows["poses"] if row["method"] == "ours")
+    told = f"Not estimated: {taken}. This affects every result of ours."
+    found = [told] if taken else []
     found += [f"{name}: not evaluated; it counts as failed." for name in names if name not in scored]
     for row in rows["poses"]:
         if row["status"] in ("partial", "failed"):

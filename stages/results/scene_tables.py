@@ -122,8 +122,8 @@ def counts(rows: Sequence[Row]) -> str:
         f"{len(rows)} scene{'s' * (len(rows) != 1)}: failed or partial {failed}, flagged by the adjustment {flagged}, "
         f"wrong and not flagged {silent}, without results of every stage {missing}."
     )
-    from_truth = sorted({str(row["from_truth"]) for row in rows if row.get("from_truth")})
-    told += f" Taken from ground truth: {', '.join(from_truth)}." if from_truth else ""
+    taken = sorted({str(row["taken"]) for row in rows if row.get("taken")})
+    told += f" Not estimated: {', '.join(taken)}." if taken else ""
     rivals = [_pair(row) for row in rows if row.get("colmap_error") and _has_path(row)]
     return f"{told} {ratios.counts(rivals)}".strip()
 
@@ -153,7 +153,7 @@ def result_of(row: Row) -> str:
         return f"{row['status']}: {row['failure']}" if row.get("failure") else str(row["status"])
     words = ["flagged" if row.get("warnings") else "wrong, not flagged" if is_wrong_unflagged(row) else "ok"]
     words += [str(row["status"]).removeprefix("degenerate truth: ")] if row["status"] != "ok" else []
-    words += [f"with {row['from_truth']}"] if row.get("from_truth") else []
+    words += [f"with {row['taken']}"] if row.get("taken") else []
     words += ["older code"] if row.get("old") else []
     return ", ".join(words)
 

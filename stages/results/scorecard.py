@@ -69,7 +69,7 @@ def _camera_scores(poses: Sequence[Row]) -> Row:
     ours = next(row for row in poses if row["method"] == "ours")
     rivals = ratios.plain_rivals(poses, ours["sequence"])
     rival = ratios.best_rival(rivals)
-    names = ("status", "ate_percent", "focal_error_percent", "from_truth", "camera", "warnings")
+    names = ("status", "ate_percent", "focal_error_percent", "taken", "camera", "warnings")
     found = {name: ours[name] for name in names}
     rotation = {"rotation_deg": ours["rpe_rot_deg"] if ours["ate_percent"] is None else None}
     return {

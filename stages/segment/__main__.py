@@ -7,6 +7,9 @@ from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
+from stages.given import masks as given_masks
+from stages.given.files import of_sequence
+from stages.given.masks import GivenMasks
 from stages.segment.options import SegmentOptions
 from stages.segment.permanence import confidence_of, persistent
 from stages.segment.refinement import guarded_threshold, smooth_along_edges, to_instances, to_mask
@@ -38,22 +41,23 @@ Masks = Callable[[int, np.ndarray], Mask]
 
 def main(
     sequence: Annotated[Path, In("sequence.json of the input check")],
-    flow: Annotated[Path, In("flow/pairs.arrow")],
-    prior: Annotated[Path, In("motion/prior.arrow")],
     output: Annotated[Path, Out("folder of masks frame_0001.png, 255 = dynamic, of instances, masks.json")],
     figure: Annotated[Path, Out("picture for the report: frames with their masks, coloured by instance")],
     options: SegmentOptions,
+    flow: Annotated[Path | None, In("flow/pairs.arrow, for refined masks")] = None,
+    prior: Annotated[Path | None, In("motion/prior.arrow, for refined masks and the prior as mask")] = None,
 ) -> str:
-    """Refine the motion prior to binary dynamic masks.
+    """Refine the motion prior to binary dynamic masks, or take over masks that are given.
 
     One system over the superpixels of all frames decides what belongs to something that moves in the clip; its borders
     then follow the colour edges of each frame. A mask may be empty. A frame that would be masked beyond --max-share
     keeps its surest part; masks.json and the log name it. What is connected over space and time has one number through
     the clip, in instances/frame_0001.png (16 bit, 0 = static). Other sources write the masks that refinement is
-    compared with, as one instance.
+    compared with, as one instance, or those of the user as they are.
     """
     frames = read_sequence(sequence)
-    masks, burnt_in = _masks(options, frames, flow, prior), read_burnt_in(frames)
+    handed, burnt_in = _handed_in(options.given, frames), read_burnt_in(frames)
+    masks = _given(handed) if handed else _masks(options, frames, flow, prior)
     found, shown, overlays = _Facts(), set(drawing.spread(len(frames.numbers), 6).tolist()), []
     with atomic_folder(output, ("frame_*.png", "instances/frame_*.png", "masks.json")) as folder:
         for k, (path, number) in enumerate(zip(frames.frames, frames.numbers, strict=True)):
@@ -63,7 +67,8 @@ def main(
             write_image(instances_path(folder, number), mask.instances)
             found.add(number, mask)
             overlays += [drawing.overlay_instances(rgb, mask.instances)] if k in shown else []
-        write_json(folder / "masks.json", found.to_json() | {"options": options.model_dump()})
+        facts = found.to_json() | ({"given": handed.kind} if handed else {})
+        write_json(folder / "masks.json", facts | {"options": options.model_dump()})
     _tell(frames, found, options)
     write_figure(figure, drawing.contact_sheet(overlays, columns=3))
     return f"{np.mean(list(found.shares.values())):.1%} of the pixels dynamic"
@@ -94,16 +99,37 @@ class _Facts:
         return {"dynamic_share": self.shares, "guarded": self.guarded, "instances": seen}
 
 
-def _masks(options: SegmentOptions, frames: Sequence, flow: Path, prior: Path) -> Masks:
+def _masks(options: SegmentOptions, frames: Sequence, flow: Path | None, prior: Path | None) -> Masks:
     """The function that computes the mask of a frame, for the chosen source."""
-    if options.source == "refined":
-        return _refined(options, frames, flow, prior)
+    size = frames.width, frames.height
     if options.source == "truth":
         return _true(frames)
-    threshold = DYNAMIC if options.source == "prior" else np.inf
+    if options.source == "none":
+        return lambda _k, _rgb: _as_one(np.zeros(size[::-1], bool))
+    if prior is None or flow is None:
+        raise InputError("--flow, --prior", f"both for `source: {options.source}`", "not both", "give both")
+    if options.source == "refined":
+        return _refined(options, frames, flow, prior)
     probability = read_dense(prior)["probability"]
-    size = frames.width, frames.height
-    return lambda k, _: _as_one(enlarge(probability[k].astype(np.float32), size) > threshold)
+    return lambda k, _: _as_one(enlarge(probability[k].astype(np.float32), size) > DYNAMIC)
+
+
+def _handed_in(path: str | None, frames: Sequence) -> GivenMasks | None:
+    """The masks in the folder that the user names, checked; None if there is none."""
+    if path is None:
+        return None
+    folder = of_sequence(path, frames.name)
+    handed = given_masks.read(given_masks.find_masks(folder, frames), frames)
+    logger.info("%s: masks of %s (%s), %.1f %% of the pixels", frames.name, folder, handed.kind, 100 * handed.share)
+    return handed
+
+
+def _given(handed: GivenMasks) -> Masks:
+    def mask(k: int, _: np.ndarray) -> Mask:
+        labels = handed.labels(k)
+        return Mask(labels > 0, labels)
+
+    return mask
 
 
 def _refined(options: SegmentOptions, frames: Sequence, flow: Path, prior: Path) -> Masks:

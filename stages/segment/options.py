@@ -10,9 +10,10 @@ from stages.shared.options import Options
 class SegmentOptions(Options):
     """Motion prior to refined dynamic masks."""
 
-    source: Literal["refined", "prior", "none", "truth"] = Field(
+    source: Literal["refined", "prior", "none", "truth"] | str = Field(
         "refined",
-        description="masks for all later stages: refined, the prior above one half, none, or the true motion masks",
+        description="masks for all later stages: refined, the prior above one half, none, the true motion masks, or the"
+        " path of a folder of masks, one per frame; {sequence} in it stands for the name of the sequence",
     )
     threshold: float = Field(
         0.33,
@@ -41,3 +42,13 @@ class SegmentOptions(Options):
         le=1,
         description="largest share of a frame that may be dynamic; beyond it only the surest pixels are",
     )
+
+    @property
+    def estimates(self) -> bool:
+        """Whether the masks come from the motion prior, and not from the truth or the user."""
+        return self.source in ("refined", "prior")
+
+    @property
+    def given(self) -> str | None:
+        """The path of the masks that the user hands in, if they are used as they are."""
+        return None if self.source in ("refined", "prior", "none", "truth") else self.source

@@ -23,9 +23,10 @@ from stages.shared.options import Options, validate
 
 @dataclass(frozen=True)
 class In:
-    """Marks a path parameter of `main` as an input that must exist."""
+    """Marks a path parameter of `main` as an input that must exist; a list of them may be empty if it says so."""
 
     help: str
+    may_be_empty: bool = False
 
 
 @dataclass(frozen=True)
@@ -118,7 +119,7 @@ def _parser(
         parser.add_argument(
             _dashed(flag.name),
             type=Path,
-            nargs="+" if flag.many else None,
+            nargs=("*" if isinstance(flag.mark, In) and flag.mark.may_be_empty else "+") if flag.many else None,
             required=flag.required,
             default=[] if flag.many else None,
             help=f"{kind}: {flag.mark.help}",

@@ -31,11 +31,11 @@ class Options(BaseModel):
         YAML 1.1 reads an unquoted yes or no as true or false.
         """
         annotation = cls.model_fields[str(info.field_name)].annotation
-        if isinstance(value, bool) and (word := "yes" if value else "no") in _words(annotation):
+        if isinstance(value, bool) and (word := "yes" if value else "no") in allowed_words(annotation):
             return word
         if isinstance(value, bool) and annotation in (int, float):
             raise ValueError(f"a number of type {annotation.__name__}")
-        if isinstance(value, list) and len(value) == 1 and value[0] in _words(annotation):
+        if isinstance(value, list) and len(value) == 1 and value[0] in allowed_words(annotation):
             return value[0]  # a flag that takes several values holds a word as a list of one
         is_section = isinstance(annotation, type) and issubclass(annotation, Options)
         return {} if value is None and is_section else value
@@ -118,7 +118,7 @@ def _fields(model: type[Options], path: list[str]) -> list[dict[str, FieldInfo]]
     return [m.model_fields for m in models]
 
 
-def _words(annotation: Any) -> list[Any]:
+def allowed_words(annotation: Any) -> list[Any]:
     """The words that an annotation allows, alone or beside other values, as in Literal["all"] | tuple[int, ...]."""
     parts = get_args(annotation) if get_origin(annotation) in (Union, types.UnionType) else [annotation]
     return [word for part in parts if get_origin(part) is Literal for word in get_args(part)]

@@ -23,6 +23,7 @@ from stages.configuration import (
     compared_runs,
     config as configuration,
     datasets,
+    given_inputs,
     plan,
     required_truth,
     settings,
@@ -73,6 +74,8 @@ try:
     SWEPT, SCALED = settings.compared(config, MINE)
     SWEPT_SEQUENCES = settings.choose_sequences(CONFIG.sweep, SEQUENCES)
     SCALED_SEQUENCES = settings.choose_sequences(CONFIG.scaling, SEQUENCES)
+    if workflow.is_main_process:
+        given_inputs.check(CONFIG, SEQUENCES)
 except InputError as error:
     sys.stderr.write(f"{error}\n")
     sys.exit(2)
@@ -184,12 +187,35 @@ def optional(stage, name, before=0):
 
     @of_job
     def of_round(wildcards):
-        number = round_number(wildcards) - before
-        if number not in plan.rounds_of(setting_of(wildcards), stage):
-            return []
-        return artifact_path(wildcards, stage, name, number)
+        number = plan.round_to_read(
+            setting_of(wildcards), stage, round_number(wildcards) - before
+        )
+        return [] if number is None else artifact_path(wildcards, stage, name, number)
 
     return of_round
+
+
+def for_estimated_masks(stage, name):
+    """The input function of what a stage makes; empty where masks are not estimated from it."""
+
+    @of_job
+    def of_setting(wildcards):
+        if not setting_of(wildcards).config.segment.estimates:
+            return []
+        return artifact_path(wildcards, stage, name, round_number(wildcards))
+
+    return of_setting
+
+
+def given_files(section):
+    """The params function of what changes when a file is rewritten that the user hands in under a section."""
+
+    @of_job
+    def of_sequence(wildcards):
+        config, sequence = setting_of(wildcards).config, SEQUENCES[wildcards.seq]
+        return given_inputs.digest(config, section, sequence)
+
+    return of_sequence
 
 
 def optional_flags(*names):

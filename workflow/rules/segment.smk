@@ -1,8 +1,8 @@
 rule segment:
     input:
         sequence=artifact("inspect", "sequence.json"),
-        flow=artifact("flow", "flow/pairs.arrow"),
-        prior=artifact("motion", "motion/prior.arrow"),
+        flow=for_estimated_masks("flow", "flow/pairs.arrow"),
+        prior=for_estimated_masks("motion", "motion/prior.arrow"),
     output:
         masks=directory("<results>/{dataset}/{seq}/{setting}{round}masks"),
         figure="<results>/{dataset}/{seq}/{setting}{round}figures/segment.png",
@@ -19,6 +19,8 @@ rule segment:
     params:
         code=code_digest("stages.segment"),
         flags=flags("segment"),
+        estimated=optional_flags("flow", "prior"),
+        given=given_files("segment"),
     shell:
-        "{{ python -m stages.segment --sequence {input.sequence:q} --flow {input.flow:q} --prior {input.prior:q}"
+        "{{ python -m stages.segment --sequence {input.sequence:q} {params.estimated}"
         " --output {output.masks:q} --figure {output.figure:q} {params.flags} --log {log:q} --stats {output.stats:q}; }} 2>> {log:q}"

@@ -1,0 +1,74 @@
+"""What the user hands in for the sequences of a run: checked for existence and number while the rules are read."""
+
+import difflib
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+
+from stages.configuration.config import Config
+from stages.given import masks
+from stages.given.files import PLACEHOLDER, of_sequence
+from stages.shared.errors import InputError
+from stages.shared.options import allowed_words
+from stages.shared.sequences import Sequence, frames_digest
+
+Find = Callable[[Path, Sequence], list[Path]]
+FINDERS: Mapping[str, Find] = {
+    "segment.source": masks.find_masks,
+}
+"""Options whose value may be the path of what the user hands in, with the function that lists its files."""
+
+
+def given(config: Config, section: str = "") -> dict[str, str]:
+    """The paths that options hold, by the option's name, of all sections or of one; words such as "truth" are none."""
+    found = {}
+    for option in FINDERS:
+        if section in ("", option.partition(".")[0]) and (value := _path_in(config, option)):
+            found[option] = value
+    return found
+
+
+def check(config: Config, sequences: Mapping[str, Sequence]) -> None:
+    """Find the files that the user hands in for every sequence, without reading them.
+
+    Raises:
+        InputError: for a path that does not exist, one path for several sequences, or a frame without its file.
+    """
+    for option, path in given(config).items():
+        where, allowed = f"config.yaml: {option}", _words(config, option)
+        if PLACEHOLDER not in path and not Path(path).exists():
+            near = difflib.get_close_matches(path, allowed, n=1)
+            advice = f"did you mean '{near[0]}'?" if near else f"correct '{option}'"
+            raise InputError(where, f"{', '.join([*allowed, 'or a path that exists'])}", f"'{path}'", advice)
+        if PLACEHOLDER not in path and len(sequences) > 1:
+            expected = f"{PLACEHOLDER} in the path, for the names of {len(sequences)} sequences"
+            advice = f"write it where the names differ, as in folder/{PLACEHOLDER}, or choose one of `sequences:`"
+            raise InputError(where, expected, f"'{path}'", advice)
+        for sequence in sequences.values():
+            _find(config, option, path, sequence)
+
+
+def digest(config: Config, section: str, sequence: Sequence) -> str:
+    """What changes when a file is added or rewritten that the user hands in under a section; "" if there is none."""
+    folders = [of_sequence(path, sequence.name) for path in given(config, section).values()]
+    found = [path for folder in folders for path in sorted(folder.iterdir()) if path.is_file()]
+    return frames_digest(found) if found else ""
+
+
+def _find(config: Config, option: str, path: str, sequence: Sequence) -> list[Path]:
+    limit = config.inspect.max_frames
+    used = None if limit == "all" else limit
+    part = replace(sequence, frames=sequence.frames[:used], numbers=sequence.numbers[:used])
+    return FINDERS[option](of_sequence(path, sequence.name), part)
+
+
+def _path_in(config: Config, option: str) -> str | None:
+    """The path that an option holds; None if it holds a word, or nothing."""
+    section, name = option.split(".")
+    value = getattr(getattr(config, section), name)
+    return None if value is None or value in _words(config, option) else str(value)
+
+
+def _words(config: Config, option: str) -> list[str]:
+    section, name = option.split(".")
+    return allowed_words(type(getattr(config, section)).model_fields[name].annotation)

@@ -1,0 +1,249 @@
+"""Masks that the user hands in: formats, names, checks, and what is not run for them."""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import run_snakemake, write_frames
+from PIL import Image
+from test_workflow import planned
+
+from stages.configuration import config as configuration
+from stages.configuration import given_inputs, plan, settings
+from stages.evaluate import costs
+from stages.export.clip import Clip
+from stages.export.images import write_masks
+from stages.given.masks import find_masks, read
+from stages.segment import __main__ as segment_stage
+from stages.segment.options import SegmentOptions
+from stages.shared.artifacts import read_json, write_json
+from stages.shared.errors import InputError
+from stages.shared.images import read_mask, read_numbers
+from stages.shared.masks import instances_path, mask_path
+from stages.shared.sequences import Sequence, check_sequence, sequence_to_json
+
+T, H, W = 4, 48, 64
+
+
+@pytest.fixture
+def frames(tmp_path: Path) -> Sequence:
+    """Four frames in MPI-Sintel's layout, frame_0001.png to frame_0004.png."""
+    return check_sequence("clip", write_frames(tmp_path / "training/final/clip"))
+
+
+def labels() -> np.ndarray:
+    """Two things [T, H, W] uint8, numbers 1 and 2, that move apart."""
+    found = np.zeros((T, H, W), np.uint8)
+    for k in range(T):
+        found[k, 10:20, 10 + k : 20 + k] = 1
+        found[k, 30:40, 40 - k : 50 - k] = 2
+    return found
+
+
+def write(folder: Path, images: list[Image.Image], name: str = "frame_{:04d}.png") -> Path:
+    """A folder of PNG by another encoder than ours, numbered from 1."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for k, image in enumerate(images, 1):
+        image.save(folder / name.format(k))
+    return folder
+
+
+def palette(values: np.ndarray) -> Image.Image:
+    """A palette image as DAVIS has them: the colours mean nothing."""
+    image = Image.fromarray(values, "P")
+    image.putpalette([0, 0, 0, 128, 0, 0, 0, 128, 0])
+    return image
+
+
+def taken(folder: Path, frames: Sequence) -> tuple[np.ndarray, str]:
+    """The labels [T, H, W] of a folder and their kind."""
+    masks = read(find_masks(folder, frames), frames)
+    return np.stack([masks.labels(k) for k in range(T)]), masks.kind
+
+
+@pytest.mark.parametrize(
+    ("encode", "kind"),
+    [
+        (lambda m: Image.fromarray((m > 0).astype(np.uint8) * 255), "binary"),
+        (lambda m: Image.fromarray((m > 0).astype(np.uint8)), "binary"),
+        (lambda m: Image.fromarray(m > 0), "binary"),
+        (lambda m: Image.fromarray(np.repeat((m > 0)[..., None] * np.uint8(255), 3, axis=2)), "binary"),
+        (palette, "instances"),
+        (Image.fromarray, "instances"),
+        (lambda m: Image.fromarray(m.astype(np.uint16)), "instances"),
+    ],
+)
+def test_every_way_to_write_a_mask_is_read(tmp_path: Path, frames: Sequence, encode: object, kind: str) -> None:
+    found, of_kind = taken(write(tmp_path / "masks", [encode(m) for m in labels()]), frames)  # type: ignore[operator]
+    assert of_kind == kind
+    assert np.array_equal(found, labels() if kind == "instances" else labels() > 0)
+
+
+def test_soft_borders_of_resized_masks_are_no_instances(tmp_path: Path, frames: Sequence) -> None:
+    sharp = [Image.fromarray((m > 0).astype(np.uint8) * 255) for m in labels()]
+    soft = [
+        image.resize((48, 36), Image.Resampling.BILINEAR).resize((W, H), Image.Resampling.BICUBIC) for image in sharp
+    ]
+    smooth = [Image.fromarray(np.where(np.array(a) > 30, np.array(b), 0)) for a, b in zip(sharp, soft, strict=True)]
+    found, kind = taken(write(tmp_path / "masks", smooth), frames)
+    assert kind == "binary"
+    assert np.array_equal(found, np.stack([np.array(image) > 127 for image in smooth]))
+    shades = [Image.fromarray(np.arange(H * W, dtype=np.uint8).reshape(H, W)) for _ in range(T)]
+    with pytest.raises(InputError, match="a number per instance, found 255 shades of grey"):
+        taken(write(tmp_path / "shades", shades), frames)
+
+
+@pytest.mark.parametrize("name", ["frame_{:04d}.png", "{}.png", "mask-{:05d}.png"])
+def test_names_or_numbers_say_which_frame_a_file_belongs_to(tmp_path: Path, frames: Sequence, name: str) -> None:
+    images = [Image.fromarray(m) for m in labels()]
+    assert np.array_equal(taken(write(tmp_path / "masks", images, name), frames)[0], labels())
+    later = replace(frames, frames=frames.frames[1:], numbers=frames.numbers[1:])
+    assert [path.name for path in find_masks(tmp_path / "masks", later)] == [name.format(k) for k in (2, 3, 4)]
+
+
+def test_masks_of_colmap_mark_what_stays(tmp_path: Path, frames: Sequence) -> None:
+    """What the export writes for COLMAP, black where something moves, comes back as it was."""
+    folder = tmp_path / "masks"
+    folder.mkdir()
+    names = [path.name for path in frames.frames]
+    clip = type("Fixed", (Clip,), {"__init__": lambda _: None, "names": names, "mask": lambda _, k: labels()[k] > 0})
+    write_masks(folder, clip())
+    assert (folder / "frame_0001.png.png").exists()
+    found, kind = taken(folder, frames)
+    assert kind == "binary, black moves"
+    assert np.array_equal(found, labels() > 0)
+
+
+def binary(moving: np.ndarray) -> Image.Image:
+    """A mask [H, W] as 0 and 255."""
+    return Image.fromarray(moving.astype(np.uint8) * 255)
+
+
+WRONG = {
+    "too few": ([binary(m > 0) for m in labels()[:3]], "every frame.*3 of 4.*none for 'frame_0004.png'"),
+    "smaller": ([binary(m[::2, ::2] > 0) for m in labels()], "64 x 48.*32 x 24, the frames scaled by 0.5"),
+    "cropped": ([binary(m[:-8] > 0) for m in labels()], "64 x 48.*64 x 40, another shape"),
+    "inverted": ([binary(m == 0) for m in labels()], "what moves.*9.% marked.*invert"),
+    "coloured": ([Image.fromarray(np.dstack([m, m * 2, m])) for m in labels()], "grey or palette.*colours"),
+    "none": ([], "folder of masks.*none of them"),
+}
+
+
+@pytest.mark.parametrize("wrong", WRONG)
+def test_wrong_masks_are_refused_in_one_line(tmp_path: Path, frames: Sequence, wrong: str) -> None:
+    images, said = WRONG[wrong]
+    with pytest.raises(InputError, match=said):
+        taken(write(tmp_path / "masks", images), frames)
+
+
+def test_two_files_for_a_frame_and_no_folder_are_refused(tmp_path: Path, frames: Sequence) -> None:
+    for name in ("a{}.png", "b{}.png"):
+        write(tmp_path / "masks", [binary(m > 0) for m in labels()], name)
+    with pytest.raises(InputError, match=r"one file of masks per frame, found 'a1.png', 'b1.png'"):
+        taken(tmp_path / "masks", frames)
+    with pytest.raises(InputError, match=r"folder of masks.*nothing there"):
+        taken(tmp_path / "other", frames)
+
+
+def run_segment(frames: Sequence, folder: Path, source: str) -> Path:
+    """The masks that the stage writes, without flow and without a prior."""
+    folder.mkdir()
+    write_json(folder / "sequence.json", sequence_to_json(frames))
+    segment_stage.main(folder / "sequence.json", folder / "masks", folder / "figure.png", SegmentOptions(source=source))
+    return folder / "masks"
+
+
+def test_given_true_masks_are_the_truth(tmp_path: Path, frames: Sequence) -> None:
+    truth = write(
+        tmp_path / "training/motion_mask/clip", [Image.fromarray((m > 0).astype(np.uint8) * 255) for m in labels()]
+    )
+    frames = check_sequence("clip", frames.frames[0].parent)
+    ours, true = (
+        run_segment(frames, tmp_path / "a", str(truth.parent / "{sequence}")),
+        run_segment(frames, tmp_path / "b", "truth"),
+    )
+    for number in frames.numbers:
+        for path in (mask_path, instances_path):
+            assert path(ours, number).read_bytes() == path(true, number).read_bytes()
+    about = read_json(ours / "masks.json")
+    assert about["given"] == "binary"
+    assert about["dynamic_share"] == read_json(true / "masks.json")["dynamic_share"]
+
+
+def test_given_instances_keep_their_numbers(tmp_path: Path, frames: Sequence) -> None:
+    folder = write(tmp_path / "things", [palette(m) for m in labels()])
+    masks = run_segment(frames, tmp_path / "a", str(folder))
+    for k, number in enumerate(frames.numbers):
+        assert np.array_equal(read_numbers(instances_path(masks, number)), labels()[k])
+        assert np.array_equal(read_mask(mask_path(masks, number)), labels()[k] > 0)
+    assert set(read_json(masks / "masks.json")["instances"]) == {"1", "2"}
+
+
+def test_masks_that_are_not_estimated_are_made_once_and_before_all_poses() -> None:
+    runs = {"a": {"given": {"segment.source": "/masks"}, "other": {"segment.source": "/masks", "ba.stride_px": 4}}}
+    (given, other), _ = settings.compared({"sweep": {"runs": runs, "presets": [], "knobs": {}}})
+    every = [settings.configured({}), given, other]
+    assert list(plan.rounds_of(given, "motion")) == []
+    assert list(plan.rounds_of(given, "segment")) == [3]
+    assert plan.steps(given, "scene")[1:6] == (("flow", 3), ("segment", 3), ("ba", 1), ("ba", 2), ("ba", 3))
+    assert (
+        plan.find_home(every, given, "segment", 1) == plan.find_home(every, other, "segment", 3) == "settings/a-given/"
+    )
+    assert plan.find_home(every, other, "flow", 3) == ""
+    assert [plan.round_to_read(given, "segment", number) for number in (0, 1, 3)] == [None, 3, 3]
+    assert [plan.round_to_read(every[0], "segment", number) for number in (0, 1, 3)] == [None, 1, 3]
+    assert plan.round_to_read(given, "motion", 2) is None
+
+
+def test_time_of_masks_that_were_made_once(tmp_path: Path) -> None:
+    """Their seconds count towards the poses of every round."""
+    spent = {"threads": 1, "wall_s": 1.0, "cpu_s": 1.0, "peak_mb": 1, "gpu_peak_mb": None, "output_mb": 1}
+    files = [
+        tmp_path / f"{part}{name}.json" for part, name in (("", "flow"), ("", "segment"), ("1", "ba"), ("2", "ba"))
+    ]
+    files = [tmp_path / str(k) / f"{name}.json" for k, name in enumerate(("flow", "ba", "ba", "segment"))]
+    for path in files:
+        write_json(path, spent)
+    rows = costs.time_rows("clip", files)
+    assert [(row["stage"], row["round"]) for row in rows] == [("flow", None), ("segment", None), ("ba", 1), ("ba", 2)]
+    assert costs.spent_to_poses(rows, 2) == [(3.0, 3.0, 1), (4.0, 4.0, 1)]
+
+
+def test_paths_are_checked_before_any_work(tmp_path: Path, frames: Sequence) -> None:
+    two = {"clip": frames, "other": replace(frames, name="other")}
+
+    def check(path: object, sequences: dict[str, Sequence]) -> None:
+        given_inputs.check(configuration.load({"segment": {"source": str(path)}}), sequences)
+
+    write(tmp_path / "masks/clip", [Image.fromarray(m) for m in labels()])
+    check(tmp_path / "masks/{sequence}", {"clip": frames})
+    check("truth", two)
+    with pytest.raises(
+        InputError, match=r"segment.source: expected refined.*or a path.*'refind'; did you mean 'refined'"
+    ):
+        check("refind", two)
+    with pytest.raises(InputError, match=r"\{sequence\} in the path, for the names of 2 sequences"):
+        check(tmp_path / "masks/clip", two)
+    with pytest.raises(InputError, match=r"other: expected a folder of masks.*nothing there"):
+        check(tmp_path / "masks/{sequence}", two)
+    first = configuration.load({"segment": {"source": str(tmp_path / "masks/clip")}})
+    before = given_inputs.digest(first, "segment", frames)
+    (tmp_path / "masks/clip/frame_0001.png").touch()
+    assert given_inputs.digest(first, "segment", frames) != before
+    assert given_inputs.digest(first, "flow", frames) == ""
+
+
+def test_given_masks_leave_out_motion_and_wait_for_nothing(repo_copy: Path) -> None:
+    folder = write(repo_copy / "masks", [Image.fromarray(labels()[0]) for _ in range(14)])
+    plan = run_snakemake(repo_copy, "-n", "--config", f"segment={{source: {folder}}}")
+    assert "motion" not in planned(plan)
+    assert (plan.stdout + plan.stderr).count("rule segment:") == 1
+    assert (plan.stdout + plan.stderr).count("rule ba:") == 3
+    job = next(part for part in re.split(r"\n\n", plan.stdout + plan.stderr) if "rule segment:" in part)
+    assert re.search(r"input: results/simulated/demo/sequence.json$", job, re.MULTILINE)  # no flow
+    (folder / "frame_0014.png").unlink()
+    plan = run_snakemake(repo_copy, "-n", "--config", f"segment={{source: {folder}}}")
+    assert plan.returncode == 2
+    assert "expected masks for every frame, found 13 of 14, and none for 'frame_0014.png'" in plan.stderr
