@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from stages.configuration.config import Config
-from stages.given import masks
+from stages.given import flow, masks
 from stages.given.files import PLACEHOLDER, of_sequence
 from stages.shared.errors import InputError
 from stages.shared.options import allowed_words
@@ -15,6 +15,7 @@ from stages.shared.sequences import Sequence, frames_digest
 Find = Callable[[Path, Sequence], list[Path]]
 FINDERS: Mapping[str, Find] = {
     "segment.source": masks.find_masks,
+    "flow.source": flow.find_flow,
 }
 """Options whose value may be the path of what the user hands in, with the function that lists its files."""
 
@@ -46,6 +47,14 @@ def check(config: Config, sequences: Mapping[str, Sequence]) -> None:
             raise InputError(where, expected, f"'{path}'", advice)
         for sequence in sequences.values():
             _find(config, option, path, sequence)
+
+
+def added_edges(config: Config, sequence: Sequence) -> int:
+    """Directed edges of flow that are matched besides those of the options, since the user hands in flow for them."""
+    if (path := _path_in(config, "flow.source")) is None:
+        return 0
+    edges = flow.find_edges(of_sequence(path, sequence.name), sequence)
+    return 2 * sum(abs(i - j) not in config.flow.offsets for i, j in edges)
 
 
 def digest(config: Config, section: str, sequence: Sequence) -> str:

@@ -1,5 +1,6 @@
 """Dense optical flow with confidence between near frames, and between distant ones that share enough of the view."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -13,14 +14,17 @@ from stages.flow.edges import Edge, edge_list, long_edges
 from stages.flow.matches import restarted_pair
 from stages.flow.options import FlowOptions
 from stages.flow.true_flow import Truth, read_truth, true_flow
+from stages.given.files import of_sequence
+from stages.given.flow import GivenFlow, check_against_frames, find_edges, read_on_grid
 from stages.shared import cli, drawing
 from stages.shared.artifacts import write_dense
 from stages.shared.cli import In, Out
 from stages.shared.images import read_reduced, reduced_size, write_figure
 from stages.shared.log import logger
 from stages.shared.masks import read_scene_on_grid, within
-from stages.shared.sequences import read_sequence
+from stages.shared.sequences import Sequence, read_sequence
 from stages.shared.threads import threaded
+from stages.shared.warp import is_inside
 
 DIS_PATCH_PX = 8
 """Flow within half of this distance from a logo may be that of the logo."""
@@ -43,11 +47,12 @@ def main(
     frames = read_sequence(sequence)
     rgb = read_reduced(frames.frames, reduced_size(frames.width, frames.height, options.max_width_px))
     T, h, w = rgb.shape[:3]
+    given = _given(options.given, frames, rgb)
     if options.source == "truth":
         flows, confidences = _take(read_truth(frames, w, h), T, options)
         facts: dict[str, Any] = {}
     else:
-        flows, confidences, facts = _match(rgb, options)
+        flows, confidences, facts = _match(rgb, options, given)
     edges = sorted(flows)
     if (scene := read_scene_on_grid(frames, (w, h))) is not None:
         scene = cv2.erode(scene.astype(np.uint8), np.ones((DIS_PATCH_PX + 1,) * 2, np.uint8), borderValue=1) > 0
@@ -56,6 +61,9 @@ def main(
     confidence = np.stack([confidences[edge].astype(np.float16, copy=False) for edge in edges])
     facts |= {"source": options.source, "long_edges": sum(j - i > max(options.offsets) for i, j in edges)}
     facts |= {"confident_share": float(np.mean(confidence > 0.5))}
+    if given:
+        others = ", the others estimated" if len(given) < len(edges) else ""
+        facts["given"] = f"{len(given)} of {len(edges)} edges{others}"
     logger.info("%d edges of %d x %d px: %s", len(edges), w, h, facts)
     metadata: dict[str, Any] = {
         "units": "pixels of the flow grid",
@@ -68,7 +76,8 @@ def main(
     source, target = np.array(edges, np.int64).reshape(-1, 2).T
     write_dense(output, {"source": source, "target": target, "flow": flow, "confidence": confidence}, metadata)
     write_figure(figure, _picture(rgb, edges, flow, confidence))
-    return f"{len(edges)} pairs, {facts['confident_share']:.0%} of the pixels confident"
+    told = f" ({len(given)} given, {len(edges) - len(given)} estimated)" if given else ""
+    return f"{len(edges)} pairs{told}, {facts['confident_share']:.0%} of the pixels confident"
 
 
 def stored(flow: np.ndarray) -> np.ndarray:
@@ -81,11 +90,29 @@ def stored(flow: np.ndarray) -> np.ndarray:
     return np.clip(flow, -longest, longest).astype(np.float16)
 
 
-def _match(rgb: np.ndarray, options: FlowOptions) -> tuple[Flows, Flows, dict[str, Any]]:
-    """Flow [h, w, 2] px and confidence [h, w] of all edges between frames [T, h, w, 3] uint8, and facts for the log."""
+def _given(path: str | None, frames: Sequence, rgb: np.ndarray) -> dict[Edge, GivenFlow]:
+    """The flow that the user hands in for frames [T, h, w, 3], checked; empty if there is none."""
+    if path is None:
+        return {}
+    folder, size = of_sequence(path, frames.name), (frames.width, frames.height)
+    paths = find_edges(folder, frames)
+    read = threaded(lambda edge: read_on_grid(paths[edge], size, rgb.shape[2:0:-1]), paths)
+    given = dict(zip(paths, read, strict=True))
+    check_against_frames(given, np.stack([cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY) for frame in rgb]), folder)
+    return given
+
+
+def _match(
+    rgb: np.ndarray, options: FlowOptions, given: Mapping[Edge, GivenFlow]
+) -> tuple[Flows, Flows, dict[str, Any]]:
+    """Flow [h, w, 2] px and confidence [h, w] of all edges between frames [T, h, w, 3] uint8, and facts for the log.
+
+    Given flow is not estimated; given edges are matched both ways, also where they are longer than the others.
+    """
     grey = np.stack([cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY) for frame in rgb])
     nearest = [(i, i + min(options.offsets)) for i in range(len(rgb) - min(options.offsets))]
     short = edge_list(len(rgb), options.offsets)
+    known = {edge: of.flow for edge, of in given.items()}
     threads, scale = cv2.getNumThreads(), options.finest_scale
     cv2.setNumThreads(1)
     variances = threaded(noise.flow_variance, grey)
@@ -93,19 +120,29 @@ def _match(rgb: np.ndarray, options: FlowOptions) -> tuple[Flows, Flows, dict[st
     if noisy:
         grey, variances, left = _averaged(rgb, scale, threads)
         scale = max(scale, int(left > noise.COARSE_PX**2))
-    flow = estimate_flow(grey, [edge for pair in nearest for edge in (pair, pair[::-1])], scale, threads)
+    both = [edge for pair in nearest for edge in (pair, pair[::-1])]
+    flow = {edge: known[edge] for edge in short if edge in known}
+    flow |= estimate_flow(grey, [edge for edge in both if edge not in known], scale, threads, flow)
     anew: Flows = {}
-    for found in threaded(lambda pair: restarted_pair(rgb, grey, flow, pair, scale), nearest):
-        anew |= found
+    open_pairs = [pair for pair in nearest if not {pair, pair[::-1]} <= set(known)]
+    for found in threaded(lambda pair: restarted_pair(rgb, grey, flow, pair, scale), open_pairs):
+        anew |= {edge: of for edge, of in found.items() if edge not in known}
     flow |= anew
     flow |= estimate_flow(grey, [edge for edge in short if edge not in flow], scale, threads, flow)
-    flow |= estimate_flow(grey, long_edges(flow, len(rgb), options.long_edges), scale, threads, flow)
+    others = {edge for i, j in known if (i, j) not in flow for edge in ((i, j), (j, i))}
+    longer = sorted({*long_edges(flow, len(rgb), options.long_edges), *others})
+    flow |= known
+    flow |= estimate_flow(grey, [edge for edge in longer if edge not in flow], scale, threads, flow)
 
     textured = threaded(texture_confidence, variances)
 
     def confidence(edge: Edge) -> np.ndarray:
         i, j = edge
-        return flow_confidence(flow[i, j], flow[j, i], grey[i], grey[j], textured[i]).astype(np.float16)
+        of = given.get(edge)
+        if of is not None and of.confidence is not None:
+            return (of.confidence * (of.known & is_inside(of.flow))).astype(np.float16)
+        found = flow_confidence(flow[i, j], flow[j, i], grey[i], grey[j], textured[i])
+        return (found if of is None else found * of.known).astype(np.float16)
 
     confidences = dict(zip(flow, threaded(confidence, flow), strict=True))
     cv2.setNumThreads(threads)

@@ -10,8 +10,10 @@ from stages.shared.options import Options
 class FlowOptions(Options):
     """Dense flow over an edge list, with forward-backward confidence."""
 
-    source: Literal["dis", "truth"] = Field(
-        "dis", description="dis: estimate it; truth: true flow of the sequence, to measure what errors of flow cost"
+    source: Literal["dis", "truth"] | str = Field(
+        "dis",
+        description="dis: estimate it; truth: true flow of the sequence, to measure what errors of flow cost; or the"
+        " path of a folder of flow between frames: the rest is estimated",
     )
     offsets: tuple[Annotated[int, Field(ge=1)], ...] = Field(
         (1, 2, 3, 5), min_length=1, description="frame distances of the edges, both ways; 1 among them"
@@ -38,3 +40,8 @@ class FlowOptions(Options):
         if 1 not in value:
             raise ValueError("1 among the frame distances")
         return value
+
+    @property
+    def given(self) -> str | None:
+        """The path of the flow that the user hands in."""
+        return None if self.source in ("dis", "truth") else self.source

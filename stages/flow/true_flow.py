@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 
 from stages.flow.edges import Edge
+from stages.given.flow import on_grid
 from stages.shared import sequences, sintel
 from stages.shared.cameras import pixel_grid, projection, scale_intrinsics, static_flow
 from stages.shared.errors import InputError
@@ -161,7 +162,7 @@ def _read_forward(frames: sequences.Sequence, number: int, size: tuple[int, int]
     flow = sintel.read_flo(path := frames.truth["flow"][number])
     if not is_finite(flow):
         raise InputError(path, "finite flow for `source: truth`", "NaN or infinity", "set `source: dis`")
-    return reduce(flow, size, cv2.INTER_LINEAR) * np.float32(size[0] / frames.width)
+    return on_grid(flow, np.ones(flow.shape[:2], bool), size)[0]
 
 
 def _is_unoccluded(frames: sequences.Sequence, number: int, size: tuple[int, int]) -> np.ndarray:

@@ -31,7 +31,7 @@ def test_averaging_finds_flow_that_noise_hides() -> None:
     options = FlowOptions(offsets=(1,), long_edges=0)
     grey = np.stack([cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY) for frame in rgb])
     plain = estimate_flow(grey, edge_list(7, (1,)), 0, 1)
-    found, confidence, facts = flow_stage._match(rgb, options)
+    found, confidence, facts = flow_stage._match(rgb, options, {})
 
     def error(flow: np.ndarray) -> np.ndarray:
         return np.linalg.norm(flow - (STEP_PX, 0), axis=-1)[8:-8, 8:-8]
@@ -73,6 +73,6 @@ def test_what_is_hidden_in_the_neighbours_is_not_averaged_away() -> None:
 def test_nothing_but_noise_is_nowhere_trusted() -> None:
     """Averaged frames share their noise, so that their flow agrees with itself both ways."""
     rgb = dim_frames(5, SIGMA, contrast=0.0)
-    _, confidence, facts = flow_stage._match(rgb, FlowOptions(offsets=(1, 2), long_edges=0))
+    _, confidence, facts = flow_stage._match(rgb, FlowOptions(offsets=(1, 2), long_edges=0), {})
     assert facts["frames_averaged"]
     assert np.mean([values > 0.5 for values in confidence.values()]) < 0.01

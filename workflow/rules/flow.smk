@@ -17,6 +17,7 @@ rule flow:
     params:
         code=code_digest("stages.flow"),
         flags=flags("flow"),
+        given=given_files("flow"),
     shell:
         "{{ python -m stages.flow --sequence {input.sequence:q} --output {output.flow:q}"
         " --figure {output.figure:q} {params.flags} --log {log:q} --stats {output.stats:q}; }} 2>> {log:q}"

@@ -19,6 +19,7 @@ def held(setting, name):
     frames = len(sequence.frames)
     frames = frames if limit == "all" else min(frames, limit)
     edges = most_edges(frames, config.flow.offsets, config.flow.long_edges)
+    edges += given_inputs.added_edges(config, sequence)
     grid = reduced_size(*size, config.flow.max_width_px)
     return Held(edges * math.prod(grid), frames * math.prod(size), math.prod(size))
 
