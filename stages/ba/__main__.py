@@ -9,6 +9,7 @@ import numpy as np
 
 from stages.ba import cuts, dba, diagnostics, from_truth, outputs, rounds
 from stages.ba.depth import DepthMaps, depth_maps
+from stages.ba.given_depth import given_depth_maps
 from stages.ba.graph import (
     FlowGraph,
     build_graph,
@@ -21,6 +22,7 @@ from stages.ba.options import BAOptions
 from stages.ba.problem import Estimate, Problem
 from stages.ba.start import PoseGuess
 from stages.ba.texture import texture_weights
+from stages.given.files import of_sequence
 from stages.shared import cli, sintel
 from stages.shared.artifacts import read_dense, read_metadata
 from stages.shared.cameras import (
@@ -92,10 +94,9 @@ def main(
     fine = mask_graph(matches.graph(options.depth_stride_px, centre), static)
     maps = depth_maps(fine, graph, solution.state, static, solution.camera in ("moving", "near-still"))
     stride_px = options.depth_stride_px / matches.scale
-    if options.depth_from == "truth":
-        maps = _true_depth(maps, solution.state, frames, stride_px, options)
+    maps, told = _taken_depth(maps, solution.state, frames, stride_px, options)
     cameras = replace(outputs.cameras_of(solution, graph, frames, matches.scale), masks_trusted=trusted)
-    started = {"from_previous_round": previous is not None}
+    started = {"from_previous_round": previous is not None} | told
     write_cameras(poses, cameras, outputs.pose_metadata(solution, flags, static[matches.shot], options) | started)
     write_tum(trajectory, cameras, frames.stamps)
     outputs.write_depth(depth, maps, frames, stride_px)
@@ -152,11 +153,18 @@ def _solve(problem: Problem, shot: np.ndarray, frames: Sequence, options: BAOpti
     return from_truth.solve_depths(problem.graph, from_truth.true_poses(frames), problem.known_focal_px, options.seed)
 
 
-def _true_depth(
+def _taken_depth(
     estimated: DepthMaps, state: dba.State, frames: Sequence, stride_px: float, options: BAOptions
-) -> DepthMaps:
+) -> tuple[DepthMaps, dict[str, str]]:
+    """The depth to write, and what is to be said of it in the metadata of the poses, if it is the user's."""
+    if options.depth_from == "estimate":
+        return estimated, {}
     scale = from_truth.gauge_scale(state, from_truth.true_poses(frames)) if options.poses_from == "truth" else None
-    return from_truth.true_depth_maps(frames, estimated, stride_px, scale)
+    if options.depth_from == "truth":
+        return from_truth.true_depth_maps(frames, estimated, stride_px, scale), {}
+    folder = of_sequence(options.depth_from, frames.name)
+    maps, told = given_depth_maps(frames, folder, estimated, stride_px, scale)
+    return maps, {"given_depth": told}
 
 
 def _log(name: str, solution: Estimate, flags: list[str]) -> None:

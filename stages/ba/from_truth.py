@@ -40,7 +40,7 @@ def true_depth_maps(frames: Sequence, estimated: DepthMaps, stride_px: float, sc
         scale: length in the gauge of the poses over true length; None: the median ratio to the estimated maps is used.
     """
     shape = estimated.inverse_depth.shape[1:]
-    inverse_depth = np.stack([_resample(1 / depth, shape, stride_px) for depth in true_depths(frames)])
+    inverse_depth = np.stack([resample(1 / depth, shape, stride_px) for depth in true_depths(frames)])
     if scale is None:
         used = ~estimated.filled if not estimated.filled.all() else np.ones_like(estimated.filled)
         scale = float(np.median(inverse_depth[used] / estimated.inverse_depth[used]))
@@ -88,8 +88,8 @@ def _require(frames: Sequence, kind: str, option: str) -> None:
         raise InputError(frames.frames[0].parent, expected, "none", f"set `ba: {{{option}_from: estimate}}`")
 
 
-def _resample(image: np.ndarray, shape: tuple[int, ...], stride_px: float) -> np.ndarray:
-    """The image [H, W] sampled at the pixels of a grid [h, w], nearest neighbour: edges stay sharp."""
+def resample(image: np.ndarray, shape: tuple[int, ...], stride_px: float) -> np.ndarray:
+    """An image [H, W] sampled at the pixels of a grid [h, w], nearest neighbour: edges stay sharp."""
     columns, rows = cv2.split(frame_from_grid(pixel_grid(*shape), stride_px).astype(np.float32))
     near = cv2.remap(image.astype(np.float32), columns, rows, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE)
     return near.astype(float)

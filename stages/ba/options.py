@@ -19,7 +19,9 @@ class BAOptions(Options):
     poses_from: Literal["estimate", "truth"] = Field(
         "estimate", description="estimate cameras, or take the true poses and K and estimate the depth alone"
     )
-    depth_from: Literal["estimate", "truth"] = Field("estimate", description="write estimated or true depth")
+    depth_from: Literal["estimate", "truth"] | str = Field(
+        "estimate", description="depth that is written: estimated, true, or that of a folder of maps, one per frame"
+    )
     start_focals: tuple[Annotated[float, Field(ge=0.3, le=5)], ...] = Field(
         (0.8, 1.05, 1.4),
         min_length=1,

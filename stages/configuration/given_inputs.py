@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from stages.configuration.config import Config
-from stages.given import flow, masks
+from stages.given import depth, flow, masks
 from stages.given.files import PLACEHOLDER, of_sequence
 from stages.shared.errors import InputError
 from stages.shared.options import allowed_words
@@ -16,6 +16,7 @@ Find = Callable[[Path, Sequence], list[Path]]
 FINDERS: Mapping[str, Find] = {
     "segment.source": masks.find_masks,
     "flow.source": flow.find_flow,
+    "ba.depth_from": depth.find_depths,
 }
 """Options whose value may be the path of what the user hands in, with the function that lists its files."""
 

@@ -88,10 +88,10 @@ def _candidates(flow: Path, masks: Path, poses: Path) -> Iterator[Taken]:
     """As `taken_inputs`, with an empty origin for what was estimated."""
     matched, segmented, adjusted = read_metadata(flow), read_json(masks / "masks.json"), read_metadata(poses)
     options = adjusted["options"]
-    cameras = TRUTH if options["poses_from"] == TRUTH else ""
+    cameras = _origin(options["poses_from"], ESTIMATE)
     yield Taken("flow", _origin(matched["source"], "dis"), matched.get("given", ""))
     yield Taken("masks", _origin(segmented["options"]["source"], *ESTIMATED_MASKS), segmented.get("given", ""))
-    yield Taken("intrinsics", cameras or _origin(options["intrinsics"], ESTIMATE))
+    yield Taken("intrinsics", TRUTH if cameras == TRUTH else _origin(options["intrinsics"], ESTIMATE))
     yield Taken("poses", cameras)
     yield Taken("depth", _origin(options["depth_from"], ESTIMATE), adjusted.get("given_depth", ""))
 

@@ -27,6 +27,7 @@ rule ba:
     params:
         code=code_digest("stages.ba"),
         flags=flags("ba"),
+        given=given_files("ba"),
         optional=optional_flags(
             *("masks", "previous_poses", "previous_depth"),
             *("previous_convergence", "previous_figure", "previous_masks"),
