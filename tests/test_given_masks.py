@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from conftest import run_snakemake, write_frames
 from PIL import Image
+from scipy import sparse
 from test_workflow import planned
 
 from stages.configuration import config as configuration
@@ -18,7 +19,8 @@ from stages.export.images import write_masks
 from stages.given.masks import find_masks, read
 from stages.segment import __main__ as segment_stage
 from stages.segment.options import SegmentOptions
-from stages.shared.artifacts import read_json, write_json
+from stages.segment.permanence import solve
+from stages.shared.artifacts import read_json, write_dense, write_json
 from stages.shared.errors import InputError
 from stages.shared.images import read_mask, read_numbers
 from stages.shared.masks import instances_path, mask_path
@@ -247,3 +249,40 @@ def test_given_masks_leave_out_motion_and_wait_for_nothing(repo_copy: Path) -> N
     plan = run_snakemake(repo_copy, "-n", "--config", f"segment={{source: {folder}}}")
     assert plan.returncode == 2
     assert "expected masks for every frame, found 13 of 14, and none for 'frame_0014.png'" in plan.stderr
+
+
+def test_stated_masks_are_strong_evidence_but_not_the_last_word() -> None:
+    """Superpixels without links: motion and masks meet in their weighted mean."""
+    alone, ones = sparse.csr_matrix((3, 3)), np.ones(3)
+    motion, stated = np.array([0.0, 1.0, 0.0]), np.array([1.0, 0.0, 0.0])
+    sure, unsure = (solve(alone, ones, motion, share * ones, stated) for share in (1.0, 0.0))
+    assert sure[0] > 0.8  # marked, though it seems to rest
+    assert 0.5 < sure[1] < 0.8  # not marked, though it surely moves
+    assert unsure[0] > 0.99
+    assert max(unsure[1], sure[2], unsure[2]) < 0.01
+    assert solve(alone, ones, motion, ones)[:2] == pytest.approx(motion[:2])
+
+
+def test_masks_as_evidence_add_what_does_not_move(tmp_path: Path, frames: Sequence) -> None:
+    """A thing that stands out in colour, at rest in all frames: only the masks tell that it belongs to what moves."""
+    thing = np.zeros((H, W), bool)
+    thing[12:36, 16:48] = True
+    picture = np.where(thing[..., None], (200, 60, 40), (40, 90, 160)).astype(np.uint8)
+    for path in frames.frames:
+        Image.fromarray(picture).save(path)
+    still = np.zeros((T, H, W), np.float32)
+    write_dense(tmp_path / "prior.arrow", {"frame": np.arange(1, T + 1), "probability": still, "weight": still + 3})
+    links = {"source": np.arange(T - 1), "target": np.arange(1, T), "flow": np.zeros((T - 1, H, W, 2), np.float16)}
+    write_dense(tmp_path / "pairs.arrow", links | {"confidence": np.ones((T - 1, H, W), np.float16)})
+    write_json(tmp_path / "sequence.json", sequence_to_json(frames))
+    folder = write(tmp_path / "people", [binary(thing)] * T)
+    shares = {}
+    for evidence in (None, str(folder)):
+        outputs = tmp_path / "masks", tmp_path / "figure.png"
+        options = SegmentOptions(evidence=evidence)
+        files = tmp_path / "pairs.arrow", tmp_path / "prior.arrow"
+        segment_stage.main(tmp_path / "sequence.json", *outputs, options, *files)
+        found = read_mask(mask_path(tmp_path / "masks", 2))
+        shares[evidence] = (found & thing).sum() / (found | thing).sum()
+    assert shares[None] == 0
+    assert shares[str(folder)] > 0.9

@@ -3,6 +3,7 @@
 import difflib
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from stages.configuration.config import Config
@@ -15,6 +16,7 @@ from stages.shared.sequences import Sequence, frames_digest
 Find = Callable[[Path, Sequence], list[Path]]
 FINDERS: Mapping[str, Find] = {
     "segment.source": masks.find_masks,
+    "segment.evidence": partial(masks.find_masks, option="segment.evidence"),
     "flow.source": flow.find_flow,
     "ba.depth_from": depth.find_depths,
 }

@@ -30,7 +30,8 @@ MOST_FAR = 0.1
 MOVING_PX, LEAST_MOVING = 0.5, 0.01
 """Pixels that tell a flow from the opposite one, and the least share of a frame that they must have."""
 CLEARLY = 0.75
-"""A photometric residual below this share of another is clearly smaller."""
+"""A photometric residual below this share of another is clearly smaller. On 20 simulated scenes that of true flow is
+0.06 to 0.48 of that of reversed flow, and 0.08 to 0.66 of that without motion; in fog and noise 0.86 and 0.75."""
 
 
 @dataclass(frozen=True)

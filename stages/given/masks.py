@@ -51,9 +51,9 @@ class GivenMasks:
         return np.asarray((values > self.threshold) != (self.kind == BLACK_MOVES), np.uint16)
 
 
-def find_masks(folder: Path, frames: Sequence) -> list[Path]:
-    """The mask of every frame [T]; raises InputError if there is none for one of them."""
-    candidates = files.listed(folder, SUFFIXES, "masks", OPTION)
+def find_masks(folder: Path, frames: Sequence, option: str = OPTION) -> list[Path]:
+    """The mask of every frame [T] in a folder that an option names; raises InputError if a frame has none."""
+    candidates = files.listed(folder, SUFFIXES, "masks", option)
     return files.by_frame(candidates, frames.frames, frames.numbers, "masks")
 
 

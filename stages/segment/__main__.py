@@ -57,6 +57,8 @@ def main(
     """
     frames = read_sequence(sequence)
     handed, burnt_in = _handed_in(options.given, frames), read_burnt_in(frames)
+    if options.evidence and options.source != "refined":
+        logger.warning("%s: masks as evidence are not used by `source: %s`", frames.name, options.source)
     masks = _given(handed) if handed else _masks(options, frames, flow, prior)
     found, shown, overlays = _Facts(), set(drawing.spread(len(frames.numbers), 6).tolist()), []
     with atomic_folder(output, ("frame_*.png", "instances/frame_*.png", "masks.json")) as folder:
@@ -114,12 +116,12 @@ def _masks(options: SegmentOptions, frames: Sequence, flow: Path | None, prior: 
     return lambda k, _: _as_one(enlarge(probability[k].astype(np.float32), size) > DYNAMIC)
 
 
-def _handed_in(path: str | None, frames: Sequence) -> GivenMasks | None:
-    """The masks in the folder that the user names, checked; None if there is none."""
+def _handed_in(path: str | None, frames: Sequence, option: str = given_masks.OPTION) -> GivenMasks | None:
+    """The masks in the folder that the user names by an option, checked; None if there is none."""
     if path is None:
         return None
     folder = of_sequence(path, frames.name)
-    handed = given_masks.read(given_masks.find_masks(folder, frames), frames)
+    handed = given_masks.read(given_masks.find_masks(folder, frames, option), frames)
     logger.info("%s: masks of %s (%s), %.1f %% of the pixels", frames.name, folder, handed.kind, 100 * handed.share)
     return handed
 
@@ -139,9 +141,14 @@ def _refined(options: SegmentOptions, frames: Sequence, flow: Path, prior: Path)
         raise InputError(prior, expected, f"columns {sorted(evidence)}", "run the motion stage again")
     size = evidence["probability"].shape[:0:-1]
     pixels = superpixels(len(frames.frames), lambda k: reduce(read_rgb(frames.frames[k]), size))
+    handed = _handed_in(options.evidence, frames, "segment.evidence")
+    stated = None
+    if handed:
+        marked = (reduce((handed.labels(k) > 0).astype(np.float32), size) for k in range(len(frames.frames)))
+        stated = pixels.means(np.stack(list(marked)))
     probability, weight = (pixels.means(evidence[name]) for name in ("probability", "weight"))
     choice = options.permanence, options.threshold
-    sure, instance = persistent(pixels, read_dense(flow), probability, confidence_of(weight), *choice)
+    sure, instance = persistent(pixels, read_dense(flow), probability, confidence_of(weight), *choice, stated)
 
     def mask(k: int, rgb: np.ndarray) -> Mask:
         sureness = smooth_along_edges(pixels.paint(sure, k), rgb, options.smoothness, options.colour_sigma)

@@ -15,6 +15,9 @@ class SegmentOptions(Options):
         description="masks for all later stages: refined, the prior above one half, none, the true motion masks, or the"
         " path of a folder of masks, one per frame; {sequence} in it stands for the name of the sequence",
     )
+    evidence: str | None = Field(
+        None, description="folder of masks that refined masks take as strong evidence beside the motion prior"
+    )
     threshold: float = Field(
         0.33,
         ge=0.05,

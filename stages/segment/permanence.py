@@ -23,6 +23,11 @@ from stages.shared.log import logger
 
 LOW_WEIGHT, LEAST_WEIGHT = 0.2, 1e-3
 """Weight of evidence that nothing moves, relative to that of certain motion; weight of a pixel without any evidence."""
+STATED_MOVING, STATED_STATIC = 1.0, 0.3
+"""Weight of a pixel that the user's masks call moving, as of certain motion, and of one that they call static.
+
+If both were 1, movers that such masks miss would be lost: with empty masks the demo has an IoU of 0.88, and then 0.
+By masks of every other frame that of three scenes rises from 0.88, 0.56 and 0.66 to 0.89, 0.76 and 0.96."""
 HALF_WEIGHT = 1.0
 """Summed weight of the flow at which evidence counts half."""
 BORDER_WEIGHT = 2.4
@@ -60,15 +65,26 @@ def links(pixels: Superpixels, pairs: Mapping[str, np.ndarray], start: int, perm
     return along + border * _alike(borders(pixels), pixels.colours, BORDER_COLOUR)
 
 
-def solve(W: sparse.csr_matrix, areas: np.ndarray, prior: np.ndarray, confidence: np.ndarray) -> np.ndarray:
+def solve(
+    W: sparse.csr_matrix,
+    areas: np.ndarray,
+    prior: np.ndarray,
+    confidence: np.ndarray,
+    stated: np.ndarray | None = None,
+) -> np.ndarray:
     """x [N] of superpixels with links W [N, N], areas [N] px, priors [N] 0..1 and their confidence [N] 0..1.
 
+    `stated` is the share [N] of each that masks of the user's mark: another term s_a (x_a - m_a)^2 beside the prior's.
     Conjugate gradients with the diagonal as preconditioner; the system is positive definite, as every area is positive.
     """
     weight = areas * ((LOW_WEIGHT + (1 - LOW_WEIGHT) * prior) * confidence + LEAST_WEIGHT)
+    pull = weight * prior
+    if stated is not None:
+        said = areas * (STATED_STATIC + (STATED_MOVING - STATED_STATIC) * stated)
+        weight, pull = weight + said, pull + said * stated
     degrees = np.asarray(W.sum(axis=1)).ravel()
     system, inverse = sparse.diags(weight + degrees) - W, sparse.diags(1 / (weight + degrees))
-    x, unsolved = cg(system, weight * prior, x0=prior, rtol=TOLERANCE, maxiter=MAX_ITERATIONS, M=inverse)
+    x, unsolved = cg(system, pull, x0=prior, rtol=TOLERANCE, maxiter=MAX_ITERATIONS, M=inverse)
     if unsolved:
         logger.warning("masks: the system over the clip is not solved after %d iterations", MAX_ITERATIONS)
     return np.asarray(np.clip(x, 0, 1))
@@ -94,13 +110,14 @@ def persistent(
     confidence: np.ndarray,
     permanence: float,
     threshold: float,
+    stated: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """How surely each superpixel is dynamic [N], and its instance [N].
 
     Args:
         pairs: source, target [E], flow [E, h, w, 2] px, confidence [E, h, w].
         prior: [N] probability of motion; confidence: [N] share by which it counts.
-        threshold: least x of a dynamic superpixel.
+        threshold: least x of a dynamic superpixel. stated: [N] as in `solve`.
 
     Returns:
         x over twice its threshold, at most 1: from 0.5 on dynamic, 0 for what is no part of an instance that is kept.
@@ -112,7 +129,7 @@ def persistent(
     for start, stop, taper in windows(len(pixels.labels)):
         nodes, part = slice(pixels.first[start], pixels.first[stop]), pixels.part(start, stop)
         W = links(part, pairs, start, permanence)
-        found = solve(W, part.areas, prior[nodes], confidence[nodes])
+        found = solve(W, part.areas, prior[nodes], confidence[nodes], None if stated is None else stated[nodes])
         share = np.repeat(taper, np.diff(part.first))
         x[nodes] += share * found
         levels[nodes] += share * level(W, part.areas, found)
@@ -121,7 +138,7 @@ def persistent(
         joined.append(pixels.first[start] + np.stack([W.row[near], W.col[near]]))
     sure = x / (2 * np.maximum(threshold, RELATIVE * levels))
     least = min(MIN_STRENGTH * threshold, (1 + threshold) / 2)
-    evidence = x / least, x * confidence
+    evidence = x / least, x * (confidence if stated is None else np.maximum(confidence, stated))
     instance = instances(sure >= 0.5, np.concatenate(joined, axis=1), *evidence, pixels.areas)
     return np.where((sure >= 0.5) & (instance == 0), 0, np.minimum(sure, 1)), instance
 

@@ -91,6 +91,8 @@ def _candidates(flow: Path, masks: Path, poses: Path) -> Iterator[Taken]:
     cameras = _origin(options["poses_from"], ESTIMATE)
     yield Taken("flow", _origin(matched["source"], "dis"), matched.get("given", ""))
     yield Taken("masks", _origin(segmented["options"]["source"], *ESTIMATED_MASKS), segmented.get("given", ""))
+    evidence = segmented["options"].get("evidence") if segmented["options"]["source"] == "refined" else None
+    yield Taken("masks as evidence", evidence or "")
     yield Taken("intrinsics", TRUTH if cameras == TRUTH else _origin(options["intrinsics"], ESTIMATE))
     yield Taken("poses", cameras)
     yield Taken("depth", _origin(options["depth_from"], ESTIMATE), adjusted.get("given_depth", ""))
