@@ -217,7 +217,7 @@ def test_paths_are_checked_before_any_work(tmp_path: Path, frames: Sequence) -> 
     two = {"clip": frames, "other": replace(frames, name="other")}
 
     def check(path: object, sequences: dict[str, Sequence]) -> None:
-        given_inputs.check(configuration.load({"segment": {"source": str(path)}}), sequences)
+        given_inputs.check([(configuration.load({"segment": {"source": str(path)}}), sequences.values())])
 
     write(tmp_path / "masks/clip", [Image.fromarray(m) for m in labels()])
     check(tmp_path / "masks/{sequence}", {"clip": frames})

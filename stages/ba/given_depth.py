@@ -69,8 +69,9 @@ def given_depth_maps(
     else:
         refuse_disagreement(found, folder, gauge)
         about = f"scale {found.scale:.3g}, spread {100 * found.spread:.1f} %, rank correlation {found.rank:.2f}"
+        about += f", spread over frames {100 * found.frames:.1f} %"
     told = f"{known.mean():.0%} of the pixels, {about}"
-    logger.info("%s: depth of %s: %s, spread of frames %.1f %%", frames.name, folder, told, 100 * found.frames)
+    logger.info("%s: depth of %s: %s", frames.name, folder, told)
     if found.spread > TIGHT:
         logger.warning(
             "%s: the given depth and what the adjustment measured differ by %.0f %%", frames.name, 100 * found.spread

@@ -1,7 +1,7 @@
 """What the user hands in for the sequences of a run: checked for existence and number while the rules are read."""
 
 import difflib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -32,23 +32,27 @@ def given(config: Config, section: str = "") -> dict[str, str]:
     return found
 
 
-def check(config: Config, sequences: Mapping[str, Sequence]) -> None:
-    """Find the files that the user hands in for every sequence, without reading them.
+def check(runs: Iterable[tuple[Config, Iterable[Sequence]]]) -> None:
+    """Find the files that the user hands in for the sequences of every configuration, without reading them.
 
     Raises:
         InputError: for a path that does not exist, one path for several sequences, or a frame without its file.
     """
-    for option, path in given(config).items():
+    asked: dict[tuple[str, str], tuple[Config, dict[str, Sequence]]] = {}
+    for config, sequences in runs:
+        for found in given(config).items():
+            asked.setdefault(found, (config, {}))[1].update({sequence.name: sequence for sequence in sequences})
+    for (option, path), (config, of_name) in asked.items():
         where, allowed = f"config.yaml: {option}", _words(config, option)
         if PLACEHOLDER not in path and not Path(path).exists():
             near = difflib.get_close_matches(path, allowed, n=1)
             advice = f"did you mean '{near[0]}'?" if near else f"correct '{option}'"
             raise InputError(where, f"{', '.join([*allowed, 'or a path that exists'])}", f"'{path}'", advice)
-        if PLACEHOLDER not in path and len(sequences) > 1:
-            expected = f"{PLACEHOLDER} in the path, for the names of {len(sequences)} sequences"
+        if PLACEHOLDER not in path and len(of_name) > 1:
+            expected = f"{PLACEHOLDER} in the path, for the names of {len(of_name)} sequences"
             advice = f"write it where the names differ, as in folder/{PLACEHOLDER}, or choose one of `sequences:`"
             raise InputError(where, expected, f"'{path}'", advice)
-        for sequence in sequences.values():
+        for sequence in of_name.values():
             _find(config, option, path, sequence)
 
 

@@ -6,7 +6,8 @@ Unknown x_a in 0..1: how much superpixel a belongs to something that moves in th
 
 with the prior p, its weight c and links W along the flow and across borders, all smaller where colours differ. Evidence
 of motion is one-sided: a residual to the static world says "moves", none says little (at rest just now, along the
-epipolar line, blurred). Hence c is large where p is high. The idea of labels by consensus over a clip is that of Faktor
+epipolar line, blurred). Hence c is large where p is high. Masks m that the user gives as evidence add another term,
+s_a (x_a - m_a)^2. The idea of labels by consensus over a clip is that of Faktor
 and Irani (Video segmentation by non-local consensus voting, BMVC 2014).
 """
 

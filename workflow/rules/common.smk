@@ -75,7 +75,15 @@ try:
     SWEPT_SEQUENCES = settings.choose_sequences(CONFIG.sweep, SEQUENCES)
     SCALED_SEQUENCES = settings.choose_sequences(CONFIG.scaling, SEQUENCES)
     if workflow.is_main_process:
-        given_inputs.check(CONFIG, SEQUENCES)
+        given_inputs.check(
+            (setting.config, [SEQUENCES[name] for name in names])
+            for listed, names in (
+                ([CONFIGURED], SEQUENCES),
+                (SWEPT, SWEPT_SEQUENCES),
+                (SCALED, SCALED_SEQUENCES),
+            )
+            for setting in listed
+        )
 except InputError as error:
     sys.stderr.write(f"{error}\n")
     sys.exit(2)
