@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
-from stages.export.conventions import CENTRE_PX, FLIP
 from stages.shared import cli
 from stages.shared.cli import Out
+from stages.shared.conventions import CENTRE_PX, FLIP
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -11,12 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
-from stages.export.conventions import CENTRE_PX, half_integer_centres
 from stages.export.points import Points
 from stages.shared import lie
-
-PINHOLE = 1
-"""COLMAP's number of the camera model with the parameters fx, fy, cx, cy."""
+from stages.shared.colmap_records import CAMERA, COUNT, IMAGE, OBSERVATION, PINHOLE
+from stages.shared.conventions import CENTRE_PX, half_integer_centres
 
 
 @dataclass(frozen=True)
@@ -84,19 +82,19 @@ def write_text(folder: Path, model: Model) -> None:
 def write_binary(folder: Path, model: Model) -> None:
     """Write cameras.bin, images.bin and points3D.bin into an existing folder."""
     parameters, _ = model.cameras()
-    parts = [struct.pack("<Q", len(parameters))]
+    parts = [COUNT.pack(len(parameters))]
     size = (model.width, model.height)
-    parts += [struct.pack("<iiQQ4d", c + 1, PINHOLE, *size, *row) for c, row in enumerate(parameters)]
+    for c, row in enumerate(parameters):
+        parts += [CAMERA.pack(c + 1, PINHOLE, *size), row.astype("<f8").tobytes()]
     (folder / "cameras.bin").write_bytes(b"".join(parts))
-    parts = [struct.pack("<Q", len(model.names))]
+    parts = [COUNT.pack(len(model.names))]
     for image, pose, camera, name, uv, ids in model.images():
-        pixels = np.empty(len(uv), np.dtype([("uv", "<f8", 2), ("point", "<i8")]))
+        pixels = np.empty(len(uv), OBSERVATION)
         pixels["uv"], pixels["point"] = uv, ids
-        parts += [struct.pack("<i7di", image, *pose, camera), name.encode() + b"\0"]
-        parts += [struct.pack("<Q", len(uv)), pixels.tobytes()]
+        parts += [IMAGE.pack(image, *pose, camera), name.encode() + b"\0", COUNT.pack(len(uv)), pixels.tobytes()]
     (folder / "images.bin").write_bytes(b"".join(parts))
     points = model.points
-    parts = [struct.pack("<Q", len(points.xyz))]
+    parts = [COUNT.pack(len(points.xyz))]
     for n, (xyz, rgb, error, track) in enumerate(
         zip(points.xyz, points.rgb, points.error_px, model.tracks(), strict=True)
     ):

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from stages.export.conventions import half_integer_centres, world_from_opengl
+from stages.shared.conventions import half_integer_centres, world_from_opengl
 
 
 def transforms(

@@ -17,6 +17,18 @@ def half_integer_centres(Ks: np.ndarray) -> np.ndarray:
     return moved
 
 
+def integer_centres(Ks: np.ndarray) -> np.ndarray:
+    """Intrinsics [..., 3, 3] in px for pixel centres at integers; undoes `half_integer_centres`."""
+    moved = np.array(Ks, float)
+    moved[..., :2, 2] -= CENTRE_PX
+    return moved
+
+
 def world_from_opengl(cam_from_world: np.ndarray) -> np.ndarray:
     """Poses [..., 4, 4] of OpenGL cameras in the same world, camera-to-world, from cam_from_world [..., 4, 4]."""
     return np.asarray(lie.inverse(cam_from_world) @ FLIP)
+
+
+def from_opengl(world_from_opengl: np.ndarray) -> np.ndarray:
+    """cam_from_world [..., 4, 4] from the poses of OpenGL cameras, camera-to-world; undoes `world_from_opengl`."""
+    return lie.inverse(world_from_opengl @ FLIP)
