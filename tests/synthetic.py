@@ -75,6 +75,7 @@ def make_scene(
     travel: float = 1.0,
     path: np.ndarray | None = None,
     zoom: np.ndarray | None = None,
+    K: np.ndarray | None = None,
 ) -> Scene:
     """A scene of (h, w) px.
 
@@ -82,10 +83,10 @@ def make_scene(
         motion: "curve" (translation and rotation), "rotate", "still" (3 % of the curve), or "drift" (mostly turning).
         disc_radius: radius of the moving disc at depth 2.5; 0 for a static scene.
         scale: unit of length of the world; focal: focal length in image widths; travel: share of the translation.
-        path: poses [T, 4, 4] instead of those of `motion`; zoom: [T], as in `Scene`.
+        path: poses [T, 4, 4] instead of those of `motion`; zoom: [T], as in `Scene`; K: [3, 3] instead of `focal`.
     """
     h, w = size
-    K = centred_intrinsics(focal * w, w, h)
+    K = centred_intrinsics(focal * w, w, h) if K is None else K
     cam_from_world = camera_path(T, motion, travel) if path is None else path
     velocity = np.array([0.12, 0.02, 0.0]) if disc_radius else np.zeros(3)
     depth, dynamic = np.zeros((T, h, w)), np.zeros((T, h, w), bool)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from synthetic import Scene, exact_flow, make_scene, observe, trajectory_error
 
-from stages.ba import from_truth
+from stages.ba import from_truth, given
 from stages.ba.depth import DepthMaps
 from stages.shared import lie, sintel
 from stages.shared.cameras import pixel_grid, project, unproject
@@ -40,9 +40,7 @@ def frames(scene: Scene, tmp_path: Path) -> Sequence:
 
 
 def test_true_poses_keep_their_path_and_true_depth_explains_the_flow(scene: Scene, frames: Sequence) -> None:
-    solution = from_truth.solve_depths(
-        observe(scene, masked=False), from_truth.true_poses(frames), scene.focal_px, seed=0
-    )
+    solution = given.solve_depths(observe(scene, masked=False), from_truth.true_poses(frames), scene.focal_px, seed=0)
     poses = solution.state.cam_from_world
     assert trajectory_error(poses, scene.cam_from_world) < 1e-9
     assert np.allclose(poses[0], np.eye(4), atol=1e-12)
@@ -84,7 +82,7 @@ def test_the_sky_has_a_small_positive_inverse_depth(frames: Sequence) -> None:
 
 def test_a_camera_that_only_turns_is_called_so() -> None:
     turning = make_scene(T=5, motion="rotate")
-    solution = from_truth.solve_depths(observe(turning, stride=8), turning.cam_from_world, turning.focal_px, seed=0)
+    solution = given.solve_depths(observe(turning, stride=8), turning.cam_from_world, turning.focal_px, seed=0)
     assert solution.camera == "rotating"
     assert np.isfinite(solution.state.cam_from_world).all()
     assert from_truth.gauge_scale(solution.state, turning.cam_from_world) is None

@@ -7,7 +7,7 @@ from typing import Annotated
 import cv2
 import numpy as np
 
-from stages.ba import cuts, dba, diagnostics, from_truth, outputs, rounds
+from stages.ba import cuts, dba, diagnostics, from_truth, given, outputs, rounds
 from stages.ba.depth import DepthMaps, depth_maps
 from stages.ba.given_depth import given_depth_maps
 from stages.ba.graph import (
@@ -23,18 +23,15 @@ from stages.ba.problem import Estimate, Problem
 from stages.ba.start import PoseGuess
 from stages.ba.texture import texture_weights
 from stages.given.files import of_sequence
-from stages.shared import cli, sintel
+from stages.shared import cli
 from stages.shared.artifacts import read_dense, read_metadata
 from stages.shared.cameras import (
-    centred_intrinsics,
     has_pose,
     read_cameras,
-    scale_intrinsics,
     write_cameras,
     write_tum,
 )
 from stages.shared.cli import In, Out
-from stages.shared.errors import InputError
 from stages.shared.images import read_reduced
 from stages.shared.log import logger
 from stages.shared.masks import read_masks
@@ -76,27 +73,28 @@ def main(
         before = rounds.complete(previous_poses, previous_depth, previous_convergence, previous_figure)
         if rounds.has_converged(before) and rounds.is_same(areas, _static_areas(previous_masks, frames, matches)):
             return rounds.carry_over(frames, before, rounds.Results(poses, depth, convergence, figure), trajectory)
-    centre, known_focal_px = _known_intrinsics(frames, matches, options)
+    known = given.known_cameras(frames, options, matches.scale)
     static, ignored = trusted_static_areas(areas)
-    everything = with_texture(matches.graph(options.stride_px, centre), _read_texture(frames, matches.size))
+    everything = with_texture(matches.graph(options.stride_px, known), _read_texture(frames, matches.size))
     graph = mask_graph(everything, static)
+    known, doubts = given.examine(known, graph, options.seed)
     previous = _previous(previous_poses, matches.scale)
     unmasked = everything if (static < 1).any() else None
     masked = unmasked is not None or previous is not None
-    problem = Problem(graph, masked, known_focal_px, previous, unmasked, options.iterations)
-    solution = _solve(problem, matches.shot, frames, options)
-    flags = cuts.warnings(matches.shot, frames.numbers) + solution.flags
+    problem = Problem(graph, masked, known.known_focal_px, previous or known.guess, unmasked, options.iterations)
+    solution = _solve(problem, matches.shot, known, options)
+    flags = cuts.warnings(matches.shot, frames.numbers) + doubts + solution.flags
     flags += _round_warnings(solution, static[matches.shot], ignored[matches.shot], previous_poses)
     _log(frames.name, solution, flags)
     trusted = ~ignored & (solution.static is None or masks is None)
     if solution.static is not None:
         static, graph = solution.static, mask_graph(everything, solution.static)
-    fine = mask_graph(matches.graph(options.depth_stride_px, centre), static)
+    fine = mask_graph(matches.graph(options.depth_stride_px, known), static)
     maps = depth_maps(fine, graph, solution.state, static, solution.camera in ("moving", "near-still"))
     stride_px = options.depth_stride_px / matches.scale
-    maps, told = _taken_depth(maps, solution.state, frames, stride_px, options)
+    maps, told = _taken_depth(maps, solution.state, known, frames, stride_px, options)
     cameras = replace(outputs.cameras_of(solution, graph, frames, matches.scale), masks_trusted=trusted)
-    started = {"from_previous_round": previous is not None} | told
+    started = {"from_previous_round": previous is not None or known.fixed} | told
     write_cameras(poses, cameras, outputs.pose_metadata(solution, flags, static[matches.shot], options) | started)
     write_tum(trajectory, cameras, frames.stamps)
     outputs.write_depth(depth, maps, frames, stride_px)
@@ -128,17 +126,17 @@ class _Matches:
     size: tuple[int, int]
     scale: float
 
-    def graph(self, stride: int, centre: np.ndarray) -> FlowGraph:
+    def graph(self, stride: int, known: given.Known) -> FlowGraph:
         """The unmasked matches of the shot, one pixel per `stride` px each way."""
         source, target, flow, confidence = (self.columns[name] for name in ("source", "target", "flow", "confidence"))
-        graph = build_graph(source, target, flow, confidence, len(self.shot), stride, centre)
+        graph = build_graph(source, target, flow, confidence, len(self.shot), stride, known.centre, known.aspect)
         return cuts.isolate(graph, self.shot)
 
 
 def _read_matches(flow: Path, T: int, options: BAOptions) -> _Matches:
     about, columns, stride = read_metadata(flow), read_dense(flow), options.stride_px
     shot = np.ones(T, bool)
-    if options.poses_from == "estimate":
+    if not options.poses_fixed:
         sampled = columns["confidence"][:, stride // 2 :: stride, stride // 2 :: stride].reshape(
             len(columns["source"]), -1
         )
@@ -146,20 +144,28 @@ def _read_matches(flow: Path, T: int, options: BAOptions) -> _Matches:
     return _Matches(columns, shot, (int(about["width"]), int(about["height"])), float(about["scale"]))
 
 
-def _solve(problem: Problem, shot: np.ndarray, frames: Sequence, options: BAOptions) -> Estimate:
-    if options.poses_from == "estimate":
+def _solve(problem: Problem, shot: np.ndarray, known: given.Known, options: BAOptions) -> Estimate:
+    if not known.fixed:
         return cuts.estimate_shot(problem, shot, options)
-    assert problem.known_focal_px is not None, "true poses come with the true focal length"
-    return from_truth.solve_depths(problem.graph, from_truth.true_poses(frames), problem.known_focal_px, options.seed)
+    assert known.cam_from_world is not None, "fixed poses are given"
+    assert problem.known_focal_px is not None, "fixed poses come with a focal length"
+    return given.solve_depths(problem.graph, known.cam_from_world, problem.known_focal_px, options.seed, known.zoom)
 
 
 def _taken_depth(
-    estimated: DepthMaps, state: dba.State, frames: Sequence, stride_px: float, options: BAOptions
+    estimated: DepthMaps,
+    state: dba.State,
+    known: given.Known,
+    frames: Sequence,
+    stride_px: float,
+    options: BAOptions,
 ) -> tuple[DepthMaps, dict[str, str]]:
     """The depth to write, and what is to be said of it in the metadata of the poses, if it is the user's."""
     if options.depth_from == "estimate":
         return estimated, {}
-    scale = from_truth.gauge_scale(state, from_truth.true_poses(frames)) if options.poses_from == "truth" else None
+    scale = None
+    if known.fixed and known.cam_from_world is not None:
+        scale = from_truth.gauge_scale(state, known.cam_from_world)
     if options.depth_from == "truth":
         return from_truth.true_depth_maps(frames, estimated, stride_px, scale), {}
     folder = of_sequence(options.depth_from, frames.name)
@@ -185,17 +191,6 @@ def _static_areas(masks: Path | None, frames: Sequence, matches: _Matches) -> np
     if masks is not None:
         dynamic = np.stack(list(read_masks(masks, frames).values()))
     return static_areas(dynamic, *matches.size)
-
-
-def _known_intrinsics(frames: Sequence, matches: _Matches, options: BAOptions) -> tuple[np.ndarray, float | None]:
-    """Principal point [2] on the flow grid, and the focal length there if it is taken from ground truth."""
-    if options.intrinsics == options.poses_from == "estimate":
-        return scale_intrinsics(centred_intrinsics(1, frames.width, frames.height), matches.scale)[:2, 2], None
-    if not frames.has_truth("camdata_left"):
-        advice = "set `intrinsics: estimate` and `ba: {poses_from: estimate}`"
-        raise InputError(frames.frames[0].parent, "camdata_left beside the frames for true cameras", "none", advice)
-    scaled = scale_intrinsics(sintel.read_shared_intrinsics(frames.truth_files("camdata_left")), matches.scale)
-    return scaled[:2, 2], float(scaled[0, 0])
 
 
 def _previous(poses: Path | None, scale: float) -> PoseGuess | None:

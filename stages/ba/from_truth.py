@@ -3,33 +3,18 @@
 import cv2
 import numpy as np
 
-from stages.ba import classify, initialise
 from stages.ba.dba import State
 from stages.ba.depth import DepthMaps
-from stages.ba.graph import FlowGraph
-from stages.ba.problem import Estimate
-from stages.ba.uncertainty import median_residual
 from stages.shared import lie, sintel
 from stages.shared.cameras import frame_from_grid, pixel_grid
 from stages.shared.errors import InputError
 from stages.shared.sequences import Sequence
 
-SEARCH_PX = 1.0
 RELATIVE_STD = 1e-3
 """Relative standard deviation of true inverse depth: about the error of resampling it to the grid."""
 MIN_INVERSE_DEPTH = 1e-3
 """Smallest inverse depth, in units of the median; the sky gets it."""
 ROUNDING = 1e-9
-
-
-def solve_depths(graph: FlowGraph, true_cam_from_world: np.ndarray, focal_px: float, seed: int) -> Estimate:
-    """The true poses [T, 4, 4] in the gauge of the solver, with inverse depths estimated from the flow for them."""
-    camera = "moving" if _path_length(true_cam_from_world) > 0 else "rotating"
-    state = initialise.initial_state(graph, true_cam_from_world, focal_px, SEARCH_PX)
-    focal = {"decision": "known", "relative_sigma": 0.0, "reason": "true cameras", "focal_px": focal_px}
-    statistics = vars(classify.measure(graph, focal_px, seed)) | {"camera": camera, "planar": False}
-    covariance = np.zeros((graph.T, 6, 6))
-    return Estimate(state, camera, covariance, median_residual(graph, state), focal, statistics)
 
 
 def true_depth_maps(frames: Sequence, estimated: DepthMaps, stride_px: float, scale: float | None) -> DepthMaps:
@@ -50,11 +35,11 @@ def true_depth_maps(frames: Sequence, estimated: DepthMaps, stride_px: float, sc
 
 def gauge_scale(state: State, true_cam_from_world: np.ndarray) -> float | None:
     """Length in the gauge over true length, from the path of the camera; None if it does not move."""
-    length = _path_length(true_cam_from_world)
-    return _path_length(state.cam_from_world) / length if length > 0 else None
+    length = path_length(true_cam_from_world)
+    return path_length(state.cam_from_world) / length if length > 0 else None
 
 
-def _path_length(cam_from_world: np.ndarray) -> float:
+def path_length(cam_from_world: np.ndarray) -> float:
     """Length of the path of the camera centre; 0 if it is within rounding errors."""
     centres = lie.inverse(cam_from_world)[:, :3, 3]
     length = float(np.linalg.norm(np.diff(centres, axis=0), axis=1).sum())

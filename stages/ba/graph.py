@@ -24,6 +24,9 @@ MIN_MATCHES = 50
 class FlowGraph:
     """Directed edges between frames, each with a match for every sampled pixel. Pixels are those of the flow grid.
 
+    One focal length then serves both axes: where that of the y axis is `aspect` times that of the x axis, the v of
+    pixels, matches and centre is divided by it. `on_grid` leads back.
+
     Attributes:
         source, target: [E] frame indices, sorted by source, then target.
         pointer: [T + 1], edges pointer[i]..pointer[i + 1] leave frame i.
@@ -33,6 +36,7 @@ class FlowGraph:
         centre: principal point [2].
         width, height: of the flow grid.
         texture: [T, P] in 0..1, see `stages.ba.texture`; None: equal weights.
+        aspect: fy / fx of the flow grid.
     """
 
     source: np.ndarray
@@ -46,6 +50,7 @@ class FlowGraph:
     height: int
     stride: int
     texture: np.ndarray | None = None
+    aspect: float = 1.0
 
     @property
     def T(self) -> int:
@@ -77,8 +82,12 @@ class FlowGraph:
 
         Linear between the centres of the cells, constant beyond the outermost ones.
         """
-        cells = grid_from_frame(self.pixels, stride)
+        cells = grid_from_frame(self.on_grid(self.pixels), stride)
         return np.stack([bilinear(frame, cells) for frame in maps]).astype(float)
+
+    def on_grid(self, uv: np.ndarray) -> np.ndarray:
+        """Where pixels or matches [..., 2] of the graph lie on the flow grid."""
+        return uv * np.array([1, self.aspect], uv.dtype)
 
     def spread(self, values: np.ndarray) -> np.ndarray:
         """Values [T, rows, columns] of cells on the flow grid [T, height, width]; its border repeats the last cell."""
@@ -102,11 +111,12 @@ def build_graph(
     T: int,
     stride: int,
     principal_point: np.ndarray | None = None,
+    aspect: float = 1.0,
 ) -> FlowGraph:
     """Sample flow [E, h, w, 2] px and confidence [E, h, w] at the centres of cells of `stride` px.
 
-    The centre of an even cell lies between four pixels: their mean is taken. Without a principal point [2] the centre
-    of the image is used.
+    The centre of an even cell lies between four pixels: their mean is taken. Without a principal point [2] of the flow
+    grid the centre of the image is used. `aspect` is fy / fx of the flow grid.
     """
     source, target = np.ascontiguousarray(source), np.ascontiguousarray(target)
     h, w = flow.shape[1:3]
@@ -118,7 +128,10 @@ def build_graph(
     matches += pixels.astype(np.float32)
     pointer = np.searchsorted(source, np.arange(T + 1))
     middle = np.array([(w - 1) / 2, (h - 1) / 2]) if principal_point is None else principal_point
-    return FlowGraph(source, target, pointer, pixels, matches, weights, middle, w, h, stride)
+    square = np.array([1, 1 / aspect])
+    matches *= square.astype(np.float32)
+    pixels, middle = pixels * square, middle * square
+    return FlowGraph(source, target, pointer, pixels, matches, weights, middle, w, h, stride, aspect=aspect)
 
 
 def thin_graph(graph: FlowGraph, factor: int) -> FlowGraph:
@@ -152,7 +165,7 @@ def mask_graph(graph: FlowGraph, static: np.ndarray) -> FlowGraph:
     here = np.stack([_sample_cells(frame[..., None], graph.stride).ravel() for frame in static])
     weights = graph.weights.copy()
     for e, (i, j) in enumerate(zip(graph.source, graph.target, strict=True)):
-        weights[e] *= here[i] * bilinear(static[j], graph.matches[e])
+        weights[e] *= here[i] * bilinear(static[j], graph.on_grid(graph.matches[e]))
     return replace(graph, weights=weights)
 
 

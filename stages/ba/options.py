@@ -4,20 +4,29 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from stages.given.intrinsics import ESTIMATE, IntrinsicsOption
 from stages.shared.options import Options
 
 
 class BAOptions(Options):
     """Initial poses and focal length, then masked dense bundle adjustment."""
 
-    intrinsics: Literal["estimate", "truth"] = Field(
-        "estimate", description="estimate one shared focal length, or take the true K"
+    intrinsics: IntrinsicsOption = Field(
+        ESTIMATE,
+        description="estimate one shared focal length, or where K comes from: truth, exif, a focal length as in "
+        "'1200 px' or '26 mm / 36 mm', 'fx, fy, cx, cy', or a COLMAP cameras.txt",
     )
     zoom: Literal["auto", "yes", "no"] = Field(
         "auto", description="whether the focal length changes over the frames; auto: if that explains held-out pixels"
     )
-    poses_from: Literal["estimate", "truth"] = Field(
-        "estimate", description="estimate cameras, or take the true poses and K and estimate the depth alone"
+    poses_from: str = Field(
+        ESTIMATE,
+        min_length=1,
+        description="estimate cameras, or take the true poses and K, or those of a TUM file, the folder of a COLMAP "
+        "model or a transforms.json; {sequence} in its path stands for the name of the sequence",
+    )
+    poses_as: Literal["fixed", "start"] = Field(
+        "fixed", description="given poses are held fixed, so that the depth alone is estimated, or adjusted from there"
     )
     depth_from: Literal["estimate", "truth"] | str = Field(
         "estimate", description="depth that is written: estimated, true, or that of a folder of maps, one per frame"
@@ -40,3 +49,8 @@ class BAOptions(Options):
         description="largest number of iterations of the final adjustment at each robust scale; it ends at convergence",
     )
     seed: int = Field(0, ge=0, description="seed of the robust two-view fits")
+
+    @property
+    def poses_fixed(self) -> bool:
+        """Whether poses are given and held fixed."""
+        return self.poses_from != ESTIMATE and self.poses_as == "fixed"

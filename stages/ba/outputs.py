@@ -23,7 +23,7 @@ GAUGE = "the first camera is the world; the median inverse depth of the solver's
 def cameras_of(solution: Estimate, graph: FlowGraph, frames: Sequence, scale: float) -> Cameras:
     """Cameras for full-size frames; a frame without enough matches has the status "unobserved"."""
     focals_px = solution.state.focals_px
-    Ks = intrinsics(focals_px, focals_px, *graph.centre)
+    Ks = intrinsics(focals_px, focals_px * graph.aspect, *graph.on_grid(graph.centre))
     status = np.full(graph.T, STATUS[solution.camera], object)
     if solution.camera != "failed":
         status[~graph.observed_frames()] = "unobserved"

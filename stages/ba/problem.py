@@ -18,8 +18,8 @@ class Problem:
     Attributes:
         graph: masked observations.
         masked: whether masks were used, or poses of an earlier round that was solved with masks.
-        known_focal_px: the true focal length on the flow grid, if it is to be used.
-        previous: the solution of the previous round.
+        known_focal_px: the focal length on the flow grid, if it is given.
+        previous: the solution of the previous round, or given poses to start from.
         unmasked: the same observations without masks, as a fallback.
         iterations: largest number of iterations of the refinement at each robust scale.
     """

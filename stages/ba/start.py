@@ -37,11 +37,15 @@ SAME_PIXELS = 0.5
 
 @dataclass(frozen=True)
 class PoseGuess:
-    """An initial guess: poses [T, 4, 4] of any scale; focal length, px of the flow grid, and zoom as in `dba.State`."""
+    """An initial guess: poses [T, 4, 4] of any scale; focal length, px of the flow grid, and zoom as in `dba.State`.
+
+    `alone`: it is the only guess, without those from the matches.
+    """
 
     cam_from_world: np.ndarray
     focal_px: float
     zoom: np.ndarray | None = None
+    alone: bool = False
 
 
 @dataclass(frozen=True)
@@ -149,11 +153,24 @@ def _check(observed: Observed, plain: FlowGraph, candidates: list[Candidate]) ->
 
 
 def guess(observed: Observed, graph: FlowGraph) -> list[Candidate]:
-    """Adjusted guesses on one graph: chains over focal lengths and steps, planes, and the previous solution."""
-    threshold_px, curve = observed.threshold_px, observed.curve
+    """Adjusted guesses on one graph: the previous solution, and those from the matches unless it is to be alone."""
+    previous = observed.previous
     poses_of: dict[str, tuple[np.ndarray, float]] = {}
-    if observed.previous:
-        poses_of["previous round"] = observed.previous.cam_from_world, observed.previous.focal_px
+    if previous:
+        name = "given poses" if previous.alone else "previous round"
+        poses_of[name] = previous.cam_from_world, previous.focal_px
+    if previous is None or not previous.alone:
+        poses_of |= _from_matches(observed, graph)
+    states = {
+        name: initialise.initial_state(graph, *guessed, zoom=observed.curve) for name, guessed in poses_of.items()
+    }
+    return adjust_guesses(graph, states, observed.threshold_px, observed.prior)
+
+
+def _from_matches(observed: Observed, graph: FlowGraph) -> dict[str, tuple[np.ndarray, float]]:
+    """Poses and focal lengths of guesses from matches, by name: chains over focal lengths and steps, and planes."""
+    threshold_px, curve = observed.threshold_px, observed.curve
+    poses_of = {}
     steps = sorted({1, longest_step(graph)})
     planes = planar.homographies(graph) if observed.statistics.dominant_plane else None
     for focal_px in observed.focals_px:
@@ -165,8 +182,7 @@ def guess(observed: Observed, graph: FlowGraph) -> list[Candidate]:
         if planes:
             poses = planar.chain_planes(planes, focal_px if curve is None else focal_px * curve)
             poses_of[f"plane {at}"] = poses, focal_px
-    states = {name: initialise.initial_state(graph, *guessed, zoom=curve) for name, guessed in poses_of.items()}
-    return adjust_guesses(graph, states, threshold_px, observed.prior)
+    return poses_of
 
 
 def adjust_guesses(

@@ -8,12 +8,13 @@ from pydantic import Field, field_validator
 from stages.ba.options import BAOptions
 from stages.colmap.options import ColmapOptions
 from stages.configuration.comparison_options import ScalingOptions, SweepOptions
-from stages.configuration.presets import PRESETS, Preset, override, value_of
+from stages.configuration.presets import FIXED_POSES, PRESETS, Preset, override, value_of
 from stages.control.options import ControlOptions
 from stages.evaluate.options import EvaluateOptions
 from stages.export.options import ExportOptions
 from stages.flow.options import FlowOptions
 from stages.gaussians.options import GaussiansOptions
+from stages.given.intrinsics import ESTIMATE, IntrinsicsOption
 from stages.inspect.options import InspectOptions
 from stages.motion.options import MotionOptions
 from stages.render.options import RenderOptions
@@ -49,7 +50,11 @@ class Config(Options):
     first_masks: Literal["flow", "none"] = Field(
         "flow", description="masks of the first of several rounds: from flow alone, or none, which saves their time"
     )
-    intrinsics: Literal["estimate", "truth"] = Field("estimate", description="focal length: estimate it or use truth")
+    intrinsics: IntrinsicsOption = Field(
+        ESTIMATE,
+        description="focal length: estimate it, or what is known: truth, exif, a focal length as in '1200 px' or "
+        "'26 mm / 36 mm', [fx, fy, cx, cy], or a COLMAP cameras.txt",
+    )
     holdout_every: int = Field(8, ge=2, description="one frame in this many is held out from training")
     holdout_first: int = Field(4, ge=0, description="0-based index of the first held-out frame")
     device: Literal["auto", "cpu", "cuda"] = Field("auto", description="where to train and render")
@@ -86,7 +91,7 @@ SHARED_KEYS = ("intrinsics", "holdout_every", "holdout_first", "device", "seed")
 
 
 def load(raw: Mapping[str, Any], mine: Mapping[str, Any] | None = None, where: str = "config.yaml") -> Config:
-    """Check a parsed config.yaml (merged with its overrides) and apply its preset.
+    """Check a parsed config.yaml (merged with its overrides) and apply its preset, and what given poses make needless.
 
     Args:
         mine: values from the user's own files and flags. They win over the preset, as does every value that differs
@@ -100,7 +105,7 @@ def load(raw: Mapping[str, Any], mine: Mapping[str, Any] | None = None, where: s
     values, defaults = config.model_dump(by_alias=True), Config().model_dump(by_alias=True)
     open_values = {
         name: value
-        for name, value in PRESETS[config.preset].items()
+        for name, value in (PRESETS[config.preset] | (FIXED_POSES if config.ba.poses_fixed else {})).items()
         if value_of(mine or {}, name) is None and value_of(values, name) == value_of(defaults, name)
     }
     return validate(Config, override(raw, open_values), where)

@@ -39,6 +39,11 @@ flagged.
 sequences). It has one round more for scenes half of which moves.
 """
 
+FIXED_POSES: Overrides = {"rounds": 2, "first_masks": "none"}
+"""Where poses are given and held fixed, the first round finds the depth, and the second the masks by poses and depth,
+and the depth with these masks: no further round would move a pose. They win over the preset.
+"""
+
 
 def override(raw: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
     """A copy of a parsed config.yaml with option values replaced."""

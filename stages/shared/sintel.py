@@ -53,21 +53,21 @@ def read_cams(paths: Iterable[Path]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def read_shared_intrinsics(paths: Sequence[Path]) -> np.ndarray:
-    """The K [3, 3] that n files share, with square pixels.
+    """The K [3, 3] that n files share, without skew.
 
     Raises:
-        InputError: names the first file whose intrinsics differ or whose pixels are not square.
+        InputError: names the first file whose intrinsics differ or have a skew.
     """
     Ks = read_cams(paths)[0]
-    fx, cx, cy = Ks[0, 0, 0], *Ks[0, :2, 2]
-    shared = np.array([[fx, 0, cx], [0, fx, cy], [0, 0, 1]])
+    fx, fy, cx, cy = Ks[0, 0, 0], Ks[0, 1, 1], *Ks[0, :2, 2]
+    shared = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
     for path, K in zip(paths, Ks, strict=True):
         if not np.abs(K - shared).max() < SAME_CAMERA * fx:
-            expected = f"fx = fy = {fx:.6g} px, centre ({cx:.6g}, {cy:.6g}), no skew, as one shared camera"
+            expected = f"fx {fx:.6g}, fy {fy:.6g} px, centre ({cx:.6g}, {cy:.6g}), no skew, as one shared camera"
             found = f"fx {K[0, 0]:.6g}, fy {K[1, 1]:.6g}, centre ({K[0, 2]:.6g}, {K[1, 2]:.6g}), skew {K[0, 1]:.6g}"
             advice = "it cannot be taken as truth: set `intrinsics: estimate` and `ba: {poses_from: estimate}`"
             raise InputError(path, expected, found, advice)
-    return Ks[0]
+    return shared
 
 
 def write_cam(path: Path, K: np.ndarray, cam_from_world: np.ndarray) -> None:

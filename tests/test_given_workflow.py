@@ -1,0 +1,85 @@
+"""Given cameras in the workflow: the jobs that are left, what `ba` reads, and what is refused before any job."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import run_snakemake, write_frames
+from test_workflow import planned, with_options
+
+from stages.configuration import config as configuration
+from stages.configuration.given_cameras import camera_files, check_camera_files
+from stages.shared.artifacts import write_json, write_table
+from stages.shared.errors import InputError
+from stages.shared.run_inputs import read_run_inputs
+
+
+def test_poses_that_are_held_fixed_need_two_rounds_and_are_an_input(repo_copy: Path) -> None:
+    for name in ("one", "two"):
+        write_frames(repo_copy / "clips" / name)
+        (repo_copy / f"{name}.tum").touch()
+    mine = "{dataset: clips, intrinsics: 1200, ba: {poses_from: '{sequence}.tum'}}"
+    result = run_snakemake(repo_copy, "poses", "-p", *with_options(repo_copy, mine))
+    assert planned(result) == {"inspect", "flow", "motion", "segment", "ba", "poses"}
+    counts = dict(re.findall(r"^(\w+) +(\d+)$", result.stdout, re.MULTILINE))
+    assert {name: int(counts[name]) for name in ("motion", "segment", "ba")} == {"motion": 2, "segment": 2, "ba": 4}
+    assert len(re.findall(r"^ +input: .*\bone\.tum\b", result.stdout, re.MULTILINE)) == 2
+    assert result.stdout.count("--intrinsics 1200 --zoom auto --poses-from '{sequence}.tum' --poses-as fixed") == 4
+    (repo_copy / "two.tum").unlink()
+    refused = run_snakemake(repo_copy, "poses", *with_options(repo_copy, mine))
+    assert refused.returncode == 2
+    assert refused.stderr.splitlines()[-1] == (
+        "two.tum: expected an existing file or folder, found nothing there; correct the path in your config file"
+    )
+
+
+@pytest.mark.parametrize(
+    ("options", "rounds", "first_masks"),
+    [
+        ({}, 2, "none"),
+        ({"preset": "accurate"}, 2, "none"),
+        ({"rounds": 4, "first_masks": "flow"}, 4, "flow"),
+        ({"ba": {"poses_as": "start"}}, 3, "flow"),
+    ],
+)
+def test_rounds_under_given_poses(options: dict, rounds: int, first_masks: str) -> None:
+    """One's own number of rounds wins, as over a preset."""
+    raw = options | {"ba": {"poses_from": "truth"} | options.get("ba", {})}
+    config = configuration.load(raw, raw)
+    assert (config.rounds, config.first_masks) == (rounds, first_masks)
+
+
+@pytest.mark.parametrize(
+    ("options", "named"),
+    [
+        ({"intrinsics": "1200", "poses_from": "estimate"}, "given intrinsics"),
+        ({"intrinsics": "truth", "poses_from": "a.tum"}, "true intrinsics, given poses"),
+        ({"intrinsics": "estimate", "poses_from": "truth"}, "true intrinsics, true poses"),
+        ({"intrinsics": "estimate", "poses_from": "estimate"}, None),
+    ],
+)
+def test_what_a_run_was_given_is_named(tmp_path: Path, options: dict, named: str | None) -> None:
+    write_table(tmp_path / "flow.parquet", {"source": np.zeros(1)}, {"source": "dis"})
+    write_table(tmp_path / "poses.parquet", {"frame": np.zeros(1)}, {"options": options | {"depth_from": "estimate"}})
+    write_json(tmp_path / "masks" / "masks.json", {"options": {"source": "refined"}})
+    assert read_run_inputs(tmp_path / "flow.parquet", [tmp_path / "masks"], [tmp_path / "poses.parquet"]).truth == named
+
+
+def test_one_file_for_several_sequences_is_refused(tmp_path: Path) -> None:
+    cameras = tmp_path / "cameras.txt"
+    cameras.touch()
+    config = configuration.load({"intrinsics": str(cameras)})
+    check_camera_files(config, ["one"])
+    with pytest.raises(InputError, match=r"intrinsics: expected a path with \{sequence\}.*each of the 2 sequences"):
+        check_camera_files(config, ["one", "two"])
+    check_camera_files(configuration.load({"intrinsics": "exif"}), ["one", "two"])
+
+
+def test_the_files_of_a_model_are_those_that_are_read(tmp_path: Path) -> None:
+    model = tmp_path / "one" / "sparse"
+    model.mkdir(parents=True)
+    for name in ("cameras.txt", "images.txt", "points3D.txt"):
+        (model / name).touch()
+    config = configuration.load({"ba": {"poses_from": f"{tmp_path}/{{sequence}}/sparse"}})
+    assert camera_files(config, "one") == [model / "cameras.txt", model / "images.txt"]
