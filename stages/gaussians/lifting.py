@@ -54,7 +54,8 @@ def lift(seen: TrainingFrames, f: int, keep: np.ndarray, stride_px: int) -> Poin
     v, u = np.nonzero(keep & grid if seen.scene is None else keep & grid & seen.scene)
     depth = seen.depths[f, v, u].astype(float)
     positions = unproject(np.stack([u, v], axis=-1), depth, seen.cam_from_world[f], seen.Ks[f])
-    return Points(positions, seen.images[f, v, u], depth / seen.Ks[f, 0, 0] * stride_px, np.full(len(u), f))
+    focal_px = np.sqrt(seen.Ks[f, 0, 0] * seen.Ks[f, 1, 1])
+    return Points(positions, seen.images[f, v, u], depth / focal_px * stride_px, np.full(len(u), f))
 
 
 def frame_order(F: int, first: int) -> list[int]:
