@@ -31,8 +31,10 @@ CLEARLY = 3.0
 """Another reading is clearly better if its residual is this many times smaller."""
 NOTHING_EXPLAINED = 0.5
 """Poses that leave this share of the flow are those of other frames."""
-POOR_PX, POOR_RATIO = 0.5, 4.0
-"""From this residual on, and this many times that of the epipolar geometry fitted to each pair, there is a warning."""
+FITS_PX = 0.5
+"""Another reading is named only if its residual is below this."""
+POOR = 4.0
+"""From this many times the residual of the epipolar geometry fitted to each pair on, there is a warning."""
 AHEAD = 0.1
 """A point nearer to the second camera than this share of its depth in the first counts as behind it."""
 
@@ -47,7 +49,7 @@ def check(graph: FlowGraph, source: str, cam_from_world: np.ndarray, focals_px: 
     given, best = found[GIVEN], min(found, key=lambda name: found[name])
     if not np.isfinite(given) or given < FLOOR_PX:
         return []
-    if given > CLEARLY * found[best] and found[best] < POOR_PX:
+    if given > CLEARLY * found[best] and found[best] < FITS_PX:
         expected = f"poses that explain the flow, which these do {best}"
         told = f"{given:.2g} px of residual as given, {found[best]:.2g} px so"
         raise InputError(source, expected, told, "convert the file, or name it in its own format: docs/conventions.md")
@@ -58,8 +60,8 @@ def check(graph: FlowGraph, source: str, cam_from_world: np.ndarray, focals_px: 
         advice = "check that poses and intrinsics are those of these frames, and the order of their numbers"
         raise InputError(source, "poses that explain the flow", told, advice)
     noise_px = classify.measure(graph, float(np.median(focals_px)), seed).sampson_px
-    if given > max(POOR_PX, POOR_RATIO * noise_px):
-        return [f"given poses fit poorly: their residual is {given:.1f} px, that of pairs of frames {noise_px:.1f} px"]
+    if given > POOR * noise_px:
+        return [f"given poses fit poorly: their residual is {given:.2g} px, that of pairs of frames {noise_px:.2g} px"]
     return []
 
 
