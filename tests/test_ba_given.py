@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from ba_files import outputs, write_inputs
 from numpy.testing import assert_allclose
-from synthetic import Scene, flow_arrays, make_scene, rotation_error_deg, trajectory_error
+from synthetic import Scene, flow_arrays, make_scene, observe, rotation_error_deg, trajectory_error
 
+from stages.ba import readings
 from stages.ba.__main__ import main
 from stages.ba.options import BAOptions
 from stages.shared import lie, sintel
@@ -152,6 +153,17 @@ def test_a_straight_path_that_is_read_backwards_is_recognised(tmp_path: Path) ->
     file = given(tmp_path / "path.tum", lie.inverse(path), scene.K)
     with pytest.raises(InputError, match="which these do in the opposite direction"):
         solve(tmp_path / "run", scene, noise_px=0.2, poses_from=file, intrinsics=lens(scene.K))
+
+
+def test_a_mover_over_most_of_the_view_does_not_refuse_true_poses() -> None:
+    """Without masks, as in the first round: most matches are the mover's, and fit no reading."""
+    scene = make_scene(T=6, size=SIZE, disc_radius=1.2)
+    assert scene.dynamic.mean() > 0.65
+    focals_px = np.full(6, scene.focal_px)
+    graph = observe(scene, masked=False)
+    assert readings.check(graph, "true.tum", scene.cam_from_world, focals_px, seed=0) == []
+    with pytest.raises(InputError, match=r"wrong\.tum: expected poses"):
+        readings.check(graph, "wrong.tum", lie.inverse(scene.cam_from_world), focals_px, seed=0)
 
 
 def test_poses_of_another_clip_are_refused_and_poor_ones_are_flagged(scene: Scene, tmp_path: Path) -> None:

@@ -33,6 +33,22 @@ def test_maps_are_resampled_where_their_cells_lie(source: int, target: int) -> N
     assert_allclose(graph.resample(ramp, source)[0, inside], expected[inside], atol=4 / 32 * source)
 
 
+def test_pixels_that_are_not_square_are_looked_up_where_they_lie() -> None:
+    """fy = 2 fx: the graph counts rows by halves, maps and masks of the flow grid do not."""
+    flow, confidence = np.full((2, *SIZE, 2), 3, np.float32), np.ones((2, *SIZE), np.float32)
+    square = empty_graph(8)
+    graph = build_graph(np.array([0, 1]), np.array([1, 0]), flow, confidence, 2, 8, np.array([70.0, 44.0]), 2.0)
+    assert_allclose(graph.pixels, square.pixels * [1, 0.5])
+    assert_allclose(graph.matches[0], (square.pixels + 3) * [1, 0.5])
+    assert_allclose(graph.centre, [70, 22])
+    ramp = np.tile(np.arange(SIZE[0], dtype=np.float32)[:, None], (2, 1, SIZE[1]))
+    assert_allclose(graph.resample(ramp, 1)[0], square.pixels[:, 1], atol=1 / 16)
+    static = np.ones((2, *SIZE), np.float32)
+    static[1, 120:] = 0
+    kept = mask_graph(graph, static).weights[0] > 0.5
+    assert_array_equal(kept, square.pixels[:, 1] + 3 < 119.5)
+
+
 def test_areas_of_cells_are_those_that_they_were_sampled_from() -> None:
     graph = empty_graph(8)
     values = np.arange(len(graph.pixels)).reshape(1, graph.rows, graph.columns)
