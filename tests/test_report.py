@@ -25,6 +25,7 @@ from stages.report.sections import STAGE_FIGURES, build_section
 from stages.shared import charts
 from stages.shared.artifacts import read_metadata, write_json, write_table
 from stages.shared.cameras import read_cameras, write_cameras
+from stages.shared.images import write_image
 from stages.shared.run_inputs import read_run_inputs
 
 PUBLISHED = REPO / "workflow" / "resources" / "published.yaml"
@@ -307,6 +308,7 @@ def test_what_the_user_handed_in_stands_on_the_first_screen_and_marks_the_tables
     write_json(folder / "masks/masks.json", {"options": {"source": "/data/{sequence}/masks"}, "given": "instances"})
     metadata = read_metadata(folder / "ba/poses.parquet")
     about = metadata | {"options": metadata["options"] | {"depth_from": "/data/depth"}, "given_depth": "scale 3"}
+    write_image(folder / "figures/motion.png", run.picture(0))
     write_cameras(folder / "ba/poses.parquet", read_cameras(folder / "ba/poses.parquet"), about)
     run.score(folder)
     report_stage.main([folder], PUBLISHED, tmp_path / "index.html", tmp_path / "tables", ReportOptions())
@@ -315,6 +317,7 @@ def test_what_the_user_handed_in_stands_on_the_first_screen_and_marks_the_tables
     assert f"Given: masks (/data/{folder.name}/masks: instances), depth (/data/depth: scale 3)" in first
     assert "Not estimated: given masks, given depth." in first
     assert "(not estimated: given masks, given depth)" in page
+    assert "Motion prior: how likely" not in page  # its picture is of an earlier run
     masks = pq.read_table(tmp_path / "tables/masks.parquet").to_pylist()
     assert {row["method"] for row in masks} == {"motion prior", "given masks"}
     files = folder / "flow/pairs.arrow", [folder / "masks"], [folder / "ba/poses.parquet"] * 3

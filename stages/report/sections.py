@@ -16,6 +16,7 @@ from stages.shared.artifacts import read_dense, read_json, read_metadata, read_t
 from stages.shared.drawing import spread
 from stages.shared.images import numbered_frames, read_rgb
 from stages.shared.masks import read_instances, read_masks
+from stages.shared.run_inputs import PRIOR_MASKS, mask_source
 from stages.shared.tables import Row, Table, read_rows
 
 SHOWN_FRAMES = 4
@@ -241,7 +242,12 @@ def _stage_figures(folder: Path) -> list[Figure]:
     found = []
     for name, title in STAGE_FIGURES.items():
         path = folder / "figures" / f"{name}.png"
-        if path.exists():
+        if path.exists() and not (name == "motion" and _left_out_motion(folder)):
             picture = embedding.webp(read_rgb(path), embedding.STAGE_WIDTH_PX, embedding.STAGE_MAX_BYTES)
             found.append(Figure(title, picture, f"Picture of the {name} stage: {title}", True))
     return found
+
+
+def _left_out_motion(folder: Path) -> bool:
+    """Whether the masks are not made from a motion prior, so that its picture is that of an earlier run."""
+    return (folder / "masks/masks.json").exists() and mask_source(folder / "masks") not in PRIOR_MASKS

@@ -16,7 +16,9 @@ MASKS = {
 }
 """Names of masks, by `segment.source`; any other source is the path of masks that the user handed in."""
 GIVEN_MASKS = "given masks"
-ESTIMATED_MASKS = ("refined", "prior", "none")
+PRIOR_MASKS = ("refined", "prior")
+"""Sources of masks that are made from the motion prior."""
+ESTIMATED_MASKS = (*PRIOR_MASKS, "none")
 """Sources of masks that take nothing but the frames."""
 ESTIMATE, TRUTH = "estimate", "truth"
 WITH_MASKS = ", with "
@@ -72,7 +74,7 @@ def read_run_inputs(flow: Path, masks: Sequence[Path], poses: Sequence[Path]) ->
     """
     source = mask_source(masks[-1])
     taken = ", ".join(found.name for found in taken_inputs(flow, masks[-1], poses[-1])) or None
-    masked_from = len(poses) - len(masks) + 1 if source in ("refined", "prior") else 1
+    masked_from = len(poses) - len(masks) + 1 if source in PRIOR_MASKS else 1
     return RunInputs(mask_name(source), taken, masked_from)
 
 
