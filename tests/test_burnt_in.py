@@ -167,7 +167,7 @@ def test_no_flow_no_motion_and_no_mask_there(marked: tuple[Path, np.ndarray], tm
     assert (read_dense(prior)["probability"][:, mask] == 0).all()
     everywhere = read_dense(prior)
     write_dense(prior, everywhere | {"probability": np.ones_like(everywhere["probability"])}, {})
-    segment_stage.main(sequence, flow, prior, tmp_path / "masks", figure, SegmentOptions(source="prior"))
+    segment_stage.main(sequence, tmp_path / "masks", figure, SegmentOptions(source="prior"), flow, prior)
     assert (read_mask(tmp_path / "masks" / "frame_0003.png") == ~mask).all()
 
 

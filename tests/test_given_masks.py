@@ -110,7 +110,8 @@ def test_masks_of_colmap_mark_what_stays(tmp_path: Path, frames: Sequence) -> No
     folder = tmp_path / "masks"
     folder.mkdir()
     names = [path.name for path in frames.frames]
-    clip = type("Fixed", (Clip,), {"__init__": lambda _: None, "names": names, "mask": lambda _, k: labels()[k] > 0})
+    parts = {"content": frames, "names": names, "mask": lambda _, k: labels()[k] > 0}
+    clip = type("Fixed", (Clip,), {"__init__": lambda _: None, **parts})
     write_masks(folder, clip())
     assert (folder / "frame_0001.png.png").exists()
     found, kind = taken(folder, frames)

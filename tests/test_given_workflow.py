@@ -9,10 +9,11 @@ from conftest import run_snakemake, write_frames
 from test_workflow import planned, with_options
 
 from stages.configuration import config as configuration
-from stages.configuration.given_cameras import camera_files, check_camera_files
+from stages.configuration import given_inputs
 from stages.shared.artifacts import write_json, write_table
 from stages.shared.errors import InputError
 from stages.shared.run_inputs import read_run_inputs
+from stages.shared.sequences import check_sequence
 
 
 def test_poses_that_are_held_fixed_need_two_rounds_and_are_an_input(repo_copy: Path) -> None:
@@ -24,7 +25,6 @@ def test_poses_that_are_held_fixed_need_two_rounds_and_are_an_input(repo_copy: P
     assert planned(result) == {"inspect", "flow", "motion", "segment", "ba", "poses"}
     counts = dict(re.findall(r"^(\w+) +(\d+)$", result.stdout, re.MULTILINE))
     assert {name: int(counts[name]) for name in ("motion", "segment", "ba")} == {"motion": 2, "segment": 2, "ba": 4}
-    assert len(re.findall(r"^ +input: .*\bone\.tum\b", result.stdout, re.MULTILINE)) == 2
     assert result.stdout.count("--intrinsics 1200 --zoom auto --poses-from '{sequence}.tum' --poses-as fixed") == 4
     (repo_copy / "two.tum").unlink()
     refused = run_snakemake(repo_copy, "poses", *with_options(repo_copy, mine))
@@ -63,23 +63,26 @@ def test_what_a_run_was_given_is_named(tmp_path: Path, options: dict, named: str
     write_table(tmp_path / "flow.parquet", {"source": np.zeros(1)}, {"source": "dis"})
     write_table(tmp_path / "poses.parquet", {"frame": np.zeros(1)}, {"options": options | {"depth_from": "estimate"}})
     write_json(tmp_path / "masks" / "masks.json", {"options": {"source": "refined"}})
-    assert read_run_inputs(tmp_path / "flow.parquet", [tmp_path / "masks"], [tmp_path / "poses.parquet"]).truth == named
+    assert read_run_inputs(tmp_path / "flow.parquet", [tmp_path / "masks"], [tmp_path / "poses.parquet"]).taken == named
 
 
 def test_one_file_for_several_sequences_is_refused(tmp_path: Path) -> None:
     cameras = tmp_path / "cameras.txt"
     cameras.touch()
+    one, two = (check_sequence(name, write_frames(tmp_path / name)) for name in ("one", "two"))
     config = configuration.load({"intrinsics": str(cameras)})
-    check_camera_files(config, ["one"])
-    with pytest.raises(InputError, match=r"intrinsics: expected a path with \{sequence\}.*each of the 2 sequences"):
-        check_camera_files(config, ["one", "two"])
-    check_camera_files(configuration.load({"intrinsics": "exif"}), ["one", "two"])
+    given_inputs.check([(config, [one])])
+    with pytest.raises(InputError, match=r"ba.intrinsics: expected \{sequence\} in the path.* names of 2 sequences"):
+        given_inputs.check([(config, [one, two])])
+    given_inputs.check([(configuration.load({"intrinsics": "exif"}), [one, two])])
 
 
-def test_the_files_of_a_model_are_those_that_are_read(tmp_path: Path) -> None:
-    model = tmp_path / "one" / "sparse"
-    model.mkdir(parents=True)
-    for name in ("cameras.txt", "images.txt", "points3D.txt"):
-        (model / name).touch()
-    config = configuration.load({"ba": {"poses_from": f"{tmp_path}/{{sequence}}/sparse"}})
-    assert camera_files(config, "one") == [model / "cameras.txt", model / "images.txt"]
+def test_a_rewritten_camera_file_is_noticed(tmp_path: Path) -> None:
+    cameras = tmp_path / "cameras.txt"
+    cameras.write_text("1 PINHOLE 64 48 50 50 32 24")
+    one = check_sequence("one", write_frames(tmp_path / "one"))
+    config = configuration.load({"intrinsics": str(cameras)})
+    before = given_inputs.digest(config, "ba", one)
+    cameras.write_text("1 PINHOLE 64 48 55 55 32 24 ")
+    assert given_inputs.digest(config, "ba", one) != before
+    assert given_inputs.digest(config, "flow", one) == ""

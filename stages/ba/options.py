@@ -19,9 +19,8 @@ class BAOptions(Options):
     zoom: Literal["auto", "yes", "no"] = Field(
         "auto", description="whether the focal length changes over the frames; auto: if that explains held-out pixels"
     )
-    poses_from: str = Field(
-        ESTIMATE,
-        min_length=1,
+    poses_from: Literal["estimate", "truth"] | Annotated[str, Field(min_length=1)] = Field(
+        "estimate",
         description="estimate cameras, or take the true poses and K, or those of a TUM file, the folder of a COLMAP "
         "model or a transforms.json; {sequence} in its path stands for the name of the sequence",
     )

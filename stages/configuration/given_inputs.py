@@ -7,8 +7,11 @@ from functools import partial
 from pathlib import Path
 
 from stages.configuration.config import Config
+from stages.configuration.config import section as section_of
 from stages.given import depth, flow, masks
+from stages.given.cameras_files import find_cameras
 from stages.given.files import PLACEHOLDER, of_sequence
+from stages.given.intrinsics import parse
 from stages.shared.errors import InputError
 from stages.shared.options import allowed_words
 from stages.shared.sequences import Sequence, frames_digest
@@ -19,6 +22,8 @@ FINDERS: Mapping[str, Find] = {
     "segment.evidence": partial(masks.find_masks, option="segment.evidence"),
     "flow.source": flow.find_flow,
     "ba.depth_from": depth.find_depths,
+    "ba.poses_from": lambda path, _: find_cameras(path),
+    "ba.intrinsics": lambda path, _: find_cameras(path),
 }
 """Options whose value may be the path of what the user hands in, with the function that lists its files."""
 
@@ -66,8 +71,8 @@ def added_edges(config: Config, sequence: Sequence) -> int:
 
 def digest(config: Config, section: str, sequence: Sequence) -> str:
     """What changes when a file is added or rewritten that the user hands in under a section; "" if there is none."""
-    folders = [of_sequence(path, sequence.name) for path in given(config, section).values()]
-    found = [path for folder in folders for path in sorted(folder.iterdir()) if path.is_file()]
+    paths = [of_sequence(path, sequence.name) for path in given(config, section).values()]
+    found = [file for path in paths for file in (sorted(path.iterdir()) if path.is_dir() else [path]) if file.is_file()]
     return frames_digest(found) if found else ""
 
 
@@ -79,12 +84,14 @@ def _find(config: Config, option: str, path: str, sequence: Sequence) -> list[Pa
 
 
 def _path_in(config: Config, option: str) -> str | None:
-    """The path that an option holds; None if it holds a word, or nothing."""
-    section, name = option.split(".")
-    value = getattr(getattr(config, section), name)
+    """The path that an option holds; None if it holds a word or numbers, or nothing."""
+    name, key = option.split(".")
+    value = getattr(section_of(config, name), key)
+    if option == "ba.intrinsics":
+        return parse(value).path or None
     return None if value is None or value in _words(config, option) else str(value)
 
 
 def _words(config: Config, option: str) -> list[str]:
-    section, name = option.split(".")
-    return allowed_words(type(getattr(config, section)).model_fields[name].annotation)
+    name, key = option.split(".")
+    return allowed_words(type(getattr(config, name)).model_fields[key].annotation)

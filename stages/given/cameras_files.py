@@ -7,20 +7,13 @@ import numpy as np
 from stages.given import cameras, poses
 from stages.given.cameras_colmap import find_model, read_cameras, read_model
 from stages.given.cameras_transforms import read_transforms
+from stages.given.files import of_sequence
 from stages.given.intrinsics import parse
 from stages.given.intrinsics_exif import focal_of_frames
 from stages.given.poses_tum import read_tum
 from stages.shared.cameras import centred_intrinsics
 from stages.shared.errors import InputError
 from stages.shared.sequences import Sequence
-
-PLACE = "{sequence}"
-"""Stands for the name of a sequence in a path."""
-
-
-def path_of(text: str, name: str) -> Path:
-    """The path that an option gives for the sequence of this name."""
-    return Path(text.replace(PLACE, name))
 
 
 def read_intrinsics(text: str, frames: Sequence) -> np.ndarray:
@@ -32,7 +25,7 @@ def read_intrinsics(text: str, frames: Sequence) -> np.ndarray:
     option = parse(text)
     source: Path | str = f"intrinsics: {text}"
     if option.kind == "file":
-        source = path_of(option.path, frames.name)
+        source = of_sequence(option.path, frames.name)
         K = _shared(source, frames)
     elif option.kind == "exif":
         K = centred_intrinsics(focal_of_frames(frames), frames.width, frames.height)
@@ -50,7 +43,7 @@ def read_poses(text: str, frames: Sequence) -> tuple[np.ndarray, np.ndarray | No
     Raises:
         InputError: for a file that cannot be read, frames without a pose, and cameras that cannot be right.
     """
-    path = path_of(text, frames.name)
+    path = of_sequence(text, frames.name)
     require(path)
     read = read_model if path.is_dir() else read_transforms if path.suffix == ".json" else read_tum
     found = read(path)
@@ -63,8 +56,13 @@ def read_poses(text: str, frames: Sequence) -> tuple[np.ndarray, np.ndarray | No
     return found.cam_from_world[index], Ks
 
 
-def files_of(path: Path) -> list[Path]:
-    """The files that are read of a given path: those of a COLMAP model, else itself."""
+def find_cameras(path: Path) -> list[Path]:
+    """The files that are read of a given path: those of a COLMAP model, else itself.
+
+    Raises:
+        InputError: if it does not exist.
+    """
+    require(path)
     return list(find_model(path) or []) if path.is_dir() else [path]
 
 

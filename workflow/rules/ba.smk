@@ -8,7 +8,6 @@ rule ba:
         previous_convergence=optional("ba", "ba/convergence.parquet", before=1),
         previous_figure=optional("ba", "figures/ba.png", before=1),
         previous_masks=optional("segment", "masks", before=1),
-        given=given_camera_files,
     output:
         poses="<results>/{dataset}/{seq}/{setting}{round}ba/poses.parquet",
         trajectory="<results>/{dataset}/{seq}/{setting}{round}ba/trajectory.tum",

@@ -23,7 +23,6 @@ from stages.configuration import (
     compared_runs,
     config as configuration,
     datasets,
-    given_cameras,
     given_inputs,
     plan,
     required_truth,
@@ -85,8 +84,6 @@ try:
             )
             for setting in listed
         )
-        for setting in (CONFIGURED, *SWEPT, *SCALED):
-            given_cameras.check_camera_files(setting.config, SEQUENCES)
 except InputError as error:
     sys.stderr.write(f"{error}\n")
     sys.exit(2)
@@ -240,12 +237,6 @@ def optional_flags(*names):
         )
 
     return of_paths
-
-
-def given_camera_files(wildcards):
-    """The files of cameras that the user gives to `ba`, which runs again when they change."""
-    config = setting_of(wildcards).config
-    return list(map(str, given_cameras.camera_files(config, known_sequence(wildcards))))
 
 
 def scene_file(wildcards):
