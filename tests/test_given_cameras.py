@@ -73,11 +73,11 @@ def test_what_we_export_is_read_back(tmp_path: Path) -> None:
 @pytest.mark.parametrize("kind", ["text", "binary"])
 def test_models_of_pycolmap(tmp_path: Path, kind: str) -> None:
     """A camera for every other image, of images at half the size, whose names hold a folder."""
-    folder = colmap_model(tmp_path, "SIMPLE_PINHOLE", [[40.0, 20.0, 18.0], [44.0, 22.0, 19.8]], (48, 32))
+    folder = colmap_model(tmp_path, "SIMPLE_PINHOLE", [[40.0, 20.0, 18.0], [44.0, 20.0, 18.0]], (48, 32))
     poses, Ks = read_poses(str(folder / kind), FRAMES)
     assert np.allclose(poses, truth.CAM_FROM_WORLD, atol=1e-12)
     assert Ks is not None
-    small = intrinsics([40.0, 44.0], [40.0, 44.0], [19.5, 21.5], [17.5, 19.3])
+    small = intrinsics([40.0, 44.0], [40.0, 44.0], 19.5, 17.5)
     assert np.allclose(Ks[:2], scale_intrinsics(small, 2), atol=1e-9)
     assert np.allclose(Ks[2:4], Ks[:2])
     with pytest.raises(InputError, match="expected one camera for all frames, found 2 that differ; name the whole"):
@@ -256,6 +256,13 @@ def test_transforms_of_blender(tmp_path: Path) -> None:
 def test_wrong_transforms_are_named(tmp_path: Path, change: dict, top: dict, said: str) -> None:
     with pytest.raises(InputError, match=said):
         read_poses(str(write_transforms(tmp_path / "transforms.json", change, **top)), FRAMES)
+
+
+def test_the_lenses_of_a_file_do_not_matter_where_others_are_given(tmp_path: Path) -> None:
+    path = write_transforms(tmp_path / "transforms.json", {"fl_x": 95.0, "cx": 60.0})
+    poses, Ks = read_poses(str(path), FRAMES, lenses=False)
+    assert np.allclose(poses, truth.CAM_FROM_WORLD)
+    assert Ks is None
 
 
 @pytest.mark.parametrize(

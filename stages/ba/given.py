@@ -122,7 +122,7 @@ def _poses(frames: Sequence, options: BAOptions) -> tuple[np.ndarray | None, np.
         return None, None
     if options.poses_from == TRUTH:
         return from_truth.true_poses(frames), np.tile(_true_intrinsics(frames), (len(frames.numbers), 1, 1))
-    return read_poses(options.poses_from, frames)
+    return read_poses(options.poses_from, frames, lenses=options.intrinsics == ESTIMATE)
 
 
 def _intrinsics(frames: Sequence, text: str) -> np.ndarray:

@@ -35,10 +35,10 @@ def read_intrinsics(text: str, frames: Sequence) -> np.ndarray:
     return K
 
 
-def read_poses(text: str, frames: Sequence) -> tuple[np.ndarray, np.ndarray | None]:
+def read_poses(text: str, frames: Sequence, lenses: bool = True) -> tuple[np.ndarray, np.ndarray | None]:
     """cam_from_world [T, 4, 4] and Ks [T, 3, 3] px of the frames from what `ba: {poses_from: ...}` names.
 
-    The Ks are None for TUM's format, which has none, and a transforms.json without.
+    The Ks are None for TUM's format, which has none, and a transforms.json without, and without `lenses`.
 
     Raises:
         InputError: for a file that cannot be read, frames without a pose, and cameras that cannot be right.
@@ -48,7 +48,7 @@ def read_poses(text: str, frames: Sequence) -> tuple[np.ndarray, np.ndarray | No
     read = read_model if path.is_dir() else read_transforms if path.suffix == ".json" else read_tum
     found = read(path)
     index = poses.of_frames(path, found, frames)
-    if found.lenses is None:
+    if found.lenses is None or not lenses:
         return found.cam_from_world[index], None
     Ks = np.stack([cameras.in_frames(path, found.lenses[k], frames) for k in index])
     cameras.check_range(path, Ks, frames)

@@ -15,8 +15,8 @@ class App {
     this.quality = 1;  // share of the resolution that is drawn while things move
     this.range = this.splats.depthRange(model.cameraAt(0), 0);
     this.view.stand(model.cameraAt(0));
-    this.view.distance = this.splats.depthAt(this.view, this.plain(this.view.frame), this.view.frame.width / 2,
-      this.view.frame.height / 2) ?? 1;
+    const [, , cx, cy] = this.view.lens;  // what lies there is on the axis about which the camera orbits
+    this.view.distance = this.splats.depthAt(this.view, this.plain(this.view.frame), cx, cy) ?? 1;
     this.panel = new Panel(this);
     this.flyBy = listenToKeys(this);
     listenToPointers(this, canvas);
