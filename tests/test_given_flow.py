@@ -146,6 +146,7 @@ def test_all_edges_given_leave_nothing_to_estimate(
     assert np.all(content["flow"][0] == STEP)
     assert np.all(content["confidence"][:, :, : W // 2] == 0)
     assert np.all(content["confidence"][0, 10:-10, W // 2 : -10] == 0.75)
+    assert np.all(content["confidence"][0, :, -3:] == 0)  # it leaves the frame
 
 
 WRONG: dict[str, tuple[Callable[[int, int], np.ndarray], str]] = {

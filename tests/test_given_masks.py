@@ -272,7 +272,7 @@ def test_masks_as_evidence_add_what_does_not_move(tmp_path: Path, frames: Sequen
     for path in frames.frames:
         Image.fromarray(picture).save(path)
     still = np.zeros((T, H, W), np.float32)
-    write_dense(tmp_path / "prior.arrow", {"frame": np.arange(1, T + 1), "probability": still, "weight": still + 3})
+    write_dense(tmp_path / "prior.arrow", {"frame": np.arange(1, T + 1), "probability": still, "weight": still})
     links = {"source": np.arange(T - 1), "target": np.arange(1, T), "flow": np.zeros((T - 1, H, W, 2), np.float16)}
     write_dense(tmp_path / "pairs.arrow", links | {"confidence": np.ones((T - 1, H, W), np.float16)})
     write_json(tmp_path / "sequence.json", sequence_to_json(frames))
