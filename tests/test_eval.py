@@ -146,8 +146,8 @@ def test_a_round_without_masks_says_so(scored: Path) -> None:
     tables = [scored / "round1/ba/poses.parquet", scored / "ba/poses.parquet"]
     inputs = read_run_inputs(scored / "flow/pairs.arrow", [scored / "masks"], tables)
     first, last = score_poses.own_candidates(tables, [(1.0, 1.0, 1)] * 2, inputs)
-    assert first.protocol == "from ground truth: nothing; no masks; after round 1 of 2"
-    assert last.protocol == "from ground truth: nothing; refined masks; after round 2 of 2"
+    assert first.protocol == "not estimated: nothing; no masks; after round 1 of 2"
+    assert last.protocol == "not estimated: nothing; refined masks; after round 2 of 2"
 
 
 def test_a_stuck_fit_is_a_problem_and_a_still_scene_has_none(scored: Path, tmp_path: Path) -> None:
