@@ -30,6 +30,7 @@ EFFECTS = {
     "specular": {"exponent": 50, "strength": 1},
     "fog": {"density": 0.05, "colour": [0.6, 0.6, 0.6]},
     "motion_blur": {"shutter": 0.5, "samples": 4},
+    "rolling_shutter": {"readout": 0.6},
     "defocus": {"focus": 5, "aperture_px": 4},
     "vignette": {"strength": 0.4},
     "flicker": {"amplitude": 0.1, "rows": 100, "hz": 5},

@@ -15,6 +15,7 @@ ALL: dict[str, dict[str, Any]] = {
     "specular": {"exponent": 20, "strength": 2},
     "fog": {"density": 0.2, "colour": [0.5, 0.6, 0.7]},
     "motion_blur": {"shutter": 0.5, "samples": 3},
+    "rolling_shutter": {"readout": 0.8},
     "defocus": {"focus": 2.0, "aperture_px": 3},
     "vignette": {"strength": 0.5},
     "flicker": {"amplitude": 0.2, "rows": 20, "hz": 5},
@@ -50,7 +51,8 @@ def test_this_file_covers_every_effect() -> None:
 @pytest.mark.parametrize("name", [*ALL, None])
 def test_only_listed_effects_run(name: str | None, monkeypatch: pytest.MonkeyPatch) -> None:
     calls: dict[str, int] = {}
-    modules = {effect: (frames, "_motion_blur") if effect == "motion_blur" else (effects, effect) for effect in ALL}
+    of_time = ("motion_blur", "rolling_shutter")
+    modules = {effect: (frames, f"_{effect}") if effect in of_time else (effects, effect) for effect in ALL}
 
     def counted(effect: str, run: Any) -> Any:
         def call(*args: Any) -> Any:

@@ -15,6 +15,17 @@ class MotionBlur(Options):
     samples: int = Field(8, ge=2, le=64, description="number of times that are averaged")
 
 
+class RollingShutter(Options):
+    """Rows are exposed one after the other, the middle one at the time of the frame.
+
+    The ground truth and the clean pass are those of that time in all rows: what a global shutter sees.
+    """
+
+    readout: float = Field(
+        ge=-1, le=1, description="time from the first row to the last, in frames; negative: the last row comes first"
+    )
+
+
 class Defocus(Options):
     """Thin-lens blur by depth."""
 
@@ -77,6 +88,7 @@ class Effects(Options):
     specular: Specular | None = None
     fog: Fog | None = None
     motion_blur: MotionBlur | None = None
+    rolling_shutter: RollingShutter | None = None
     defocus: Defocus | None = None
     vignette: Vignette | None = None
     flicker: Flicker | None = None

@@ -1,7 +1,7 @@
 """The effects of the final pass, one function each; `frames.final` runs those that a scene lists, in this order.
 
-shadows, specular and fog act on the radiance of surface points; motion blur averages whole images; the others act on
-one image [H, W, 3] in linear RGB.
+shadows, specular and fog act on the radiance of surface points; motion blur and rolling shutter decide at which times
+pixels see the scene (`frames`); the others act on one image [H, W, 3] in linear RGB.
 """
 
 import numpy as np

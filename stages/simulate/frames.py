@@ -90,15 +90,18 @@ def final(stage: Stage, frame: int, moment: Moment, seen: Seen, clean: np.ndarra
         frame: 0-based index. seen: surfaces of this frame. clean: [H, W, 3] radiance without effects.
     """
     listed, measure = stage.scene.effects, stage.watch.measure
-    radiance = clean
+    radiance, depth = clean, seen.hits.depth
+    if listed.rolling_shutter:
+        with measure("rolling_shutter"):
+            radiance, depth = _rolling_shutter(stage, frame)
     if listed.motion_blur:
         with measure("motion_blur"):
             radiance = _motion_blur(stage, frame)
-    elif any(getattr(listed, name) for name in OF_LIGHT):
+    elif not listed.rolling_shutter and any(getattr(listed, name) for name in OF_LIGHT):
         radiance = develop(stage, moment, seen, with_effects=True)
     if listed.defocus:
         with measure("defocus"):
-            radiance = effects.defocus(listed.defocus, radiance, seen.hits.depth.reshape(radiance.shape[:2]))
+            radiance = effects.defocus(listed.defocus, radiance, depth.reshape(radiance.shape[:2]))
     if listed.vignette:
         with measure("vignette"):
             radiance = effects.vignette(listed.vignette, radiance)
@@ -156,10 +159,47 @@ def _motion_blur(stage: Stage, frame: int) -> np.ndarray:
     uv = pixel_grid(*shape[:2]).reshape(-1, 2)
     total = np.zeros((len(uv), 3))
     for k, offset in enumerate(pixel_offsets(blur.samples)):
-        moment = stage.moment(frame + blur.shutter * ((k + 0.5) / blur.samples - 0.5))
-        hits = cast(moment.snapshot, moment.view, uv + offset)
-        total += _radiance(stage, moment, hits, surface_at(stage, moment, hits), with_effects=True)
+        time = frame + blur.shutter * ((k + 0.5) / blur.samples - 0.5)
+        if stage.scene.effects.rolling_shutter:
+            total += _row_by_row(stage, time, uv + offset, np.arange(len(uv)))[0]
+        else:
+            total += _look(stage, stage.moment(time), uv + offset)[0]
     return total.reshape(shape) / blur.samples
+
+
+def _rolling_shutter(stage: Stage, frame: int) -> tuple[np.ndarray, np.ndarray]:
+    """Radiance [H, W, 3] and depth [H W] of an image whose rows are exposed one after the other."""
+    height, width = stage.scene.height, stage.scene.width
+    uv = pixel_grid(height, width).reshape(-1, 2)
+    radiance, hits = _row_by_row(stage, frame, uv, np.arange(len(uv)))
+    edges = np.flatnonzero(edge_pixels(hits, stage.world, height, width))
+    if len(edges):
+        places = (uv[edges, None] + SUBPIXELS).reshape(-1, 2)
+        finer, _ = _row_by_row(stage, frame, places, np.repeat(edges, len(SUBPIXELS)))
+        radiance[edges] = finer.reshape(-1, len(SUBPIXELS), 3).mean(axis=1)
+    return radiance.reshape(height, width, 3), hits.depth
+
+
+def _row_by_row(stage: Stage, frame: float, uv: np.ndarray, pixels: np.ndarray) -> tuple[np.ndarray, Hits]:
+    """Radiance [n, 3] and surface points of rays through uv [n, 2], each at the time of the row of its pixel [n].
+
+    Args:
+        frame: time of the middle row. pixels: indices in 0..H W in ascending order.
+    """
+    rolling, height = stage.scene.effects.rolling_shutter, stage.scene.height
+    assert rolling is not None
+    rows = pixels // stage.scene.width
+    times = frame + rolling.readout * (np.arange(height) / (height - 1) - 0.5)
+    parts = np.split(np.arange(len(uv)), np.flatnonzero(np.diff(rows)) + 1)
+    looks = [_look(stage, stage.moment(times[rows[part[0]]]), uv[part]) for part in parts]
+    hits = Hits(*(np.concatenate(column) for column in zip(*(seen for _, seen in looks), strict=True)))
+    return np.concatenate([radiance for radiance, _ in looks]), hits
+
+
+def _look(stage: Stage, moment: Moment, uv: np.ndarray) -> tuple[np.ndarray, Hits]:
+    """Radiance [n, 3], with the effects OF_LIGHT, and surface points of rays through uv [n, 2] at one time."""
+    hits = cast(moment.snapshot, moment.view, uv)
+    return _radiance(stage, moment, hits, surface_at(stage, moment, hits), with_effects=True), hits
 
 
 def _radiance(stage: Stage, moment: Moment, hits: Hits, surface: Surface, with_effects: bool) -> np.ndarray:
