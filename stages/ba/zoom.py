@@ -1,26 +1,17 @@
-"""Whether the focal length changes over the frames: decided by what it buys on pixels held out of the fit.
-
-A focal length per frame lowers the residuals of any flow a little. So cameras with one focal length and cameras with
-one per frame are fitted to the pixels of every other tile of the image, and compared on the tiles between.
-"""
+"""Whether the focal length changes over the frames: decided by what it buys on pixels held out of the fit."""
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from stages.ba import dba, initialise, twoview
-from stages.ba.dba import FocalPrior, Level, State, Unknowns
-from stages.ba.graph import MIN_MATCHES, MIN_WEIGHT, FlowGraph
+from stages.ba import held_out, initialise, twoview
+from stages.ba.dba import FocalPrior, State, Unknowns
+from stages.ba.graph import MIN_MATCHES, FlowGraph
 from stages.ba.uncertainty import solution_covariance
 from stages.shared import lie
 
-TILES = (4, 6)
-"""Rows and columns of the tiles of an image."""
-SCHEDULE = (Level(1.0, 12, 1e-3), Level(0.5, 15, 1e-4))
-SHARP, SHARP_PX = 2.0, (0.05, 0.5)
-"""Robust scale of the comparison in units of the median residual, and its limits in px."""
 MIN_GAIN = 0.04
 """Share of the held-out cost that a changing focal length must save."""
 SIGNIFICANT = 3.0
@@ -59,15 +50,6 @@ class Evidence:
 NOT_TESTED = Evidence("not tested", "the camera does not move, its focal length is given, or the options exclude it")
 
 
-@dataclass(frozen=True)
-class _Fit:
-    """Cameras fitted to half of the tiles: their cost there, and that of every match [E, P] of the other half."""
-
-    state: State
-    cost: float
-    held_out: np.ndarray
-
-
 def judge(gain: float, gain_sigma: float, change: float, change_sigma: float) -> tuple[str, str]:
     """Decision and reason from the numbers of `Evidence`."""
     saved = f"it saves {100 * gain:.1f} +- {100 * gain_sigma:.1f} % of the cost of held-out pixels"
@@ -92,14 +74,13 @@ def weigh(
         density: pixels of `graph` over those of the graph that the final cameras are fitted to.
     """
     began = time.process_time()
-    odd = _odd(_tiles(graph))
-    fitted, held_out = (replace(graph, weights=graph.weights * half) for half in (~odd, odd))
-    one = _fit(fitted, held_out, fixed, ONE, prior)
-    best = _fit(fitted, held_out, fixed, PER_FRAME, prior)
-    if _gain(graph, one, best)[0] > SUSPECTED_GAIN or _change(graph, best.state) > SUSPECTED_CHANGE:
-        others = [_fit(fitted, held_out, state, PER_FRAME, prior) for state in search()]
+    parts = held_out.halves(graph)
+    one = held_out.fit(parts, fixed, ONE, prior, "zoom")
+    best = held_out.fit(parts, fixed, PER_FRAME, prior, "zoom")
+    if held_out.gain(graph, (one, best))[0] > SUSPECTED_GAIN or _change(graph, best.state) > SUSPECTED_CHANGE:
+        others = [held_out.fit(parts, state, PER_FRAME, prior, "zoom") for state in search()]
         best = min((best, *others), key=lambda fit: fit.cost)
-    gain, gain_sigma = _gain(graph, one, best)
+    gain, gain_sigma = held_out.gain(graph, (one, best))
     change, change_sigma = _change(graph, best.state), float(np.sqrt(density)) * _change_sigma(graph, best.state)
     decision, reason = judge(gain, gain_sigma, change, change_sigma)
     seconds = time.process_time() - began
@@ -141,43 +122,6 @@ def curve_of_pairs(graph: FlowGraph, focal_px: float, step: int, threshold_px: f
     smooth = [np.median(filled[max(k - SMOOTHED * step, 0) : k + SMOOTHED * step + 1]) for k in reach]
     logs = np.append(0.0, np.cumsum(smooth))
     return np.asarray(np.exp(logs - logs.mean()))
-
-
-def _tiles(graph: FlowGraph) -> np.ndarray:
-    """Number of the tile of every pixel [P], row by row."""
-    rows, columns = (np.arange(n) * tiles // n for n, tiles in zip((graph.rows, graph.columns), TILES, strict=True))
-    return (rows[:, None] * TILES[1] + columns).ravel()
-
-
-def _odd(tiles: np.ndarray) -> np.ndarray:
-    """Which tiles are held out: every other one, as on a chessboard."""
-    return np.asarray((tiles // TILES[1] + tiles % TILES[1]) % 2 == 1)
-
-
-def _fit(fitted: FlowGraph, held_out: FlowGraph, state: State, unknowns: Unknowns, prior: FocalPrior) -> _Fit:
-    """Cameras fitted to one half; the depth of a held-out pixel is its own best one, as it is for any camera."""
-    state, _ = dba.solve(fitted, state, SCHEDULE, unknowns, prior, "zoom")
-    state = initialise.search_depth(held_out, state, SCHEDULE[-1].sigma_px)
-    errors = dba.errors_px(held_out, state)
-    return _Fit(state, dba.robust_cost(fitted, dba.errors_px(fitted, state), SCHEDULE[-1].sigma_px), errors)
-
-
-def _gain(graph: FlowGraph, one: _Fit, per_frame: _Fit) -> tuple[float, float]:
-    """Share of the held-out cost that one focal length per frame saves, and its standard error over the tiles."""
-    tiles = _tiles(graph)
-    weights = graph.weights * _odd(tiles)
-    residual_px = float(np.median(per_frame.held_out[weights > MIN_WEIGHT])) if (weights > MIN_WEIGHT).any() else 1.0
-    sigma_px = np.float32(np.clip(SHARP * residual_px, *SHARP_PX))
-
-    def costs(fit: _Fit) -> np.ndarray:
-        """Robust cost [P] of every pixel, summed over its matches in all frames."""
-        ratio = (fit.held_out / sigma_px) ** 2
-        return np.asarray((weights * ratio / (1 + ratio)).sum(axis=0, dtype=float))
-
-    before = costs(one)
-    saved = np.bincount(tiles, before - costs(per_frame))[np.unique(tiles[_odd(tiles)])]
-    total = max(float(before.sum()), 1e-12)
-    return float(saved.sum() / total), float(np.sqrt(len(saved)) * saved.std(ddof=1) / total)
 
 
 def _seen(graph: FlowGraph) -> np.ndarray:
