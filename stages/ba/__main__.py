@@ -7,7 +7,7 @@ from typing import Annotated
 import cv2
 import numpy as np
 
-from stages.ba import cuts, dba, diagnostics, from_truth, given, outputs, rounds
+from stages.ba import cuts, dba, diagnostics, from_truth, given, outputs, rounds, shutter
 from stages.ba.depth import DepthMaps, depth_maps
 from stages.ba.given_depth import given_depth_maps
 from stages.ba.graph import (
@@ -57,9 +57,10 @@ def main(
 ) -> str:
     """Estimate camera poses, focal lengths and depth from flow and masks.
 
-    All frames share one focal length unless pixels held out of the fit are explained much better by one per frame.
-    With the masks and all results of the round before, itself not the first, nothing is estimated where the static area
-    is still the same: these results are carried over.
+    All frames share one focal length unless pixels held out of the fit are explained much better by one per frame. All
+    rows count as exposed at once unless these are explained much better by a rolling shutter: poses are then those of
+    the middle row. With the masks and all results of the round before, itself not the first, nothing is estimated where
+    the static area is still the same: these results are carried over.
 
     Masks that leave too little static area, or a worse path, are ignored: `masks_trusted` in poses.parquet is false for
     these frames, and later stages follow it. A camera that only rotates, or hardly moves, is detected and solved with
@@ -90,6 +91,10 @@ def main(
     if solution.static is not None:
         static, graph = solution.static, mask_graph(everything, solution.static)
     fine = mask_graph(matches.graph(options.depth_stride_px, known), static)
+    if solution.rolling.decision == "rolling":
+        at_pixels = shutter.resampled(solution.state, graph, fine)
+        fine = shutter.correct(fine, at_pixels, solution.rolling.readout)
+        graph = shutter.correct(graph, solution.state, solution.rolling.readout)
     maps = depth_maps(fine, graph, solution.state, static, solution.camera in ("moving", "near-still"))
     stride_px = options.depth_stride_px / matches.scale
     maps, told = _taken_depth(maps, solution.state, known, frames, stride_px, options)

@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 
+from stages.ba import shutter, zoom
 from stages.ba.classify import FLOOR_PX, RESIDUAL_RATIO, Statistics, longest_step
 from stages.ba.graph import MIN_WEIGHT, FlowGraph
 from stages.ba.initialise import Candidate
-from stages.ba.zoom import MIN_GAIN, SIGNIFICANT, Evidence
 from stages.shared import lie
 
 ROUGH_PATH = 0.2
@@ -67,12 +67,25 @@ def of_focal(camera: str, focal: Mapping[str, Any]) -> list[str]:
     return []
 
 
-def of_zoom(evidence: Evidence) -> list[str]:
+def of_zoom(evidence: zoom.Evidence) -> list[str]:
     """A warning if a focal length that changes explains the flow, but not observably so."""
-    explains = evidence.gain is None or evidence.gain >= max(MIN_GAIN, SIGNIFICANT * (evidence.gain_sigma or 0.0))
+    explains = evidence.gain is None or evidence.gain >= max(
+        zoom.MIN_GAIN, zoom.SIGNIFICANT * (evidence.gain_sigma or 0.0)
+    )
     if evidence.decision != "not observable" or not explains:
         return []
     return [f"the focal length may change over the frames, which is not observable: {evidence.reason}"]
+
+
+def of_shutter(evidence: shutter.Evidence) -> list[str]:
+    """A warning about a rolling shutter, also where it explains the flow, but not observably so."""
+    gain, gain_sigma = evidence.gain or 0.0, evidence.gain_sigma or 0.0
+    if evidence.decision == "rolling":
+        taken = "poses are those of the middle row; later stages take a frame as exposed at once"
+        return [f"rolling shutter: {evidence.reason}; {taken}"]
+    if evidence.decision == "not observable" and gain >= max(shutter.MIN_GAIN, shutter.SIGNIFICANT * gain_sigma):
+        return [f"the shutter may roll, which is not observable: {evidence.reason}"]
+    return []
 
 
 def of_rounds(now: Mapping[str, Any], before: Mapping[str, Any]) -> list[str]:

@@ -4,7 +4,7 @@ from dataclasses import asdict, replace
 
 import numpy as np
 
-from stages.ba import classify, dba, diagnostics, initialise, rotation, trim, zoom
+from stages.ba import classify, dba, diagnostics, initialise, rotation, shutter, trim, zoom
 from stages.ba.classify import Statistics
 from stages.ba.dba import FocalPrior, Level, State, Step, Unknowns
 from stages.ba.graph import MIN_MATCHES, FlowGraph, favour_distance, shared_matches
@@ -27,6 +27,9 @@ FINE_PX = (1.0, 0.5)
 """Robust scales of the refinement in px, before the last one."""
 SHARP, SHARP_PX = 2.0, (0.05, 0.5)
 """The last robust scale in units of the median residual, and its limits in px."""
+
+CORRECTIONS = 2
+"""Corrections of the matches for a rolling shutter, each from a better solution than the one before."""
 
 
 def estimate(problem: Problem, options: BAOptions) -> Estimate:
@@ -56,7 +59,7 @@ def _estimate(problem: Problem, options: BAOptions) -> Estimate:
         return _failure(graph, problem.known_focal_px or prior.focal_px)
     statistics = classify.measure(graph, problem.known_focal_px, options.seed)
     if statistics.camera == "rotating":
-        rotations = _estimate_rotations(problem, statistics, prior)
+        rotations = _estimate_rotations(problem, statistics, prior, options)
         if rotations.failed_checks:
             focal_px = rotations.state.focal_px
             statistics = classify.measure(graph, focal_px, options.seed, classify.longest_step(graph))
@@ -74,6 +77,19 @@ def _estimate(problem: Problem, options: BAOptions) -> Estimate:
     cameras = found.state
     state = initialise.initial_state(graph, cameras.cam_from_world, cameras.focal_px, FINE_PX[0], cameras.zoom)
     refined, focal = _refine(problem, statistics, replace(found, state=state), prior)
+    rolling = _rolling(graph, refined.state, focal, prior, options)
+    if rolling.decision == "rolling":
+        turned = classify.measure(
+            shutter.correct(graph, refined.state, rolling.readout), problem.known_focal_px, options.seed
+        )
+        if turned.camera == "rotating":  # rows at different times look like parallax
+            rotations = _estimate_rotations(problem, turned, prior, options)
+            if not rotations.failed_checks:
+                return rotations
+        for _ in range(CORRECTIONS):
+            problem = replace(problem, graph=shutter.correct(graph, refined.state, rolling.readout))
+            refined, focal = _refine(problem, statistics, refined, prior)
+        graph = problem.graph
     residual_px = median_residual(graph, refined.state)
     against = diagnostics.of_solution(replace(found, state=refined.state), start.others, statistics, residual_px)
     steps = [step for candidate in (*start.others, found) for step in candidate.steps] + refined.steps
@@ -83,7 +99,19 @@ def _estimate(problem: Problem, options: BAOptions) -> Estimate:
     evidence = start.zoom or NOT_TESTED
     if turning and turning.zoom.decision == "not observable" and refined.state.zoom is None:
         evidence = turning.zoom
-    return replace(solution, zoom=evidence, flags=solution.flags + diagnostics.of_zoom(evidence))
+    flags = solution.flags + diagnostics.of_zoom(evidence) + diagnostics.of_shutter(rolling)
+    return replace(solution, zoom=evidence, rolling=rolling, flags=flags)
+
+
+def _rolling(
+    graph: FlowGraph, state: State, focal: Focal, prior: FocalPrior, options: BAOptions, translation: bool = True
+) -> shutter.Evidence:
+    """Evidence for a rolling shutter from the solution without one."""
+    if options.rolling_shutter == "no":
+        return shutter.NOT_TESTED
+    free = focal.decision in ("estimated", "weakly observed")
+    unknowns = Unknowns(free, translation, free and state.zoom is not None)
+    return shutter.weigh(graph, state, unknowns, prior, options.rolling_shutter == "yes")
 
 
 def _start(
@@ -102,14 +130,20 @@ def _start(
     return find_start(replace(observed, tested=tested, assumed=options.zoom == "yes"))
 
 
-def _estimate_rotations(problem: Problem, statistics: Statistics, prior: FocalPrior) -> Estimate:
-    state, steps = rotation.solve_rotations(problem.graph, prior, problem.known_focal_px)
-    sigma = focal_sigma(problem.graph, state, translation=False)
-    focal = Focal("weakly observed" if sigma > WEAK_FOCAL else "estimated", sigma)
-    if problem.known_focal_px:
-        focal = Focal("known", 0.0)
-    against = diagnostics.of_rotations(problem.graph, dba.errors_px(problem.graph, state))
-    return _finish(problem, statistics, state, focal, against, steps)
+def _estimate_rotations(problem: Problem, statistics: Statistics, prior: FocalPrior, options: BAOptions) -> Estimate:
+    graph = problem.graph
+    state, steps = rotation.solve_rotations(graph, prior, problem.known_focal_px)
+    known = Focal("known", 0.0) if problem.known_focal_px else None
+    rolling = _rolling(graph, state, known or Focal("estimated", None), prior, options, translation=False)
+    if rolling.decision == "rolling":
+        for _ in range(CORRECTIONS):
+            graph = shutter.correct(problem.graph, state, rolling.readout)
+            state, steps = rotation.solve_rotations(graph, prior, problem.known_focal_px)
+    sigma = focal_sigma(graph, state, translation=False)
+    focal = known or Focal("weakly observed" if sigma > WEAK_FOCAL else "estimated", sigma)
+    against = diagnostics.of_rotations(graph, dba.errors_px(graph, state))
+    solution = _finish(replace(problem, graph=graph), statistics, state, focal, against, steps)
+    return replace(solution, rolling=rolling, flags=solution.flags + diagnostics.of_shutter(rolling))
 
 
 def _estimate_turning_zoom(problem: Problem, statistics: Statistics, prior: FocalPrior) -> Estimate:

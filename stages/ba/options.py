@@ -19,6 +19,9 @@ class BAOptions(Options):
     zoom: Literal["auto", "yes", "no"] = Field(
         "auto", description="whether the focal length changes over the frames; auto: if that explains held-out pixels"
     )
+    rolling_shutter: Literal["auto", "yes", "no"] = Field(
+        "auto", description="whether rows are exposed one after the other; auto: if that explains held-out pixels"
+    )
     poses_from: Literal["estimate", "truth"] | Annotated[str, Field(min_length=1)] = Field(
         "estimate",
         description="estimate cameras, or take the true poses and K, or those of a TUM file, the folder of a COLMAP "

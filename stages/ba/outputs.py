@@ -41,6 +41,7 @@ def pose_metadata(solution: Estimate, flags: list[str], static: np.ndarray, opti
         "camera": solution.camera,
         "focal": solution.focal,
         "zoom": asdict(solution.zoom),
+        "rolling_shutter": asdict(solution.rolling),
         "statistics": {name: _or_null(value) for name, value in solution.statistics.items()},
         "residual_px": _or_null(solution.residual_px),
         "flags": flags,

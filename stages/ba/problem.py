@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from stages.ba import shutter
 from stages.ba.dba import State, Step
 from stages.ba.graph import FlowGraph
 from stages.ba.start import PoseGuess
@@ -56,6 +57,7 @@ class Estimate:
         failed_checks: checks of the statistics that the solution failed, in words; flags: these and other warnings.
         static: [T, height, width] 0..1, the static area used instead of the input masks; None: the masks were kept.
         zoom: the decision whether the focal length changes over the frames.
+        rolling: the decision whether rows are exposed one after the other.
     """
 
     state: State
@@ -69,3 +71,4 @@ class Estimate:
     steps: list[Step] = field(default_factory=list)
     static: np.ndarray | None = None
     zoom: Evidence = NOT_TESTED
+    rolling: shutter.Evidence = shutter.NOT_TESTED

@@ -1,0 +1,200 @@
+"""Rolling shutter: rows that are exposed one after the other, each with a camera pose of its own.
+
+The camera at the time of a row is interpolated between the poses of neighbouring frames, which are those of the middle
+row. What that changes in a match is computed from the present solution and taken out of it; the adjustment then goes on
+as if all rows were exposed at once. One unknown, the readout time of all rows as a share of the frame interval, is
+decided by what it buys on pixels held out of the fit.
+
+A camera at constant velocity hardly shows it: the motion within a frame then differs from that between frames only by
+the rows that a pixel moves up or down, which depth, focal length and speed make up for.
+"""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from stages.ba import held_out, reduced
+from stages.ba.dba import FocalPrior, State, Unknowns
+from stages.ba.graph import MIN_WEIGHT, FlowGraph, thin_graph
+from stages.ba.held_out import SHARP, SHARP_PX, Fit
+from stages.ba.kernel import MIN_DEPTH_RATIO
+from stages.ba.uncertainty import CORRELATION, MIN_NOISE_PX
+from stages.shared import lie
+
+PIXELS = 400
+"""The readout is decided on a grid of about this many pixels per frame."""
+PROBE, PASSES, TRIES = 0.3, 2, 4
+"""The first readout that is tried; corrections of the matches at each; and the most readouts that are tried."""
+SETTLED = 0.01
+"""A change of the readout below this is none."""
+MIN_GAIN = 0.04
+"""Share of the held-out cost that a rolling shutter must save."""
+SIGNIFICANT = 3.0
+"""The gain, and the readout, must exceed this many of their standard deviations."""
+MAX_SIGMA = 0.15
+"""From this predicted error on, the readout is not observable."""
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """The decision about a rolling shutter and the numbers behind it.
+
+    Attributes:
+        decision: "rolling", "global", "not observable" or "not tested"; reason: why, in words.
+        gain: share of the cost of held-out pixels that a rolling shutter saves; gain_sigma: its standard error.
+        threshold: the gain from which on the shutter rolls, if that is significant.
+        readout: time from the first row to the last, in frames; negative if the last row comes first; 0: not known.
+        readout_sigma: its predicted error.
+        seconds: CPU time of the decision.
+    """
+
+    decision: str
+    reason: str
+    gain: float | None = None
+    gain_sigma: float | None = None
+    threshold: float | None = None
+    readout: float = 0.0
+    readout_sigma: float | None = None
+    seconds: float = 0.0
+
+
+NOT_TESTED = Evidence("not tested", "there are no poses, or the options exclude it")
+
+
+def path_of(cam_from_world: np.ndarray) -> CubicSpline:
+    """A curve [6] over time in frames: its change from frame k on is the left twist of the camera since that frame.
+
+    A cubic spline through the sum of the twists from frame to frame: the twists of neighbouring frames nearly commute.
+    """
+    steps = lie.log_se3(cam_from_world[1:] @ lie.inverse(cam_from_world[:-1]))
+    return CubicSpline(np.arange(len(cam_from_world)), np.append(np.zeros((1, 6)), np.cumsum(steps, axis=0), axis=0))
+
+
+def row_times(graph: FlowGraph, v: np.ndarray) -> np.ndarray:
+    """Time of image rows v after the middle row, of any shape, in units of the readout."""
+    return np.asarray(v / (graph.height - 1) - 0.5)
+
+
+def shifts(graph: FlowGraph, state: State, readout: float) -> np.ndarray:
+    """How far [E, P, 2] px matches move because source pixel and match are exposed at the time of their rows."""
+    path, moved = path_of(state.cam_from_world), np.zeros(graph.matches.shape, np.float32)
+    relative, focals_px = reduced.relative_motions(graph, state.cam_from_world), state.focals_px
+    source_times = readout * row_times(graph, graph.pixels[:, 1])
+    for e, (i, j) in enumerate(zip(graph.source, graph.target, strict=True)):
+        R, d = relative[e, :3, :3], state.inverse_depth[i]
+        rays = np.column_stack([(graph.pixels - graph.centre) / focals_px[i], np.ones(len(d))])
+        begun = _moved(rays, d, path(i) - path(i + source_times))
+        at_once, begun = (points @ R.T + d[:, None] * relative[e, :3, 3] for points in (rays, begun))
+        target_times = readout * row_times(graph, graph.matches[e, :, 1])
+        in_turn = _moved(begun, d, path(j + target_times) - path(j))
+        before, after = _project(at_once, focals_px[j]), _project(in_turn, focals_px[j])
+        ahead = np.minimum(at_once[:, 2], in_turn[:, 2]) > MIN_DEPTH_RATIO
+        moved[e] = np.where(ahead[:, None], after - before, 0.0)
+    return moved
+
+
+def correct(graph: FlowGraph, state: State, readout: float) -> FlowGraph:
+    """The matches as a shutter would show them that exposes all rows at the time of the middle one."""
+    return replace(graph, matches=graph.matches - shifts(graph, state, readout))
+
+
+def resampled(state: State, solved: FlowGraph, graph: FlowGraph) -> State:
+    """The state of one graph with inverse depths at the pixels of another."""
+    maps = state.inverse_depth.reshape(solved.T, solved.rows, solved.columns)
+    return replace(state, inverse_depth=graph.resample(maps, solved.stride))
+
+
+def _project(points: np.ndarray, focal_px: float) -> np.ndarray:
+    """Pixels [n, 2] about the principal point of scaled points [n, 3]."""
+    return np.asarray(focal_px * points[:, :2] / np.maximum(points[:, 2:], MIN_DEPTH_RATIO))
+
+
+def _moved(points: np.ndarray, d: np.ndarray, twists: np.ndarray) -> np.ndarray:
+    """Points [n, 3], scaled by their inverse depths d [n], after small motions [n, 6], to second order in the turn."""
+    step = np.cross(twists[:, 3:], points) + d[:, None] * twists[:, :3]
+    return np.asarray(points + step + np.cross(twists[:, 3:], step) / 2)
+
+
+def judge(gain: float, gain_sigma: float, readout: float, readout_sigma: float) -> tuple[str, str]:
+    """Decision and reason from the numbers of `Evidence`."""
+    saved = f"it saves {100 * gain:.1f} +- {100 * gain_sigma:.1f} % of the cost of held-out pixels"
+    words = f"{saved}; the readout would take {readout:.2f} +- {readout_sigma:.2f} of the frame interval"
+    if readout_sigma > MAX_SIGMA:
+        return "not observable", words
+    explains = gain >= max(MIN_GAIN, SIGNIFICANT * gain_sigma)
+    return "rolling" if explains and abs(readout) >= SIGNIFICANT * readout_sigma else "global", words
+
+
+def weigh(graph: FlowGraph, state: State, unknowns: Unknowns, prior: FocalPrior, assumed: bool) -> Evidence:
+    """Evidence for a rolling shutter from the best cameras without one.
+
+    Args:
+        unknowns: those of the cameras that were free. assumed: whether it is taken without a test.
+    """
+    began = time.process_time()
+    factor = max(1, int(np.sqrt(len(graph.pixels) / PIXELS)))
+    coarse = thin_graph(graph, factor)
+    density = len(coarse.pixels) / len(graph.pixels)
+    state = resampled(state, graph, coarse)
+
+    def fit(readout: float, state: State) -> Fit:
+        for _ in range(PASSES if readout else 1):
+            halves = held_out.halves(correct(coarse, state, readout))
+            found = held_out.fit(halves, state, unknowns, prior, "shutter")
+            state = found.state
+        return found
+
+    tried, curvature = _search(coarse, fit, state)
+    readout = min(tried, key=lambda at: tried[at].cost)
+    gain, gain_sigma = held_out.gain(coarse, (tried[0.0], tried[readout]))
+    sigma_px = _sharp_scale(tried[readout].held_out, held_out.halves(coarse)[1])
+    sigma = CORRELATION * max(sigma_px / SHARP, MIN_NOISE_PX) * float(np.sqrt(density / max(curvature, 1e-300)))
+    decision, reason = judge(gain, gain_sigma, readout, sigma)
+    if assumed:
+        decision, reason = "rolling", f"as the options say; {reason}"
+    seconds = time.process_time() - began
+    return Evidence(decision, reason, gain, gain_sigma, MIN_GAIN, readout, sigma, seconds)
+
+
+def _search(graph: FlowGraph, fit: Callable[[float, State], Fit], state: State) -> tuple[dict[float, Fit], float]:
+    """Fits at the readouts that were tried, 0 and at least one more, and the curvature of the cost there, px^2.
+
+    The residuals of the best cameras at two readouts give their derivative by the readout, and this the next one.
+    """
+    fitted = held_out.halves(graph)[0]
+    last, readout, tried = 0.0, PROBE, {0.0: fit(0.0, state)}
+    before = _residuals(graph, tried[last].state, last)
+    for _ in range(TRIES):
+        tried[readout] = fit(readout, tried[last].state)
+        now = _residuals(graph, tried[readout].state, readout)
+        slope = (now - before) / (readout - last)
+        errors = np.linalg.norm(now, axis=2)
+        inlier = 1 / (1 + (errors / _sharp_scale(errors, fitted)) ** 2) ** 2
+        squared = inlier * (slope**2).sum(axis=2)
+        step = -(fitted.weights * inlier * (now * slope).sum(axis=2)).sum() / max(
+            (fitted.weights * squared).sum(), 1e-300
+        )
+        last, before, readout = readout, now, float(np.clip(readout + step, -1, 1))
+        if any(abs(readout - at) < SETTLED for at in tried):
+            break
+    return tried, float((graph.weights * squared).sum())
+
+
+def _residuals(graph: FlowGraph, state: State, readout: float) -> np.ndarray:
+    """Residuals [E, P, 2] px of the corrected matches."""
+    relative, focals_px = reduced.relative_motions(graph, state.cam_from_world), state.focals_px
+    residuals = correct(graph, state, readout).matches - graph.centre
+    for e, (i, j) in enumerate(zip(graph.source, graph.target, strict=True)):
+        rays = np.column_stack([(graph.pixels - graph.centre) / focals_px[i], np.ones(len(graph.pixels))])
+        points = rays @ relative[e, :3, :3].T + state.inverse_depth[i][:, None] * relative[e, :3, 3]
+        residuals[e] -= _project(points, focals_px[j])
+    return np.asarray(residuals)
+
+
+def _sharp_scale(errors: np.ndarray, graph: FlowGraph) -> float:
+    """Robust scale in px at errors [E, P] in px: twice their median, within limits."""
+    sure = graph.weights > MIN_WEIGHT
+    return float(np.clip(SHARP * np.median(errors[sure]), *SHARP_PX)) if sure.any() else SHARP_PX[1]

@@ -1,0 +1,107 @@
+"""A rolling shutter: found where held-out pixels call for it, taken out of the matches, and absent elsewhere."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from rolled import FOCAL, hand, observe_rolled
+from synthetic import make_scene, observe, trajectory_error
+
+from stages.ba import dba, shutter
+from stages.ba.dba import State
+from stages.ba.estimate import estimate
+from stages.ba.graph import MIN_WEIGHT, thin_graph
+from stages.ba.options import BAOptions
+from stages.ba.problem import Estimate, Problem
+from stages.shared import lie
+
+OPTIONS = BAOptions(start_focals=(1.05,), zoom="no")
+SHAKY = hand(0.02, 0.03)
+T = 10
+
+
+def solve(readout: float, rolling_shutter: str = "auto") -> Estimate:
+    graph, _ = observe_rolled(SHAKY, readout)
+    return estimate(Problem(graph, masked=True), OPTIONS.model_copy(update={"rolling_shutter": rolling_shutter}))
+
+
+def test_matches_of_a_rolling_shutter_are_corrected_to_those_of_the_middle_row() -> None:
+    """The oracle moves every row with the true path; the correction knows only the poses of the frames."""
+    graph, depth = observe_rolled(SHAKY, 0.8, noise_px=0.0)
+    state = State(SHAKY(np.arange(T)), graph.resample(1 / depth, 1), FOCAL * graph.width)
+    sure = graph.weights > MIN_WEIGHT
+    raw, corrected = (dba.errors_px(given, state)[sure] for given in (graph, shutter.correct(graph, state, 0.8)))
+    assert np.median(raw) > 0.05
+    assert np.median(corrected) < 0.06 * np.median(raw)
+
+
+def test_small_motions_of_rows_are_those_of_the_exponential() -> None:
+    rng = np.random.default_rng(1)
+    points, d, twists = rng.normal((0, 0, 4), 1, (50, 3)), rng.uniform(0.1, 1, 50), rng.normal(0, 0.01, (50, 6))
+    poses = lie.exp_se3(twists)
+    exact = np.einsum("nab,nb->na", poses[:, :3, :3], points) + d[:, None] * poses[:, :3, 3]
+    assert_allclose(shutter._moved(points, d, twists), exact, atol=1e-4)
+
+
+def test_the_correction_by_the_readout_grows_as_finite_differences_of_the_path_say() -> None:
+    """Its derivative at no readout: the speed of the image at either end of a match, times its row."""
+    graph = observe(make_scene(T=5), stride=8)
+    state = State(SHAKY(np.arange(5.0)), np.full((5, len(graph.pixels)), 0.2), 80.0)
+    path, step = shutter.path_of(state.cam_from_world), 1e-4
+    derivative = (shutter.shifts(graph, state, step) - shutter.shifts(graph, state, -step)) / (2 * step)
+
+    def projected(e: int, source_step: float, target_step: float) -> np.ndarray:
+        """Pixels [P, 2] with the cameras of both ends moved along the path, in frames."""
+        i, j = graph.source[e], graph.target[e]
+        ends = (i, source_step), (j, target_step)
+        source, target = (lie.exp_se3(path(k + by) - path(k)) @ state.cam_from_world[k] for k, by in ends)
+        points = np.insert((graph.pixels - graph.centre) / 80.0, [2, 2], [1.0, 0.2], axis=1)
+        points = points @ (target @ lie.inverse(source)).T
+        return np.asarray(80.0 * points[:, :2] / points[:, 2:3])
+
+    for e in (0, 5):
+        here = shutter.row_times(graph, graph.pixels[:, 1])[:, None]
+        there = shutter.row_times(graph, graph.matches[e, :, 1])[:, None]
+        of_source, of_target = (projected(e, *ends) - projected(e, *-np.array(ends)) for ends in ((1e-4, 0), (0, 1e-4)))
+        assert_allclose(derivative[e], (here * of_source + there * of_target) / 2e-4, atol=0.02)
+
+
+@pytest.mark.parametrize("readout", [0.6, -0.6])
+def test_a_rolling_shutter_is_found_with_its_readout_and_better_poses(readout: float) -> None:
+    solution, truth = solve(readout), SHAKY(np.arange(T))
+    assert solution.rolling.decision == "rolling"
+    assert solution.rolling.readout == pytest.approx(readout, abs=0.05)
+    assert trajectory_error(solution.state.cam_from_world, truth) < 2.5e-3
+    assert any("rolling shutter" in flag for flag in solution.flags)
+    if readout > 0:
+        at_once = solve(readout, "no")
+        assert trajectory_error(at_once.state.cam_from_world, truth) > 1e-2
+
+
+def test_without_one_the_solution_is_that_of_a_global_shutter_to_the_bit() -> None:
+    tested, off = solve(0.0), solve(0.0, "no")
+    assert (tested.rolling.decision, off.rolling.decision) == ("global", "not tested")
+    assert_allclose(tested.state.cam_from_world, off.state.cam_from_world, rtol=0, atol=0)
+    assert tested.flags == off.flags
+
+
+def test_depths_are_carried_to_other_pixels() -> None:
+    graph, depth = observe_rolled(SHAKY, 0.0, T=3)
+    state = State(SHAKY(np.arange(3)), graph.resample(1 / depth, 1), FOCAL * graph.width)
+    coarse = thin_graph(graph, 3)
+    assert_allclose(shutter.resampled(state, graph, coarse).inverse_depth, coarse.resample(1 / depth, 1), rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("numbers", "decision"),
+    [
+        ((0.2, 0.02, 0.5, 0.05), "rolling"),
+        ((0.2, 0.02, -0.5, 0.05), "rolling"),
+        ((0.01, 0.001, 0.5, 0.05), "global"),
+        ((0.2, 0.1, 0.5, 0.05), "global"),
+        ((0.2, 0.02, 0.1, 0.05), "global"),
+        ((0.2, 0.02, 0.9, 0.2), "not observable"),
+    ],
+    ids=["clear", "from the bottom", "too little gain", "gain by chance", "no larger than its error", "blind"],
+)
+def test_the_decision_follows_gain_and_readout_and_their_errors(numbers: tuple[float, ...], decision: str) -> None:
+    assert shutter.judge(*numbers)[0] == decision
