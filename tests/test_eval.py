@@ -52,6 +52,16 @@ def test_the_change_of_a_focal_length_is_shown_as_the_largest_over_the_smallest(
     assert unit == "%, largest over smallest"
 
 
+def test_the_decision_about_the_shutter_is_shown_with_its_numbers(tmp_path: Path) -> None:
+    (tmp_path / "ba").mkdir()
+    cameras = make_cameras(run.CAM_FROM_WORLD, run.K, np.arange(run.T))
+    write_cameras(tmp_path / "ba/poses.parquet", cameras, run.DECIDED)
+    assert pose_diagnostics.decisions(run.DECIDED)["shutter"] == "rolling"
+    rows = {row["statistic"]: row["value"] for row in pose_diagnostics.statistic_rows(tmp_path)}
+    assert rows[pose_diagnostics.STATISTICS["shutter_readout_percent"][0]] == pytest.approx(70.0)
+    assert rows[pose_diagnostics.STATISTICS["shutter_gain_percent"][0]] == pytest.approx(30.0)
+
+
 def test_the_focal_curve_is_scored_where_the_true_one_changes() -> None:
     zoom = np.linspace(1, 1.2, run.T)[:, None, None] * [[1, 0, 0], [0, 1, 0], [0, 0, 0]] + np.diag([0, 0, 1])
     truth = make_cameras(run.CAM_FROM_WORLD, run.K @ zoom, np.arange(run.T))

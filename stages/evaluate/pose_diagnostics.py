@@ -9,8 +9,12 @@ import numpy as np
 from stages.shared.artifacts import read_metadata
 from stages.shared.tables import Column, Row, Table, read_rows
 
-DECISIONS = ("camera", "focal", "focal_reason", "focal_sigma_percent", "zoom", "zoom_reason", "warnings", "flags")
+DECISIONS = (
+    *("camera", "focal", "focal_reason", "focal_sigma_percent", "zoom", "zoom_reason"),
+    *("shutter", "shutter_reason", "warnings", "flags"),
+)
 ZOOM_NUMBERS = ("gain", "threshold", "gain_sigma", "change", "change_sigma")
+SHUTTER_NUMBERS = ("gain", "threshold", "gain_sigma", "readout", "readout_sigma")
 CAMERA_NAMES = {"rotating": "rotation-only"}
 COLUMNS = (
     Column("camera", "camera"),
@@ -19,6 +23,8 @@ COLUMNS = (
     Column("focal_reason", "why it was held", long=True),
     Column("zoom", "its change over frames"),
     Column("zoom_reason", "why", long=True),
+    Column("shutter", "shutter"),
+    Column("shutter_reason", "why", long=True),
     Column("warnings", "warnings"),
     Column("flags", "warnings in words", long=True),
 )
@@ -109,6 +115,28 @@ STATISTICS: Mapping[str, tuple[str, str, str]] = {
         "%",
         "From 8 % on a change is not observable, and the focal length is held constant.",
     ),
+    "shutter_gain_percent": (
+        "held-out cost that a rolling shutter saves",
+        "%",
+        "Compared as for the zoom. If this is above the next two lines, and the readout below above three of its "
+        "errors, rows are exposed one after the other.",
+    ),
+    "shutter_threshold_percent": ("the least saving that counts", "%", "See the line before."),
+    "shutter_gain_sigma_percent": (
+        "standard error of the saving over the tiles",
+        "%",
+        "A saving of less than three of them may be chance.",
+    ),
+    "shutter_readout_percent": (
+        "readout, from the first row to the last",
+        "% of the frame interval",
+        "Negative if the last row comes first.",
+    ),
+    "shutter_readout_sigma_percent": (
+        "predicted error of the readout",
+        "% of the frame interval",
+        "From 15 % on a rolling shutter is not observable, and all rows count as exposed at once.",
+    ),
     "covariance_std_factor": (
         "factor in the predicted standard deviations",
         "",
@@ -135,6 +163,8 @@ def decisions(metadata: Mapping[str, Any]) -> Row:
         "focal_sigma_percent": None if sigma is None else 100 * sigma,
         "zoom": metadata.get("zoom", {}).get("decision"),
         "zoom_reason": metadata.get("zoom", {}).get("reason") or None,
+        "shutter": metadata.get("rolling_shutter", {}).get("decision"),
+        "shutter_reason": metadata.get("rolling_shutter", {}).get("reason") or None,
         "warnings": len(flags),
         "flags": "; ".join(flags) or None,
     }
@@ -160,8 +190,10 @@ def statistic_rows(folder: Path) -> list[Row]:
     found = about.get("statistics", {}) | {"residual_px": about.get("residual_px")}
     found["covariance_std_factor"] = about.get("covariance_std_factor")
     found["focal_sigma_percent"] = decisions(about)["focal_sigma_percent"]
-    zoom = about.get("zoom", {})
+    zoom, rolling = about.get("zoom", {}), about.get("rolling_shutter", {})
     found |= {f"zoom_{name}_percent": 100 * zoom[name] for name in ZOOM_NUMBERS if zoom.get(name) is not None}
+    if rolling.get("gain") is not None:
+        found |= {f"shutter_{name}_percent": 100 * rolling[name] for name in SHUTTER_NUMBERS}
     if zoom.get("change") is not None:
         found["zoom_change_percent"] = 100 * float(np.expm1(zoom["change"]))
     found["static_percent"] = 100 * about["static_share"] if "static_share" in about else None
