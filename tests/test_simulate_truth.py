@@ -2,14 +2,15 @@
 
 import itertools
 
+import cv2
 import numpy as np
 import pytest
 
-from stages.shared import cameras, lie
+from stages.shared import cameras, lens, lie
 from stages.shared.cameras import pixel_grid
 from stages.simulate import bvh, exact_motion, frames, raycast
 from stages.simulate.frames import Stage, set_stage
-from stages.simulate.keyframes import camera_path, right_of
+from stages.simulate.keyframes import View, camera_path, right_of
 from stages.simulate.scene import Handheld, Scene
 
 CAMERA = {
@@ -39,8 +40,9 @@ SOFT = [
 ]
 
 
-def make_stage(*objects: dict, frames: int = 4, width: int = 120, height: int = 52, **more: object) -> Stage:
-    scene = Scene(description="", frames=frames, width=width, height=height, camera=CAMERA, objects=objects, **more)
+def make_stage(*objects: dict, frames: int = 4, width: int = 120, height: int = 52, **camera: object) -> Stage:
+    camera = CAMERA | camera
+    scene = Scene(description="", frames=frames, width=width, height=height, camera=camera, objects=objects)
     return set_stage(scene, seed=3)
 
 
@@ -66,6 +68,50 @@ def test_flow_of_static_pixels_is_depth_and_cameras() -> None:
     assert {"ground", "sky"} == set(seen_body(stage, hits)[static])
     assert np.abs(moved.flow - expected)[static].max() < 1e-3
     assert np.abs(moved.flow - expected)[moved.moving].max() > 1
+
+
+def opencv_projection(points: np.ndarray, view: View, k1: float, k2: float) -> np.ndarray:
+    rotation, _ = cv2.Rodrigues(view.cam_from_world[:3, :3])
+    uv, _ = cv2.projectPoints(points, rotation, view.cam_from_world[:3, 3], view.K, np.array([k1, k2, 0, 0]))
+    return uv[:, 0]
+
+
+def test_flow_and_depth_of_a_lens_are_those_of_its_distorted_image() -> None:
+    """OpenCV projects both ends of the flow; the depth is along the axis of the camera."""
+    k1, k2 = -0.2, 0.06
+    stage = make_stage(GROUND, BLOCK, distortion={"k1": k1, "k2": k2})
+    uv, hits, moved = hits_and_motion(stage)
+    now, then = stage.view(0), stage.view(1)
+    assert np.abs(opencv_projection(hits.point, now, k1, k2) - uv).max() < 1e-6
+    assert np.allclose(cameras.project(hits.point, now.cam_from_world, now.K)[1], hits.depth)
+    static = ~moved.moving & ~moved.invalid
+    there = opencv_projection(hits.point, then, k1, k2)
+    assert np.abs(there - uv - moved.flow)[static].max() < 1e-3
+    _, _, pinhole = hits_and_motion(make_stage(GROUND, BLOCK))
+    assert np.abs(pinhole.flow - moved.flow)[static].max() > 0.3
+
+
+def test_a_lens_of_no_distortion_changes_no_pixel() -> None:
+    plain, none = make_stage(GROUND, BLOCK), make_stage(GROUND, BLOCK, distortion={"k1": 0, "k2": 0})
+    images = [
+        frames.develop(stage, moment := stage.moment(1), frames.see(stage, moment), True) for stage in (plain, none)
+    ]
+    assert np.array_equal(*images)
+
+
+@pytest.mark.parametrize("coefficients", [(-0.15, 0.0), (-0.3, 0.12), (0.2, -0.05), (-0.3, 0.0)])
+def test_the_inverse_of_a_distortion_is_exact(coefficients: tuple[float, float]) -> None:
+    k = np.array(coefficients)
+    radius = np.linspace(0, min(0.999 * lens.fold(k), 1.5), 400)
+    xy = radius[:, None] * [np.cos(0.7), np.sin(0.7)]
+    assert np.abs(lens.undistort(lens.distort(xy, k), k) - xy).max() < 1e-9
+    beyond = lens.distort(xy[-1:], k) * 3 if np.isfinite(lens.fold(k)) else xy[-1:]
+    assert np.isfinite(lens.undistort(beyond, k)).all()
+
+
+def test_a_lens_that_does_not_reach_its_corners_is_refused() -> None:
+    with pytest.raises(ValueError, match="corners"):
+        make_stage(GROUND, distortion={"k1": -0.9, "k2": 0})
 
 
 def test_flow_of_a_rigid_mover_is_its_own_motion() -> None:

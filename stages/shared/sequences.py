@@ -42,6 +42,7 @@ TRUTH_KINDS = {
     "invalid": ".png",
     "clean_right": ".png",
     "camdata_right": ".cam",
+    "distortion": ".json",
 }
 
 

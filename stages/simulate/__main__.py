@@ -36,7 +36,9 @@ KINDS = (
     "clean_right",
     "camdata_right",
 )
-FILES = ("frame_*.png", "frame_*.flo", "frame_*.dpt", "frame_*.cam")
+LENS = "distortion"
+"""Kind of the truth of a lens, of scenes that have one: {"k1": ..., "k2": ...} of every frame."""
+FILES = ("frame_*.png", "frame_*.flo", "frame_*.dpt", "frame_*.cam", "frame_*.json")
 
 
 class RenderOptions(SimulateOptions):
@@ -54,9 +56,15 @@ def main(
     drawn, name = load_scene(scene), scene.stem
     manifest = output / f"{name}.json"
     manifest.unlink(missing_ok=True)  # removed first, since it marks the sequence as complete
+    if drawn.camera.distortion is None:  # of an earlier version of the scene
+        for stale in (output / "training" / LENS / name).glob(FILES[-1]):
+            stale.unlink()
     stage = frames.set_stage(drawn, options.seed)
     with contextlib.ExitStack() as stack:
-        folders = {kind: stack.enter_context(atomic_folder(output / "training" / kind / name, FILES)) for kind in KINDS}
+        folders = {
+            kind: stack.enter_context(atomic_folder(output / "training" / kind / name, FILES))
+            for kind in kinds_of(drawn)
+        }
         before = now = stage.moment(0)
         for frame in progress(range(drawn.frames), name):
             refuse_blocked_camera(stage, now, frame, scene)
@@ -111,7 +119,14 @@ def draw_frame(stage: Stage, frame: int, now: Moment, other: Moment, folders: di
         sintel.write_dpt(folders["depth"] / f"{stem}.dpt", seen.hits.depth.reshape(clean.shape[:2]))
         for kind, view in (("camdata_left", now.view), ("camdata_right", right)):
             _write_view(folders[kind] / f"{stem}.cam", view)
+        if scene.camera.distortion is not None:
+            write_json(folders[LENS] / f"{stem}.json", scene.camera.distortion.model_dump())
         _write_motion(folders, stem, moved, clean.shape[:2], last=frame == scene.frames - 1)
+
+
+def kinds_of(scene: Scene) -> list[str]:
+    """The folders of frames and truth that a scene gets."""
+    return [*KINDS, *([] if scene.camera.distortion is None else [LENS])]
 
 
 def explanation(scene: Scene, name: str, seed: int, watch: Stopwatch) -> dict[str, object]:
@@ -126,6 +141,7 @@ def explanation(scene: Scene, name: str, seed: int, watch: Stopwatch) -> dict[st
         "width": scene.width,
         "height": scene.height,
         "objects": {shape.name: shape.kind for shape in scene.objects},
+        "distortion": scene.camera.distortion and scene.camera.distortion.model_dump(),
         "effects": {effect: getattr(scene.effects, effect).model_dump() for effect in listed},
         "not_simulated": [effect for effect in Effects.model_fields if effect not in listed],
         "seconds": {key: round(value, 4) for key, value in watch.spent.items()},

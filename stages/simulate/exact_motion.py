@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stages.shared import cameras
+from stages.shared.lens import distort, fold
 from stages.simulate.keyframes import View
 from stages.simulate.raycast import Hits, blocked, follow
 from stages.simulate.world import Snapshot, World
@@ -24,7 +25,7 @@ class Motion:
     Attributes:
         flow: [n, 2] pixels; zero where `invalid`.
         occluded: [n] bool, another surface hides the point in the other frame, inside the image or outside.
-        invalid: [n] bool, the point is behind the other camera and has no flow.
+        invalid: [n] bool, the point is behind the other camera, or beyond what its lens shows, and has no flow.
         moving: [n] bool, the point moves in the world.
     """
 
@@ -45,6 +46,11 @@ def motion(hits: Hits, uv: np.ndarray, world: World, other: Snapshot, other_view
     moved = np.linalg.norm(points - hits.point, axis=1)
     pixels, depth = cameras.project(points, other_view.cam_from_world, other_view.K)
     invalid = depth < NEAR_M
+    if other_view.lens is not None:
+        focal, centre = other_view.K[0, 0], other_view.K[:2, 2]
+        xy = (pixels - centre) / focal
+        invalid |= np.linalg.norm(xy, axis=1) > fold(other_view.lens)
+        pixels = focal * distort(xy, other_view.lens) + centre
     flow = np.where(invalid[:, None], 0.0, pixels - uv)
     occluded = blocked(other.still, other.moving, points, other_view.centre, False, SLACK)
     return Motion(flow, occluded, invalid, moved * focal_px > MOVED_PX * hits.depth)

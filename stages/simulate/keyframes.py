@@ -14,10 +14,11 @@ Curve = Callable[[float], np.ndarray]
 
 
 class View(NamedTuple):
-    """One pinhole camera: K [3, 3] in pixels, cam_from_world [4, 4]."""
+    """One camera: K [3, 3] in pixels, cam_from_world [4, 4]; k1 and k2 [2] of its lens, None for a pinhole."""
 
     K: np.ndarray
     cam_from_world: np.ndarray
+    lens: np.ndarray | None = None
 
     @property
     def centre(self) -> np.ndarray:
@@ -45,13 +46,15 @@ def camera_path(scene: Scene, seed: int) -> Callable[[float], View]:
     times = [key.time for key in keys]
     path = curve(times, [[*key.eye, *key.target, key.zoom] for key in keys])
     shake = _handheld(scene.camera.handheld, seed)
+    distortion = scene.camera.distortion
+    lens = None if distortion is None else np.array([distortion.k1, distortion.k2])
 
     def view(frame: float) -> View:
         state = path(frame / (scene.frames - 1))
         moved, turned = shake(frame / FRAMES_PER_SECOND)
         R = lie.exp_so3(turned) @ _look_at(state[:3], state[3:6])
         K = centred_intrinsics(scene.camera.focal * scene.width * state[6], scene.width, scene.height)
-        return View(K, lie.from_parts(R, -R @ (state[:3] + moved)))
+        return View(K, lie.from_parts(R, -R @ (state[:3] + moved)), lens)
 
     return view
 
@@ -60,7 +63,7 @@ def right_of(view: View, baseline: float) -> View:
     """The camera `baseline` metres to the right."""
     shifted = view.cam_from_world.copy()
     shifted[0, 3] -= baseline
-    return View(view.K, shifted)
+    return view._replace(cam_from_world=shifted)
 
 
 def _look_at(eye: np.ndarray, target: np.ndarray) -> np.ndarray:

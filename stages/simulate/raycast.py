@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from stages.shared.lens import undistort
 from stages.shared.threads import spread
 from stages.simulate.bvh import Tree, walk
 from stages.simulate.keyframes import View
@@ -35,7 +36,10 @@ class Hits(NamedTuple):
 def cast(snapshot: Snapshot, view: View, uv: np.ndarray) -> Hits:
     """The nearest surface points along the rays through pixels uv [n, 2]."""
     focal, cx, cy = view.K[0, 0], view.K[0, 2], view.K[1, 2]
-    rays = np.column_stack([(uv[:, 0] - cx) / focal, (uv[:, 1] - cy) / focal, np.ones(len(uv))])
+    xy = np.column_stack([(uv[:, 0] - cx) / focal, (uv[:, 1] - cy) / focal])
+    if view.lens is not None:
+        xy = undistort(xy, view.lens)
+    rays = np.column_stack([xy, np.ones(len(uv))])
     directions = rays @ view.cam_from_world[:3, :3]
     depth, face, bary = _nearest(snapshot.still, snapshot.moving, view.centre, directions)
     return Hits(depth, face, bary, view.centre + depth[:, None] * directions)

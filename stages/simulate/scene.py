@@ -8,10 +8,12 @@ import itertools
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
 import yaml
 from pydantic import Field, model_validator
 
 from stages.shared.errors import InputError
+from stages.shared.lens import fold
 from stages.shared.options import Options, validate
 from stages.simulate.effect_models import Effects
 from stages.simulate.shape_models import Colour, Shape, Vec3
@@ -41,13 +43,21 @@ class Handheld(Options):
     rotation_deg: float = Field(0.0, ge=0, le=20, description="degrees, standard deviation per axis")
 
 
+class Distortion(Options):
+    """Radial distortion of the lens: x_d = x (1 + k1 r^2 + k2 r^4) on rays with z = 1 (OpenCV, COLMAP's RADIAL)."""
+
+    k1: float = Field(0.0, ge=-1, le=1, description="below 0: barrel; above 0: pincushion")
+    k2: float = Field(0.0, ge=-1, le=1, description="the same of the fourth power")
+
+
 class Camera(Options):
-    """A pinhole camera on a smooth path through its keyframes."""
+    """A camera on a smooth path through its keyframes; a pinhole unless it has a distortion."""
 
     focal: float = Field(1.1, gt=0.1, le=10, description="focal length in image widths")
     keys: list[CameraKey] = Field(min_length=1, description="keyframes in order of time")
     handheld: Handheld = Handheld()
     baseline: float = Field(0.1, gt=0, le=10, description="distance of the right camera, metres")
+    distortion: Distortion | None = Field(None, description="of the lens; null: none, and nothing is computed")
 
     @model_validator(mode="after")
     def _in_order(self) -> "Camera":
@@ -89,6 +99,16 @@ class Scene(Options):
     lights: Lights = Lights()
     objects: list[Shape] = Field(min_length=1)
     effects: Effects = Effects()
+
+    @model_validator(mode="after")
+    def _sees_its_corners(self) -> "Scene":
+        lens, widest = self.camera.distortion, min(key.zoom for key in self.camera.keys) * self.camera.focal
+        if lens is not None:
+            corner = np.hypot(1, self.height / self.width) / 2 / widest
+            reach = fold(np.array([lens.k1, lens.k2]))
+            if np.isfinite(reach) and reach * (1 + reach**2 * (lens.k1 + reach**2 * lens.k2)) < corner:
+                raise ValueError("a distortion that shows something in the corners: a weaker one, or a longer lens")
+        return self
 
 
 def load_scene(path: Path) -> Scene:
