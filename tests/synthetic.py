@@ -11,6 +11,7 @@ import numpy as np
 from stages.ba.graph import FlowGraph, build_graph, mask_graph, static_areas
 from stages.shared import lie
 from stages.shared.cameras import centred_intrinsics, pixel_grid, project, unproject
+from stages.shared.lens import distort, undistort
 
 OFFSETS = (1, 2, 3)
 ROOM = (
@@ -34,6 +35,7 @@ class Scene:
         cam_from_world: [T, 4, 4]; K: [3, 3]; depth: [T, h, w]; dynamic: [T, h, w] bool, pixels on the disc.
         velocity: [3] of the disc per frame.
         zoom: [T] focal length of every frame over that of K; None: all have K.
+        lens: k1 and k2 [2] of its radial distortion; None: a pinhole.
     """
 
     cam_from_world: np.ndarray
@@ -42,6 +44,7 @@ class Scene:
     dynamic: np.ndarray
     velocity: np.ndarray
     zoom: np.ndarray | None = None
+    lens: np.ndarray | None = None
 
     @property
     def T(self) -> int:
@@ -57,6 +60,20 @@ class Scene:
         """K [3, 3] of one frame."""
         ratio = 1.0 if self.zoom is None else self.zoom[k]
         return np.asarray(self.K * [[ratio, 1, 1], [1, ratio, 1], [1, 1, 1]])
+
+    def pinhole(self, pixels: np.ndarray, k: int) -> np.ndarray:
+        """The pixels [..., 2] of frame k without the distortion."""
+        if self.lens is None:
+            return pixels
+        focal, centre = self.K_of(k)[0, 0], self.K[:2, 2]
+        return centre + focal * undistort((pixels - centre) / focal, self.lens)
+
+    def pictured(self, pixels: np.ndarray, k: int) -> np.ndarray:
+        """Where pixels [..., 2] of a pinhole are in frame k."""
+        if self.lens is None:
+            return pixels
+        focal, centre = self.K_of(k)[0, 0], self.K[:2, 2]
+        return centre + focal * distort((pixels - centre) / focal, self.lens)
 
 
 def painted(dynamic: np.ndarray) -> np.ndarray:
@@ -76,6 +93,7 @@ def make_scene(
     path: np.ndarray | None = None,
     zoom: np.ndarray | None = None,
     K: np.ndarray | None = None,
+    lens: np.ndarray | None = None,
 ) -> Scene:
     """A scene of (h, w) px.
 
@@ -83,23 +101,26 @@ def make_scene(
         motion: "curve" (translation and rotation), "rotate", "still" (3 % of the curve), or "drift" (mostly turning).
         disc_radius: radius of the moving disc at depth 2.5; 0 for a static scene.
         scale: unit of length of the world; focal: focal length in image widths; travel: share of the translation.
-        path: poses [T, 4, 4] instead of those of `motion`; zoom: [T], as in `Scene`; K: [3, 3] instead of `focal`.
+        path: poses [T, 4, 4] instead of those of `motion`; zoom: [T], lens: [2], as in `Scene`; K: [3, 3] instead of
+            that of `focal`.
     """
     h, w = size
     K = centred_intrinsics(focal * w, w, h) if K is None else K
     cam_from_world = camera_path(T, motion, travel) if path is None else path
     velocity = np.array([0.12, 0.02, 0.0]) if disc_radius else np.zeros(3)
     depth, dynamic = np.zeros((T, h, w)), np.zeros((T, h, w), bool)
-    scene = Scene(cam_from_world, K, depth, dynamic, velocity, zoom)
+    scene = Scene(cam_from_world, K, depth, dynamic, velocity, zoom, lens)
     for k in range(T):
-        depth[k] = _plane_depth(cam_from_world[k], scene.K_of(k), h, w, planes)
+        pixels = scene.pinhole(pixel_grid(h, w), k)
+        depth[k] = _plane_depth(cam_from_world[k], scene.K_of(k), pixels, planes)
         if disc_radius:
-            disc = _disc_depth(cam_from_world[k], scene.K_of(k), h, w, velocity * k + [-0.4, 0.2, 2.5], disc_radius)
+            middle = velocity * k + [-0.4, 0.2, 2.5]
+            disc = _disc_depth(cam_from_world[k], scene.K_of(k), pixels, middle, disc_radius)
             dynamic[k] = disc < depth[k]
             depth[k] = np.minimum(depth[k], disc)
     cam_from_world = cam_from_world.copy()
     cam_from_world[:, :3, 3] *= scale
-    return Scene(cam_from_world, K, depth * scale, dynamic, velocity * scale, zoom)
+    return Scene(cam_from_world, K, depth * scale, dynamic, velocity * scale, zoom, lens)
 
 
 def camera_path(T: int, motion: str, travel: float = 1.0) -> np.ndarray:
@@ -121,9 +142,10 @@ def exact_flow(scene: Scene, i: int, j: int) -> tuple[np.ndarray, np.ndarray]:
     """Flow [h, w, 2] px from frame i to j, and where its target lies in the image and in front [h, w] bool."""
     h, w = scene.depth.shape[1:]
     pixels = pixel_grid(h, w)
-    world = unproject(pixels, scene.depth[i], scene.cam_from_world[i], scene.K_of(i))
+    world = unproject(scene.pinhole(pixels, i), scene.depth[i], scene.cam_from_world[i], scene.K_of(i))
     world = world + scene.dynamic[i][..., None] * scene.velocity * (j - i)
     target, z = project(world, scene.cam_from_world[j], scene.K_of(j))
+    target = scene.pictured(target, j)
     inside = (target >= 0).all(-1) & (target[..., 0] <= w - 1) & (target[..., 1] <= h - 1) & (z > 0)
     return target - pixels, inside & _is_visible(scene, j, target, z)
 
@@ -172,16 +194,15 @@ def rotation_error_deg(cam_from_world: np.ndarray, truth: np.ndarray) -> float:
     return float(np.degrees(np.sqrt((angles**2).mean())))
 
 
-def _rays(cam_from_world: np.ndarray, K: np.ndarray, h: int, w: int) -> tuple[np.ndarray, np.ndarray]:
+def _rays(cam_from_world: np.ndarray, K: np.ndarray, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """World directions [h, w, 3] of the pixels, with z-depth 1 in the camera, and the camera centre [3]."""
-    pixels = pixel_grid(h, w)
     centre = lie.inverse(cam_from_world)[:3, 3]
-    return unproject(pixels, np.ones((h, w)), cam_from_world, K) - centre, centre
+    return unproject(pixels, np.ones(pixels.shape[:2]), cam_from_world, K) - centre, centre
 
 
-def _plane_depth(cam_from_world: np.ndarray, K: np.ndarray, h: int, w: int, planes: tuple) -> np.ndarray:
-    directions, centre = _rays(cam_from_world, K, h, w)
-    depth = np.full((h, w), np.inf)
+def _plane_depth(cam_from_world: np.ndarray, K: np.ndarray, pixels: np.ndarray, planes: tuple) -> np.ndarray:
+    directions, centre = _rays(cam_from_world, K, pixels)
+    depth = np.full(pixels.shape[:2], np.inf)
     for normal, distance in planes:
         with np.errstate(divide="ignore"):
             hit = (distance - centre @ normal) / (directions @ normal)
@@ -190,9 +211,9 @@ def _plane_depth(cam_from_world: np.ndarray, K: np.ndarray, h: int, w: int, plan
 
 
 def _disc_depth(
-    cam_from_world: np.ndarray, K: np.ndarray, h: int, w: int, middle: np.ndarray, radius: float
+    cam_from_world: np.ndarray, K: np.ndarray, pixels: np.ndarray, middle: np.ndarray, radius: float
 ) -> np.ndarray:
-    directions, centre = _rays(cam_from_world, K, h, w)
+    directions, centre = _rays(cam_from_world, K, pixels)
     hit = (middle[2] - centre[2]) / directions[..., 2]
     points = centre + hit[..., None] * directions
     return np.where((np.linalg.norm(points - middle, axis=-1) < radius) & (hit > 0), hit, np.inf)

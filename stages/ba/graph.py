@@ -58,6 +58,11 @@ class FlowGraph:
         return len(self.pointer) - 1
 
     @property
+    def corner_px(self) -> float:
+        """Distance of a corner of the flow grid from its middle."""
+        return float(np.hypot(self.width, self.height)) / 2
+
+    @property
     def rows(self) -> int:
         """Sampled rows."""
         return self.height // self.stride

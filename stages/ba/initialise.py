@@ -88,6 +88,7 @@ def initial_state(
     focal_px: float,
     sigma_px: float = 1.0,
     zoom: np.ndarray | None = None,
+    lens: np.ndarray | None = None,
 ) -> State:
     """State in the gauge from cameras alone: inverse depths are searched with the cameras fixed."""
     centres = lie.inverse(cam_from_world)[:, :3, 3]
@@ -97,7 +98,7 @@ def initial_state(
     usual_px = float(np.median(flow_px[steps == 1])) if (steps == 1).any() else 1.0
     # An inverse depth of usual_px / (focal x step) moves a pixel as far as the flow does: the search is centred there.
     middle = max(usual_px, 0.1) / (focal_px * max(reach, 1e-12))
-    state = State(cam_from_world, np.full((graph.T, len(graph.pixels)), middle), focal_px, zoom)
+    state = State(cam_from_world, np.full((graph.T, len(graph.pixels)), middle), focal_px, zoom, lens)
     return dba.normalise(search_depth(graph, dba.normalise(state), sigma_px))
 
 

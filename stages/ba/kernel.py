@@ -5,6 +5,10 @@ x is the ray of p with z = 1, d its inverse depth and p* = p + flow. The scaled 
 d, so points at infinity (d = 0) are ordinary. Local unknowns of an edge are the left twist of the target camera
 [rho, omega] and log focal; if every frame has its own focal length, the log focals of target and source instead of the
 one. `stages.ba.reduced` maps them to the unknowns of all frames. Robust weights are Geman-McClure.
+
+A lens with radial distortion maps the projection q, px about the centre, to q (1 + c1 s + c2 s^2) with
+s = |q|^2 / radius^2. Its matches are those of the distorted image, its `pixels` are undistorted, its coefficients c1
+and c2 are unknowns that all edges share.
 """
 
 from typing import NamedTuple
@@ -14,6 +18,8 @@ from numba import njit
 
 from stages.shared.threads import spread
 
+PINHOLE = np.zeros(0)
+"""In place of (c1, c2, radius in px) of a lens."""
 BLOCK = 256
 """Pixels per block: the Jacobian of a block stays in the L2 cache."""
 MIN_DEPTH_RATIO = 0.1
@@ -84,6 +90,65 @@ def _linearise(
 
 
 @njit(**FAST)
+def _linearise_lens(
+    data: EdgeMatches,
+    at: Geometry,
+    lens: np.ndarray,
+    sigma: float,
+    i: int,
+    e: int,
+    first: int,
+    J: np.ndarray,
+    D: np.ndarray,
+) -> None:
+    """As `_linearise` behind a lens: J, of 10 or 11 rows, has two for c1 and c2 before that of the residual."""
+    here, focal, last, unit = at.focals[i], at.focals[data.target[e]], len(J) - 1, 1.0 / lens[2] ** 2
+    R, t = at.R[e], at.t[e]
+    for q in range(min(BLOCK, data.pixels.shape[0] - first)):
+        p, q2 = first + q, BLOCK + q
+        d = at.inverse_depth[i, p]
+        px, py = data.pixels[p, 0] - at.centre[0], data.pixels[p, 1] - at.centre[1]
+        x, y, s_p = px / here, py / here, (px * px + py * py) * unit
+        turned_x, turned_y, turned_z = R[0, 0] * x + R[0, 1] * y, R[1, 0] * x + R[1, 1] * y, R[2, 0] * x + R[2, 1] * y
+        Z = turned_z + R[2, 2] + d * t[2]
+        ahead = Z > MIN_DEPTH_RATIO
+        f_z = focal / Z if ahead else 0.0
+        u, v = (turned_x + R[0, 2] + d * t[0]) * f_z / focal, (turned_y + R[1, 2] + d * t[1]) * f_z / focal
+        qu, qv = focal * u, focal * v
+        s_q = (qu * qu + qv * qv) * unit
+        scale, bend = 1.0 + s_q * (lens[0] + s_q * lens[1]), (2.0 * lens[0] + 4.0 * s_q * lens[1]) * unit
+        a, b = data.matches[e, p, 0] - at.centre[0] - scale * qu, data.matches[e, p, 1] - at.centre[1] - scale * qv
+        s = np.sqrt(np.float64(data.weights[e, p])) / (1.0 + (a * a + b * b) / (sigma * sigma)) if ahead else 0.0
+        J[0, q], J[0, q2] = f_z * d, 0.0
+        J[1, q], J[1, q2] = 0.0, f_z * d
+        J[2, q], J[2, q2] = -u * f_z * d, -v * f_z * d
+        J[3, q], J[3, q2] = -qu * v, -focal - qv * v
+        J[4, q], J[4, q2] = focal + qu * u, qu * v
+        J[5, q], J[5, q2] = -qv, qu
+        D[q], D[q2] = f_z * (t[0] - u * t[2]), f_z * (t[1] - v * t[2])
+        by_ray_u, by_ray_v = f_z * (turned_x - u * turned_z), f_z * (turned_y - v * turned_z)
+        J[6, q], J[6, q2] = qu, qv
+        if last == 10:
+            J[7, q], J[7, q2] = -by_ray_u, -by_ray_v
+        else:
+            J[6, q], J[6, q2] = qu - by_ray_u, qv - by_ray_v
+        # With the match fixed, c1 moves the undistorted pixel along its radius, and then the projection.
+        inward = s_p / (1.0 + s_p * (3.0 * lens[0] + 5.0 * s_p * lens[1]))
+        J[last - 2, q], J[last - 2, q2] = -inward * by_ray_u, -inward * by_ray_v
+        J[last - 1, q], J[last - 1, q2] = -inward * s_p * by_ray_u, -inward * s_p * by_ray_v
+        for row in range(last):
+            along = bend * (qu * J[row, q] + qv * J[row, q2])
+            J[row, q], J[row, q2] = s * (scale * J[row, q] + along * qu), s * (scale * J[row, q2] + along * qv)
+        along = bend * (qu * D[q] + qv * D[q2])
+        D[q], D[q2] = s * (scale * D[q] + along * qu), s * (scale * D[q2] + along * qv)
+        J[last - 2, q] += s * s_q * qu
+        J[last - 2, q2] += s * s_q * qv
+        J[last - 1, q] += s * s_q * s_q * qu
+        J[last - 1, q2] += s * s_q * s_q * qv
+        J[last, q], J[last, q2] = s * a, s * b
+
+
+@njit(**FAST)
 def _add_gram(J: np.ndarray, H: np.ndarray) -> None:
     """Add J J^T to the upper triangle of H [n, n], n the rows of J."""
     for a in range(len(J)):
@@ -95,15 +160,17 @@ def _add_gram(J: np.ndarray, H: np.ndarray) -> None:
 
 
 @njit(**FAST)
-def _add_coupling(J: np.ndarray, D: np.ndarray, edge: int, coupling: np.ndarray, curvature: np.ndarray) -> None:
-    """Fill the coupling of the rows of an edge, log focal and gradient with the inverse depths; add curvature."""
-    last, rows = coupling.shape[0] - 2, len(J) - 2
+def _add_coupling(
+    J: np.ndarray, D: np.ndarray, edge: int, rows: int, coupling: np.ndarray, curvature: np.ndarray
+) -> None:
+    """Fill the coupling of an edge, its `rows`, what is shared and the gradient, with the depths; add curvature."""
+    shared = coupling.shape[0] - (len(J) - rows)
     for q in range(BLOCK):
         q2 = BLOCK + q
         for a in range(rows):
             coupling[rows * edge + a, q] = J[a, q] * D[q] + J[a, q2] * D[q2]
-        coupling[last, q] += J[rows, q] * D[q] + J[rows, q2] * D[q2]
-        coupling[last + 1, q] += J[rows + 1, q] * D[q] + J[rows + 1, q2] * D[q2]
+        for a in range(rows, len(J)):
+            coupling[shared + a - rows, q] += J[a, q] * D[q] + J[a, q2] * D[q2]
         curvature[q] += D[q] * D[q] + D[q2] * D[q2]
 
 
@@ -126,30 +193,35 @@ def _add_frames(
     end: int,
     data: EdgeMatches,
     at: Geometry,
+    lens: np.ndarray,
     scales: np.ndarray,
+    rows: int,
     hessians: np.ndarray,
     schur: np.ndarray,
     curvatures: np.ndarray,
     gradients: np.ndarray,
 ) -> None:
-    """`normal_equations` of the source frames begin..end; scales are (sigma, damping, depth prior)."""
+    """`normal_equations` of frames begin..end; scales are (sigma, damping, depth prior), rows those of an edge."""
     sigma, damping, depth_prior = scales[0], scales[1], scales[2]
     P, size = len(data.pixels), hessians.shape[1]
     J, D, curvature = np.zeros((size, 2 * BLOCK)), np.zeros(2 * BLOCK), np.zeros(BLOCK)
     for i in range(begin, end):
         k = data.pointer[i + 1] - data.pointer[i]
-        n = (size - 2) * k + 2
+        n = rows * k + size - rows
         coupling, scaled = np.zeros((n, BLOCK)), np.zeros((n, BLOCK))
         for first in range(0, P, BLOCK):
             count = min(BLOCK, P - first)
             if count < BLOCK:
                 J[:], D[:], coupling[:] = 0.0, 0.0, 0.0
-            coupling[n - 2 :] = 0.0
+            coupling[rows * k :] = 0.0
             curvature[:] = depth_prior
             for edge in range(k):
-                _linearise(data, at, sigma, i, data.pointer[i] + edge, first, J, D)
+                if len(lens):
+                    _linearise_lens(data, at, lens, sigma, i, data.pointer[i] + edge, first, J, D)
+                else:
+                    _linearise(data, at, sigma, i, data.pointer[i] + edge, first, J, D)
                 _add_gram(J, hessians[data.pointer[i] + edge])
-                _add_coupling(J, D, edge, coupling, curvature)
+                _add_coupling(J, D, edge, rows, coupling, curvature)
             for q in range(count):
                 coupling[n - 1, q] += depth_prior * (1.0 - at.inverse_depth[i, first + q])
                 gradients[i, first + q] = coupling[n - 1, q]
@@ -159,7 +231,13 @@ def _add_frames(
 
 
 def normal_equations(
-    data: EdgeMatches, at: Geometry, sigma: float, damping: float, depth_prior: float, zoom: bool = False
+    data: EdgeMatches,
+    at: Geometry,
+    sigma: float,
+    damping: float,
+    depth_prior: float,
+    zoom: bool = False,
+    lens: np.ndarray = PINHOLE,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Local normal equations of every edge, and the Schur complement term of eliminating the inverse depths.
 
@@ -167,27 +245,37 @@ def normal_equations(
         sigma: scale of the robust kernel, px; damping: relative, of Levenberg-Marquardt.
         depth_prior: weight, px^2, of the prior that every inverse depth is 1.
         zoom: whether every frame has a focal length of its own.
+        lens: (c1, c2, radius in px) of a lens, or PINHOLE.
 
     Returns:
         hessians [E, 8, 8] over (twist 6, log focal, residual), symmetric; schur [T, n, n] with n = 6 k + 2 rows
         (twists of the frame's k edges, log focal, gradient); curvature (damped) and gradient [T, P] of the depths.
         With zoom, hessians [E, 9, 9] over (twist 6, log focal of the target, of the source, residual) and n = 7 k + 2
-        (twist and log focal of the target of every edge, log focal of the source, gradient).
+        (twist and log focal of the target of every edge, log focal of the source, gradient). Behind a lens its two
+        coefficients stand after the last log focal.
     """
     T, P = at.inverse_depth.shape
     rows = 7 if zoom else 6
-    size = rows * int(np.diff(data.pointer).max()) + 2
-    hessians, schur = np.zeros((len(data.source), rows + 2, rows + 2)), np.zeros((T, size, size))
+    shared = 4 if len(lens) else 2
+    size = rows * int(np.diff(data.pointer).max()) + shared
+    hessians, schur = np.zeros((len(data.source), rows + shared, rows + shared)), np.zeros((T, size, size))
     curvatures, gradients = np.ones((T, P)), np.zeros((T, P))
     scales = np.array([sigma, damping, depth_prior])
-    spread(_add_frames, T, data, at, scales, hessians, schur, curvatures, gradients)
+    spread(_add_frames, T, data, at, lens, scales, rows, hessians, schur, curvatures, gradients)
     hessians += np.triu(hessians, 1).swapaxes(1, 2)
     return hessians, schur, curvatures, gradients
 
 
 @njit(**FAST)
 def _explain(
-    begin: int, end: int, data: EdgeMatches, at: Geometry, sigma: float, step: np.ndarray, out: np.ndarray
+    begin: int,
+    end: int,
+    data: EdgeMatches,
+    at: Geometry,
+    lens: np.ndarray,
+    sigma: float,
+    step: np.ndarray,
+    out: np.ndarray,
 ) -> None:
     """Add to `out` [T, P] the part of the depth gradients of frames begin..end due to the local steps [E, n]."""
     P, n = len(data.pixels), step.shape[1]
@@ -195,7 +283,10 @@ def _explain(
     for i in range(begin, end):
         for e in range(data.pointer[i], data.pointer[i + 1]):
             for first in range(0, P, BLOCK):
-                _linearise(data, at, sigma, i, e, first, J, D)
+                if len(lens):
+                    _linearise_lens(data, at, lens, sigma, i, e, first, J, D)
+                else:
+                    _linearise(data, at, sigma, i, e, first, J, D)
                 for a in range(n):
                     for q in range(min(BLOCK, P - first)):
                         out[i, first + q] += step[e, a] * (J[a, q] * D[q] + J[a, BLOCK + q] * D[BLOCK + q])
@@ -208,9 +299,10 @@ def depth_steps(
     curvatures: np.ndarray,
     gradients: np.ndarray,
     local_steps: np.ndarray,
+    lens: np.ndarray = PINHOLE,
 ) -> np.ndarray:
     """Steps [T, P] of the inverse depths once the local steps of the edges are known: [E, 7] (twist, log focal), or
-    [E, 8] (twist, log focal of target and source)."""
+    [E, 8] (twist, log focal of target and source); two more, those of its coefficients, behind a lens."""
     explained = np.zeros(at.inverse_depth.shape)
-    spread(_explain, len(explained), data, at, sigma, local_steps, explained)
+    spread(_explain, len(explained), data, at, lens, sigma, local_steps, explained)
     return np.asarray((gradients - explained) / curvatures)

@@ -1,6 +1,7 @@
 """The reduced system of bundle adjustment: poses and focal lengths, after elimination of the inverse depths.
 
-The unknowns are the twists of T poses, then one log focal, or T if every frame has its own.
+The unknowns are the twists of T poses, then one log focal, or T if every frame has its own, then the two coefficients
+of a lens if there is one.
 """
 
 import numpy as np
@@ -24,11 +25,13 @@ def assemble(
     stacked as L x the system is L^T (H - schur) L (Triggs et al., Bundle Adjustment: A Modern Synthesis, 2000).
 
     Returns:
-        S [6T + 1, 6T + 1] and right-hand side [6T + 1]; with T focal lengths 7T in place of 6T + 1.
+        S [6T + 1, 6T + 1] and right-hand side [6T + 1]; with T focal lengths 7T in place of 6T + 1; two more of a lens.
     """
-    T, rows = graph.T, hessians.shape[1] - 2
+    T, lens = graph.T, 2 if hessians.shape[1] > 9 else 0
+    rows, shared = hessians.shape[1] - 2 - lens, 1 + lens
     zoom = rows > 6
-    size = 7 * T if zoom else 6 * T + 1
+    focals = T if zoom else 1
+    size = 6 * T + focals + lens
     S, rhs = np.zeros((size, size)), np.zeros(size)
     adjoints = lie.adjoint(relative)
     for i in range(T):
@@ -36,10 +39,11 @@ def assemble(
         k = last - first
         n = rows * k
         H = hessians[first:last]
-        local = -schur[i, : n + 2, : n + 2]
+        m = n + shared
+        local = -schur[i, : m + 1, : m + 1]
         local[:n, :n].reshape(k, rows, k, rows)[np.arange(k), :, np.arange(k)] += H[:, :rows, :rows]
-        local[:n, n:] += H[:, :rows, rows:].reshape(n, 2)
-        local[n:, :n] += H[:, rows:, :rows].transpose(1, 0, 2).reshape(2, n)
+        local[:n, n:] += H[:, :rows, rows:].reshape(n, shared + 1)
+        local[n:, :n] += H[:, rows:, :rows].transpose(1, 0, 2).reshape(shared + 1, n)
         local[n:, n:] += H[:, rows:, rows:].sum(axis=0)
         A = np.zeros((k, rows, 6))
         A[:, :6] = -adjoints[first:last]
@@ -47,15 +51,16 @@ def assemble(
         columns = 6 * graph.target[first:last, None] + np.arange(6)
         if zoom:
             columns = np.append(columns, 6 * T + graph.target[first:last, None], axis=1)
-        columns = np.append(columns.ravel(), 6 * T + (i if zoom else 0))
+        of_lens = 6 * T + focals + np.arange(lens)
+        columns = np.concatenate([columns.ravel(), [6 * T + (i if zoom else 0)], of_lens])
         source = slice(6 * i, 6 * i + 6)
         across = A.T @ local[:n]
-        S[np.ix_(columns, columns)] += local[: n + 1, : n + 1]
-        S[source, columns] += across[:, : n + 1]
-        S[columns, source] += across[:, : n + 1].T
+        S[np.ix_(columns, columns)] += local[:m, :m]
+        S[source, columns] += across[:, :m]
+        S[columns, source] += across[:, :m].T
         S[source, source] += across[:, :n] @ A
-        rhs[columns] += local[: n + 1, n + 1]
-        rhs[source] += across[:, n + 1]
+        rhs[columns] += local[:m, m]
+        rhs[source] += across[:, m]
     return S, rhs
 
 
@@ -72,12 +77,16 @@ def solve_damped(S: np.ndarray, rhs: np.ndarray, free: np.ndarray, damping: floa
     return step
 
 
-def edge_steps(graph: FlowGraph, relative: np.ndarray, step: np.ndarray) -> np.ndarray:
-    """Local steps of a step of all unknowns, [6T + 1] or [7T].
+def edge_steps(graph: FlowGraph, relative: np.ndarray, step: np.ndarray, lens: bool = False) -> np.ndarray:
+    """Local steps of a step of all unknowns, [6T + 1] or [7T], or two more with a lens.
 
     Returns:
-        [E, 7] (twist of the target seen from the source, log focal), or [E, 8] (twist, log focal of target, of source).
+        [E, 7] (twist of the target seen from the source, log focal), or [E, 8] (twist, log focal of target, of source);
+        [E, 9] or [E, 10] with a lens, its coefficients last.
     """
+    if lens:
+        local = edge_steps(graph, relative, step[:-2])
+        return np.concatenate([local, np.tile(step[-2:], (len(local), 1))], axis=1)
     T = graph.T
     twists, focals = step[: 6 * T].reshape(-1, 6), step[6 * T :]
     seen = np.einsum("eab,eb->ea", lie.adjoint(relative), twists[graph.source])

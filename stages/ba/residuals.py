@@ -3,17 +3,24 @@
 import numpy as np
 from numba import njit
 
-from stages.ba.kernel import BLOCK, FAST, MIN_DEPTH_RATIO, EdgeMatches, Geometry
+from stages.ba.kernel import BLOCK, FAST, MIN_DEPTH_RATIO, PINHOLE, EdgeMatches, Geometry
 from stages.shared.threads import spread
 
 BEHIND_PX = 1e6
 """The length of a residual whose point is behind the target camera."""
 
 
-def errors_px(data: EdgeMatches, at: Geometry) -> np.ndarray:
-    """Lengths of the residuals [E, P] float32 in px; BEHIND_PX where the point is behind the target camera."""
+def errors_px(data: EdgeMatches, at: Geometry, lens: np.ndarray = PINHOLE) -> np.ndarray:
+    """Lengths of the residuals [E, P] float32 in px; BEHIND_PX where the point is behind the target camera.
+
+    Args:
+        lens: (c1, c2, radius in px) of a lens, or PINHOLE; see `stages.ba.kernel`.
+    """
     errors = np.empty(data.weights.shape, np.float32)
-    spread(_errors_px, len(errors), data, at, errors)
+    if len(lens):
+        spread(_errors_lens_px, len(errors), data, at, lens, errors)
+    else:
+        spread(_errors_px, len(errors), data, at, errors)
     return errors
 
 
@@ -36,6 +43,26 @@ def _errors_px(begin: int, end: int, data: EdgeMatches, at: Geometry, errors: np
             f_z = focal / max(Z, MIN_DEPTH_RATIO)
             a = match_u[p] - (r00 * x[p] + r01 * y[p] + r02 + d * t0) * f_z
             b = match_v[p] - (r10 * x[p] + r11 * y[p] + r12 + d * t1) * f_z
+            errors[e, p] = np.sqrt(a * a + b * b) if Z > MIN_DEPTH_RATIO else BEHIND_PX
+
+
+@njit(**FAST)
+def _errors_lens_px(
+    begin: int, end: int, data: EdgeMatches, at: Geometry, lens: np.ndarray, errors: np.ndarray
+) -> None:
+    cx, cy, unit = at.centre[0], at.centre[1], 1.0 / lens[2] ** 2
+    for e in range(begin, end):
+        R, t, i = at.R[e], at.t[e], data.source[e]
+        here, focal = at.focals[i], at.focals[data.target[e]]
+        for p in range(errors.shape[1]):
+            x, y, d = (data.pixels[p, 0] - cx) / here, (data.pixels[p, 1] - cy) / here, at.inverse_depth[i, p]
+            Z = R[2, 0] * x + R[2, 1] * y + R[2, 2] + d * t[2]
+            f_z = focal / max(Z, MIN_DEPTH_RATIO)
+            u = (R[0, 0] * x + R[0, 1] * y + R[0, 2] + d * t[0]) * f_z
+            v = (R[1, 0] * x + R[1, 1] * y + R[1, 2] + d * t[1]) * f_z
+            s = (u * u + v * v) * unit
+            scale = 1.0 + s * (lens[0] + s * lens[1])
+            a, b = data.matches[e, p, 0] - cx - scale * u, data.matches[e, p, 1] - cy - scale * v
             errors[e, p] = np.sqrt(a * a + b * b) if Z > MIN_DEPTH_RATIO else BEHIND_PX
 
 

@@ -31,10 +31,12 @@ def focal_sigma(graph: FlowGraph, state: State, translation: bool = True) -> flo
 def solution_covariance(graph: FlowGraph, state: State, unknowns: Unknowns) -> np.ndarray:
     """Covariance of a solution from the size of its residuals, scaled by `CORRELATION` squared.
 
-    It is [6T + 1, 6T + 1], or [7T, 7T] where every frame has a focal length, with the prior on their curve.
+    It is [6T + 1, 6T + 1], or [7T, 7T] where every frame has a focal length, with the prior on their curve; behind a
+    lens it has two more rows.
     """
     S, _ = dba.linear_system(graph, state, SIGMA_PX, unknowns.translation, unknowns.zoom)
     if unknowns.zoom:
-        S[6 * graph.T :, 6 * graph.T :] += dba.smoothness(graph.T)
+        focals = slice(6 * graph.T, 7 * graph.T)
+        S[focals, focals] += dba.smoothness(graph.T)
     full = reduced.covariance(S, state.cam_from_world, unknowns.indices(graph.T))
     return full * (CORRELATION * max(median_residual(graph, state), MIN_NOISE_PX)) ** 2
