@@ -10,6 +10,7 @@ COMMON = {"shared", "deformation", "splatting", "given"}
 """What every stage may use."""
 LATER = {
     "simulate": COMMON,
+    "lens": {*COMMON, "ba"},
     "video": COMMON,
     "colmap": COMMON,
     "export": COMMON,

@@ -122,7 +122,7 @@ def test_report_and_snakemakes_own(finished: Path) -> None:
 
 def test_every_stage_says_what_it_cost(finished: Path) -> None:
     table = read_table(results(finished, "moving") / "eval/time.parquet")
-    stages = {"inspect", "flow", "motion", "segment", "ba", "scene", "control", "gaussians", "render"}
+    stages = {"inspect", "flow", "lens", "motion", "segment", "ba", "scene", "control", "gaussians", "render"}
     stages |= {"colmap", "colmap_masked"}
     assert stages <= {str(stage).rsplit("/", maxsplit=1)[-1] for stage in table["stage"]}
     assert np.all(table["wall_s"] > 0)

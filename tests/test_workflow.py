@@ -11,11 +11,11 @@ import yaml
 from conftest import copy_sources, run_snakemake, write_frames
 
 EVERY_RULE = {
-    *("simulate", "inspect", "flow", "motion", "segment", "ba", "scene", "control", "gaussians", "render"),
+    *("simulate", "inspect", "flow", "lens", "motion", "segment", "ba", "scene", "control", "gaussians", "render"),
     *("viewer", "colmap", "evaluate", "report", "all"),
 }
 AFTER_FLOW = EVERY_RULE - {"simulate", "inspect", "flow", "colmap"}
-AFTER_SCENE = AFTER_FLOW - {"motion", "segment", "ba", "scene"}
+AFTER_SCENE = AFTER_FLOW - {"lens", "motion", "segment", "ba", "scene"}
 SWEEP = {
     "presets": ["fast"],
     "knobs": {"rounds": [1]},
@@ -83,7 +83,7 @@ def test_plain_snakemake_plans_every_stage(repo_copy: Path) -> None:
     ],
 )
 def test_an_export_runs_what_its_formats_need(repo_copy: Path, formats: str, besides: set[str]) -> None:
-    poses = {"simulate", "inspect", "flow", "motion", "segment", "ba", "export_sequence", "export"}
+    poses = {"simulate", "inspect", "flow", "lens", "motion", "segment", "ba", "export_sequence", "export"}
     plan = run_snakemake(repo_copy, "-n", "export", "--config", f"export={{formats: {formats}}}")
     assert planned(plan) == poses | besides
 
@@ -135,9 +135,9 @@ def test_a_changed_script_of_the_page_makes_the_pages_again(finished: Path) -> N
 def test_forced_rule_and_until(finished: Path) -> None:
     assert planned(run_snakemake(finished, "-n", "-R", "evaluate")) == {"evaluate", "report", "all"}
     forced = planned(run_snakemake(finished, "-n", "-R", "segment"))
-    assert forced == AFTER_FLOW
+    assert forced == AFTER_FLOW - {"lens"}
     assert planned(run_snakemake(finished, "-n", "-F", "--until", "ba")) == {
-        *("simulate", "inspect", "flow", "motion", "segment", "ba")
+        *("simulate", "inspect", "flow", "lens", "motion", "segment", "ba")
     }
 
 
@@ -253,7 +253,8 @@ def test_a_sweep_runs_only_what_differs(repo_copy: Path) -> None:
     counts = dict(re.findall(r"^(\w+) +(\d+)$", result.stdout, re.MULTILINE))
     # Configured, fast, one round, static, other COLMAPs. The one round is the first of the configured run; fast has
     # flow of its own, and no masks in its first round; other COLMAPs are evaluated apart and share all else.
-    expected = {"simulate": 1, "inspect": 1, "colmap": 2, "colmap_masked": 1, "flow": 2, "motion": 5, "segment": 5}
+    expected = {"simulate": 1, "inspect": 1, "colmap": 2, "colmap_masked": 1, "flow": 2, "lens": 2, "motion": 5}
+    expected |= {"segment": 5}
     expected |= {"ba": 6, "scene": 4, "control": 4, "gaussians": 4, "render": 4, "evaluate": 5, "collect_sweep": 1}
     assert {name: int(counts[name]) for name in expected} == expected
     assert "collect_scaling" not in counts
@@ -266,7 +267,7 @@ def test_on_a_cluster_short_stages_travel_together_and_settings_apart(repo_copy:
     groups = re.findall(r"Group job (\w+)(.*?)(?=^\S)", result.stdout, re.MULTILINE | re.DOTALL)
     rules = {name: set(re.findall(r"rule (\w+):", text)) for name, text in groups}
     own = {"scene", "control"}  # of settings that share the poses of another
-    poses = {"poses": {"simulate", "inspect", "flow", "motion", "segment", "ba"} | own, "poses_rounds_1": own}
+    poses = {"poses": {"simulate", "inspect", "flow", "lens", "motion", "segment", "ba"} | own, "poses_rounds_1": own}
     poses |= {"poses_presets_fast": poses["poses"] - {"simulate", "inspect"}, "poses_claims_static": own}
     splats = {name.replace("poses", "gaussians"): {"gaussians", "render"} for name in poses}
     assert rules == poses | splats | {"gaussians": {"gaussians", "render", "viewer"}}

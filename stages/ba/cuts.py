@@ -45,15 +45,20 @@ def estimate_shot(problem: Problem, frames: np.ndarray, options: BAOptions) -> E
     """
     if frames.all():
         return estimate(problem, options)
-    inside = slice(int(np.argmax(frames)), len(frames) - int(np.argmax(frames[::-1])))
+    inside = span(frames)
     previous, unmasked = problem.previous, problem.unmasked
     part = replace(
         problem,
-        graph=_cut_out(problem.graph, inside),
+        graph=cut_out(problem.graph, inside),
         previous=previous and _cut_out_guess(previous, inside),
-        unmasked=unmasked and _cut_out(unmasked, inside),
+        unmasked=unmasked and cut_out(unmasked, inside),
     )
     return _put_back(estimate(part, options), inside, frames)
+
+
+def span(frames: np.ndarray) -> slice:
+    """From the first to the last frame of a shot [T] bool."""
+    return slice(int(np.argmax(frames)), len(frames) - int(np.argmax(frames[::-1])))
 
 
 def bridge(cam_from_world: np.ndarray, known: np.ndarray) -> np.ndarray:
@@ -82,7 +87,7 @@ def _cut_out_guess(guess: PoseGuess, inside: slice) -> PoseGuess:
     return replace(guess, cam_from_world=guess.cam_from_world[inside], zoom=zoom)
 
 
-def _cut_out(graph: FlowGraph, inside: slice) -> FlowGraph:
+def cut_out(graph: FlowGraph, inside: slice) -> FlowGraph:
     """The graph of the frames `inside` alone."""
     first, stop = inside.start, inside.stop
     kept = (graph.source >= first) & (graph.source < stop) & (graph.target >= first) & (graph.target < stop)

@@ -11,7 +11,7 @@ import numpy as np
 from stages.ba import classify, dba, held_out, initialise, rotation
 from stages.ba.classify import Statistics
 from stages.ba.dba import FocalPrior, Level, State, Unknowns
-from stages.ba.graph import FlowGraph, favour_distance, thin_graph
+from stages.ba.graph import MIN_MATCHES, FlowGraph, favour_distance, shared_matches, thin_graph
 from stages.ba.held_out import Fit
 from stages.ba.start import COARSE_PIXELS, Observed, guess
 from stages.ba.uncertainty import median_residual, solution_covariance
@@ -57,6 +57,9 @@ class Evidence:
     seconds: float = 0.0
 
 
+NOT_TESTED = Evidence("not tested", "the options exclude it")
+
+
 @dataclass(frozen=True)
 class Lens:
     """Coefficients [2] as in `dba.State`; None where the image is taken as it is; the evidence for them."""
@@ -82,6 +85,9 @@ def find_lens(graph: FlowGraph, prior: FocalPrior, seed: int, assumed: bool = Fa
         assumed: whether it is taken without a test, if it can be estimated.
     """
     began = time.process_time()
+    shared = shared_matches(graph.source, graph.target, graph.weights, graph.T)
+    if np.median(np.diagonal(shared, 1)) < MIN_MATCHES:
+        return Lens(None, Evidence("not observable", "neighbouring frames share too few confident matches"))
     factor = max(1, int(np.sqrt(len(graph.pixels) / COARSE_PIXELS)))
     coarse = thin_graph(graph, factor)
     statistics = classify.measure(coarse, None, seed)

@@ -27,7 +27,7 @@ COLUMNS = (
     *("wall_s", "cpu_s", "poses_wall_s", "poses_cpu_s", "peak_mb", "model_mb"),
     *("step_ms", "equal_psnr_db", "equal_s", "configured_equal_s"),
 )
-POSE_STAGES = ("flow", "motion", "segment", "ba")
+POSE_STAGES = ("flow", "lens", "motion", "segment", "ba")
 PROTOCOL = (
     "Seconds are those of all stages from the frames to the renders. Shared stages are counted in full, as in a run "
     "from scratch; COLMAP and evaluation are left out. Poses: flow to adjustment, all rounds. "

@@ -11,8 +11,8 @@ Knobs = dict[str, list[Any]]
 """Values to try, by the dotted name of an option: {"ba.stride_px": [4, 8, 16]}."""
 
 GROWING: dict[str, tuple[str, ...]] = {
-    "frames": ("inspect", "flow", "motion", "segment", "ba", "scene", "control", "gaussians", "render"),
-    "pixels": ("flow", "motion", "segment", "ba"),
+    "frames": ("inspect", "flow", "lens", "motion", "segment", "ba", "scene", "control", "gaussians", "render"),
+    "pixels": ("flow", "lens", "motion", "segment", "ba"),
     "gaussians": ("gaussians", "render"),
     "control points": ("control", "gaussians", "render"),
 }

@@ -16,6 +16,7 @@ from stages.flow.options import FlowOptions
 from stages.gaussians.options import GaussiansOptions
 from stages.given.intrinsics import ESTIMATE, IntrinsicsOption
 from stages.inspect.options import InspectOptions
+from stages.lens.options import LensOptions
 from stages.motion.options import MotionOptions
 from stages.render.options import RenderOptions
 from stages.report.options import ReportOptions
@@ -63,6 +64,7 @@ class Config(Options):
     video: VideoOptions = VideoOptions()
     inspect: InspectOptions = InspectOptions()
     flow: FlowOptions = FlowOptions()
+    lens: LensOptions = LensOptions()
     motion: MotionOptions = MotionOptions()
     segment: SegmentOptions = SegmentOptions()
     ba: BAOptions = BAOptions()

@@ -34,7 +34,8 @@ def spent_to_poses(rows: Sequence[Row], rounds: int) -> list[tuple[float, float,
     """Wall and CPU seconds from the frames to the poses of each round, and the most threads of any stage of it."""
     spent = []
     for k in range(1, rounds + 1):
-        before = [row for row in rows if row["stage"] in ("flow", "segment") and row["round"] is None]
+        once = (*BEFORE[1:], "segment")
+        before = [row for row in rows if row["stage"] in once and row["round"] is None]
         part = before + [row for row in rows if row["round"] is not None and row["round"] <= k]
         seconds = (sum(row[key] for row in part) for key in ("wall_s", "cpu_s"))
         spent.append((*seconds, max(row["threads"] for row in part)))

@@ -62,7 +62,8 @@ class Section:
 def build_section(folder: Path) -> Section:
     """The section of a sequence, from the files in its result folder; absent parts are listed as missing."""
     content = read_json(folder / "sequence.json")
-    sequence = sequences.read_sequence(folder / "sequence.json")
+    undistorted = folder / "lens/sequence.json"
+    sequence = sequences.read_sequence(undistorted if undistorted.exists() else folder / "sequence.json")
     truth = ", ".join(sorted(sequence.truth)) or "none"
     about = f"{len(sequence.frames)} frames, {sequence.width} x {sequence.height} px; truth to score against: {truth}"
     section = Section(sequence.name, about, missing=list(content.get("missing_truth", [])))

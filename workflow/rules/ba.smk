@@ -1,7 +1,7 @@
 rule ba:
     input:
-        sequence=artifact("inspect", "sequence.json"),
-        flow=artifact("flow", "flow/pairs.arrow"),
+        sequence=artifact("lens", "lens/sequence.json"),
+        flow=artifact("lens", "lens/pairs.arrow"),
         masks=optional("segment", "masks"),
         previous_poses=optional("ba", "ba/poses.parquet", before=1),
         previous_depth=optional("ba", "ba/depth.arrow", before=1),

@@ -25,7 +25,7 @@ rule colmap:
 # A rule of its own: COLMAP without masks need not wait for the masks.
 use rule colmap as colmap_masked with:
     input:
-        sequence=artifact("inspect", "sequence.json"),
+        sequence=artifact("lens", "lens/sequence.json"),
         masks=artifact("segment", "masks"),
     output:
         poses="<results>/{dataset}/{seq}/{setting}colmap_masked/poses.parquet",

@@ -1,7 +1,7 @@
 rule evaluate:
     input:
-        sequence=artifact("inspect", "sequence.json"),
-        flow=artifact("flow", "flow/pairs.arrow"),
+        sequence=artifact("lens", "lens/sequence.json"),
+        flow=artifact("lens", "lens/pairs.arrow"),
         priors=artifacts("motion", "motion/prior.arrow"),
         masks=artifacts("segment", "masks"),
         poses=artifacts("ba", "ba/poses.parquet"),

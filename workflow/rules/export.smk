@@ -1,6 +1,6 @@
 rule export_sequence:
     input:
-        sequence=artifact("inspect", "sequence.json"),
+        sequence=artifact("lens", "lens/sequence.json"),
         poses=artifact("ba", "ba/poses.parquet"),
         masks=artifact("segment", "masks"),
         depth=artifact("ba", "ba/depth.arrow"),

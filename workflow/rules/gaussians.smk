@@ -1,6 +1,6 @@
 rule gaussians:
     input:
-        sequence=artifact("inspect", "sequence.json"),
+        sequence=artifact("lens", "lens/sequence.json"),
         masks=artifact("segment", "masks"),
         poses=artifact("ba", "ba/poses.parquet"),
         depth=artifact("ba", "ba/depth.arrow"),

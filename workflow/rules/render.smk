@@ -1,6 +1,6 @@
 rule render:
     input:
-        sequence=artifact("inspect", "sequence.json"),
+        sequence=artifact("lens", "lens/sequence.json"),
         poses=artifact("ba", "ba/poses.parquet"),
         model=artifact("gaussians", "gaussians/model.safetensors"),
     output:

@@ -1,7 +1,7 @@
 rule scene:
     input:
-        sequence=artifact("inspect", "sequence.json"),
-        flow=artifact("flow", "flow/pairs.arrow"),
+        sequence=artifact("lens", "lens/sequence.json"),
+        flow=artifact("lens", "lens/pairs.arrow"),
         masks=artifact("segment", "masks"),
         poses=artifact("ba", "ba/poses.parquet"),
         depth=artifact("ba", "ba/depth.arrow"),

@@ -1,7 +1,7 @@
 rule segment:
     input:
-        sequence=artifact("inspect", "sequence.json"),
-        flow=for_estimated_masks("flow", "flow/pairs.arrow"),
+        sequence=artifact("lens", "lens/sequence.json"),
+        flow=for_estimated_masks("lens", "lens/pairs.arrow"),
         prior=for_estimated_masks("motion", "motion/prior.arrow"),
     output:
         masks=directory("<results>/{dataset}/{seq}/{setting}{round}masks"),

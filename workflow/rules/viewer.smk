@@ -1,6 +1,6 @@
 rule viewer:
     input:
-        sequence=artifact("inspect", "sequence.json"),
+        sequence=artifact("lens", "lens/sequence.json"),
         masks=artifact("segment", "masks"),
         poses=artifact("ba", "ba/poses.parquet"),
         model=artifact("gaussians", "gaussians/model.safetensors"),

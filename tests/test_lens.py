@@ -1,0 +1,133 @@
+"""The lens stage: nothing where there is no distortion; frames, flow and truth of a pinhole where there is one."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from synthetic import Scene, exact_flow, flow_arrays, make_scene
+
+from stages.lens.__main__ import main
+from stages.lens.carry import carried_sequence, carry_flow, carry_images
+from stages.lens.options import LensOptions
+from stages.lens.pinhole import Pinhole, largest_pinhole
+from stages.shared import sintel
+from stages.shared.artifacts import read_dense, read_json, read_metadata, write_dense, write_json
+from stages.shared.cameras import pixel_grid
+from stages.shared.images import read_rgb, write_image
+from stages.shared.sequences import Sequence, sequence_to_json
+
+SIZE = (96, 160)
+BARREL, PINCUSHION = np.array([-0.15, 0.0]), np.array([0.15, 0.02])
+
+
+def coordinates(scene: Scene) -> np.ndarray:
+    """A picture [h, w, 3] of where a pinhole would show its pixels."""
+    uv = scene.pinhole(pixel_grid(*SIZE), 0) - [79.5, 47.5]
+    return np.round(128 + np.dstack([uv, np.zeros(SIZE)])).clip(0, 255).astype(np.uint8)
+
+
+def write_clip(folder: Path, scene: Scene, truth: bool = True) -> Sequence:
+    """Frames, their truth, sequence.json and the exact flow of a scene."""
+    numbers = list(range(1, scene.T + 1))
+    frames = [folder / f"clip/frame_{n:04d}.png" for n in numbers]
+    for path in frames:
+        write_image(path, coordinates(scene))
+    files: dict[str, dict[int, Path]] = {"depth": {}, "camdata_left": {}, "flow": {}}
+    for k, n in enumerate(numbers if truth else []):
+        files["depth"][n] = folder / f"depth_{n}.dpt"
+        sintel.write_dpt(files["depth"][n], scene.depth[k])
+        files["camdata_left"][n] = folder / f"camera_{n}.cam"
+        sintel.write_cam(files["camdata_left"][n], scene.K, scene.cam_from_world[k, :3])
+        if n < scene.T:
+            files["flow"][n] = folder / f"flow_{n}.flo"
+            sintel.write_flo(files["flow"][n], exact_flow(scene, k, k + 1)[0])
+    clip = Sequence("clip", frames, numbers, SIZE[1], SIZE[0], files)
+    write_json(folder / "sequence.json", sequence_to_json(clip) | {"frames_sha256": "0"})
+    columns = dict(zip(("source", "target", "flow", "confidence"), flow_arrays(scene), strict=True))
+    columns |= {name: columns[name].astype(np.float16) for name in ("flow", "confidence")}
+    write_dense(folder / "pairs.arrow", columns, {"width": SIZE[1], "height": SIZE[0], "scale": 1.0, "source": "dis"})
+    return clip
+
+
+def run(folder: Path, **options: str) -> dict[str, Path]:
+    out = {name: folder / "lens" / file for name, file in (
+        ("undistorted", "sequence.json"), ("pairs", "pairs.arrow"), ("images", "images"), ("lens", "lens.json")
+    )}  # fmt: skip
+    main(folder / "sequence.json", folder / "pairs.arrow", **out, options=LensOptions(**options))  # type: ignore[arg-type]
+    return out
+
+
+@pytest.mark.parametrize("options", [{}, {"distortion": "no"}], ids=["decided", "refused"])
+def test_frames_of_a_pinhole_are_taken_as_they_are(tmp_path: Path, options: dict[str, str]) -> None:
+    scene = make_scene(size=SIZE, lens=BARREL if options else None)
+    write_clip(tmp_path, scene, truth=False)
+    out = run(tmp_path, **options)
+    assert out["undistorted"].read_text() == (tmp_path / "sequence.json").read_text()
+    assert out["pairs"].stat().st_ino == (tmp_path / "pairs.arrow").stat().st_ino
+    assert not list(out["images"].iterdir())
+    about = read_json(out["lens"])
+    assert (about["decision"], about["coefficients_px"]) == ("not tested" if options else "straight", None)
+
+
+def test_a_distorted_clip_becomes_that_of_a_pinhole(tmp_path: Path) -> None:
+    scene, pinhole = make_scene(size=SIZE, lens=BARREL), make_scene(size=SIZE)
+    write_clip(tmp_path, scene)
+    out = run(tmp_path)
+    about, content = read_json(out["lens"]), read_json(out["undistorted"])
+    assert about["decision"] == "distorted"
+    assert about["coefficients_px"][0] * scene.focal_px**2 == pytest.approx(-0.15, rel=0.05)
+    assert about["original"]["frames"][0].endswith("clip/frame_0001.png")
+    assert (content["width"], content["height"]) == SIZE[::-1]
+    assert "radial distortion" in content["warnings"][-1]
+    columns = read_dense(out["pairs"])
+    assert read_metadata(out["pairs"])["source"] == "dis"
+    for e, (i, j) in enumerate(zip(columns["source"], columns["target"], strict=True)):
+        flow, visible = exact_flow(pinhole, i, j)
+        apart = np.linalg.norm(columns["flow"][e] - flow, axis=-1)[visible & (columns["confidence"][e] > 0.9)]
+        assert np.median(apart) < 0.05
+        assert np.percentile(apart, 95) < 0.5
+
+
+@pytest.mark.parametrize("k", [BARREL, PINCUSHION], ids=["barrel", "pincushion"])
+def test_pictures_and_truth_are_those_of_a_pinhole(tmp_path: Path, k: np.ndarray) -> None:
+    scene, straight = make_scene(T=3, size=SIZE, lens=k), make_scene(T=3, size=SIZE)
+    clip = write_clip(tmp_path, scene)
+    pinhole = largest_pinhole(k / scene.focal_px ** np.array([2, 4]), clip)
+    assert (pinhole.left > 0, pinhole.top > 0) == ((k[0] > 0,) * 2)
+    folder = tmp_path / "images"
+    folder.mkdir()
+    carry_images(clip, pinhole, folder)
+    content = carried_sequence(sequence_to_json(clip), clip, pinhole, folder, "undistorted")
+    inside = np.s_[pinhole.top : SIZE[0] - pinhole.top, pinhole.left : SIZE[1] - pinhole.left]
+    picture = read_rgb(Path(content["frames"][0])).astype(int)
+    assert np.abs(picture - coordinates(straight)[inside]).max() <= 1
+    depth = sintel.read_dpt(Path(content["truth"]["depth"]["1"]))
+    assert np.mean(np.abs(depth / straight.depth[0][inside] - 1) < 0.02) > 0.97
+    flow, visible = exact_flow(straight, 0, 1)
+    found = sintel.read_flo(Path(content["truth"]["flow"]["1"]))
+    assert np.median(np.abs(found - flow[inside])[visible[inside]]) < 0.05
+    K, _ = sintel.read_cam(Path(content["truth"]["camdata_left"]["1"]))
+    assert_allclose(K[:2, 2], [(content["width"] - 1) / 2, (content["height"] - 1) / 2])
+    assert K[0, 0] == scene.focal_px
+
+
+def test_no_pixel_of_the_new_image_lies_outside_of_the_old_one_and_the_maps_are_inverse() -> None:
+    clip = Sequence("clip", [Path("a.png")], [1], 320, 137)
+    for k in (BARREL, PINCUSHION, np.array([0.1, -0.15])):
+        pinhole = largest_pinhole(k / 300 ** np.array([2, 4]), clip)
+        shown = pinhole.sources()
+        assert shown.min() >= -0.5
+        assert (shown.max(axis=(0, 1)) <= [319.5, 136.5]).all()
+        assert_allclose(pinhole.from_original(shown), pixel_grid(pinhole.height, pinhole.width), atol=1e-6)
+
+
+def test_matches_that_leave_the_new_image_are_not_confident() -> None:
+    flow = np.zeros((1, 40, 60, 2), np.float16)
+    flow[..., 0] = 10
+    columns = {"source": np.array([0]), "target": np.array([1]), "flow": flow, "confidence": np.ones((1, 40, 60))}
+    carried, confidence, scale = carry_flow(columns, Pinhole(np.array([1e-5, 0]), (120, 80), 4, 3))
+    assert carried.shape[1:3] == confidence.shape[1:] == (37, 56)
+    assert scale == 56 / 112
+    assert (confidence[0, :, -9:] == 0).all()
+    assert (confidence[0, :, :40] == 1).all()
