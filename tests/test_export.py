@@ -16,6 +16,7 @@ from stages.export import __main__ as export_stage
 from stages.export.images import HZ
 from stages.export.options import ExportOptions
 from stages.render.__main__ import SECONDS_PER_FRAME
+from stages.shared.artifacts import write_json
 from stages.shared.cameras import pixel_grid, project
 from stages.shared.errors import InputError
 from stages.shared.options import to_flags, validate
@@ -109,6 +110,27 @@ def test_cameras_that_differ_and_frames_without_a_pose(tmp_path: Path) -> None:
     assert [frame["fl_x"] for frame in frames] == [95.0] * 3 + [190.0] * 4
     assert [round(7 * frame["time"]) for frame in frames] == [0, 1, 3, 4, 5, 6, 7]
     assert np.load(folder / "scene.npz")["has_pose"].tolist() == [k != 2 for k in range(truth.T)]
+
+
+def test_cameras_of_frames_that_were_undistorted_project_into_the_original_ones(tmp_path: Path) -> None:
+    square = truth.K * [[1, 1, 1], [1, 95 / 90, 1], [1, 1, 1]]
+    inputs = truth.write_clip(tmp_path, Ks=np.tile(square, (truth.T, 1, 1)))
+    names = [f"original_{k}.jpg" for k in range(truth.T)]
+    about: dict[str, object] = {"coefficients_px": [-0.2 / 95**2, 0.05 / 95**4], "left": 3, "top": 2}
+    write_json(tmp_path / "lens.json", about | {"original": {"width": 102, "height": 68, "frames": names}})
+    folder = export(tmp_path, "colmap", **inputs, lens=tmp_path / "lens.json")
+    model = pycolmap.Reconstruction(folder / "original")
+    assert (model.num_images(), model.num_points3D()) == (truth.T, 0)
+    camera = model.cameras[1]
+    assert (camera.model.name, camera.width, camera.height) == ("RADIAL", 102, 68)
+    assert np.allclose(camera.params, [95, 45 + 3.5, 33 + 2.5, -0.2, 0.05])
+    for image in model.images.values():
+        k = names.index(image.name)
+        pose = image.cam_from_world() if callable(image.cam_from_world) else image.cam_from_world
+        assert np.allclose(pose.matrix(), truth.CAM_FROM_WORLD[k, :3])
+    about["coefficients_px"] = None
+    write_json(tmp_path / "lens.json", about)
+    assert not (export(tmp_path, "colmap", **inputs, lens=tmp_path / "lens.json") / "original").exists()
 
 
 def test_nerfstudio_finds_points_at_the_same_pixels(exported: Path) -> None:

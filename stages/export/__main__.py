@@ -16,7 +16,8 @@ if TYPE_CHECKING:
     from stages.export.points import Points
 
 FILES = (
-    *("images/*", "sparse/0/*.bin", "sparse_text/*.txt", "transforms.json", "points3D.ply", "scene.npz"),
+    *("images/*", "sparse/0/*.bin", "sparse_text/*.txt", "original/*.txt"),
+    *("transforms.json", "points3D.ply", "scene.npz"),
     *("depth/frame_*.png", "depth/scale.json", "masks/*.png", "splats/frame_*.ply", "splats/frame_*.spz", "video.mp4"),
 )
 
@@ -30,12 +31,14 @@ def main(
     options: ExportOptions,
     model: Annotated[Path | None, In("gaussians/model.safetensors, for ply and spz")] = None,
     renders: Annotated[Path | None, In("folder of renders, for the video")] = None,
+    lens: Annotated[Path | None, In("lens/lens.json, for the cameras of the original frames")] = None,
 ) -> str:
     """Write what other programs read, in the conventions of docs/conventions.md; what is not asked for is not computed.
 
-    colmap: images/, sparse/0 (binary) and sparse_text; nerfstudio: images/, transforms.json and points3D.ply; npz:
-    scene.npz, everything in our conventions; depth_png: depth/; masks: masks/ in COLMAP's naming; ply, spz: splats/;
-    video: video.mp4. Frames whose pose was not estimated are left out of the first two; masks alone need no poses.
+    colmap: images/, sparse/0 (binary), sparse_text, and original/ if frames were undistorted; nerfstudio: images/,
+    transforms.json and points3D.ply; npz: scene.npz, everything in our conventions; depth_png: depth/; masks: masks/ in
+    COLMAP's naming; ply, spz: splats/; video: video.mp4. Frames whose pose was not estimated are left out of the first
+    two; masks alone need no poses.
     """
     from stages.export.clip import read_clip
     from stages.shared.artifacts import atomic_folder
@@ -45,6 +48,8 @@ def main(
     clip = read_clip(sequence, poses, masks, depth, needs_poses=set(options.formats) != {"masks"})
     with atomic_folder(output, FILES) as folder:
         _write_cameras(folder, clip, options)
+        if lens and options.writes("colmap"):
+            _write_original(folder / "original", clip, lens)
         _write_images(folder, clip, options)
         if model and options.writes("ply", "spz"):
             _write_splats(folder / "splats", clip, model, options)
@@ -89,6 +94,23 @@ def _write_colmap(folder: Path, clip: "Clip", points: "Points") -> None:
     for name, write in {"sparse/0": write_binary, "sparse_text": write_text}.items():
         (folder / name).mkdir(parents=True)
         write(folder / name, model)
+
+
+def _write_original(folder: Path, clip: "Clip", lens: Path) -> None:
+    """The same poses for the frames before they were undistorted; nothing if they were not."""
+    from stages.export.colmap_model import write_distorted
+    from stages.shared.artifacts import read_json
+
+    about = read_json(lens)
+    if about["coefficients_px"] is None:
+        return
+    original, cameras = about["original"], clip.cameras
+    names = [Path(original["frames"][k]).name for k, _ in clip.posed_frames()]
+    Ks = cameras.Ks[clip.posed]
+    Ks[:, :2, 2] += about["left"], about["top"]
+    folder.mkdir()
+    size = original["width"], original["height"]
+    write_distorted(folder, names, size, cameras.cam_from_world[clip.posed], Ks, about["coefficients_px"])
 
 
 def _write_nerfstudio(folder: Path, clip: "Clip", points: "Points", options: ExportOptions) -> None:

@@ -5,7 +5,7 @@ which COLMAP writes since version 3.12, are left out: readers make them from the
 """
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,6 +15,12 @@ from stages.export.points import Points
 from stages.shared import lie
 from stages.shared.colmap_records import CAMERA, COUNT, IMAGE, OBSERVATION, PINHOLE
 from stages.shared.conventions import CENTRE_PX, half_integer_centres
+
+
+NO_POINTS = Points(
+    *(np.zeros((0, 3)), np.zeros((0, 3), np.uint8), np.zeros(0)),
+    *(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 2))),
+)
 
 
 @dataclass(frozen=True)
@@ -77,6 +83,34 @@ def write_text(folder: Path, model: Model) -> None:
     ):
         lines.append(f"{n + 1} {_words(xyz)} {_words(rgb)} {error:.17g} {_words(track.ravel())}")
     _write_lines(folder / "points3D.txt", lines)
+
+
+def write_distorted(
+    folder: Path,
+    names: list[str],
+    size: tuple[int, int],
+    cam_from_world: np.ndarray,
+    Ks: np.ndarray,
+    coefficients_px: Sequence[float],
+) -> None:
+    """Write images before they were undistorted as RADIAL cameras, in text, without points, into an existing folder.
+
+    Args:
+        names: file names of the T images. size: width and height in px.
+        cam_from_world: [T, 4, 4]. Ks: [T, 3, 3] px, pixel centres at integers.
+        coefficients_px: k1 / f^2 and k2 / f^4 of the focal length f in px.
+    """
+    model = Model(names, *size, cam_from_world, Ks, NO_POINTS)
+    parameters, _ = model.cameras()
+    lines = ["# CAMERA_ID MODEL WIDTH HEIGHT f cx cy k1 k2"]
+    for c, (f, _, cx, cy) in enumerate(parameters):
+        k = np.array(coefficients_px) * f ** np.array([2, 4])
+        lines.append(f"{c + 1} RADIAL {size[0]} {size[1]} {_words(np.array([f, cx, cy, *k]))}")
+    _write_lines(folder / "cameras.txt", lines)
+    lines = ["# IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, then an empty line: no points"]
+    lines += [f"{image} {_words(pose)} {camera} {name}\n" for image, pose, camera, name, _, _ in model.images()]
+    _write_lines(folder / "images.txt", lines)
+    _write_lines(folder / "points3D.txt", ["# no points: those of sparse_text/ are seen in the undistorted images"])
 
 
 def write_binary(folder: Path, model: Model) -> None:

@@ -56,6 +56,9 @@ def read_truth(frames: sequences.Sequence, width: int, height: int) -> Truth:
     if missing:
         expected = f"{', '.join(NEEDED)} of every frame for `source: truth`"
         raise InputError(frames.frames[0].parent, expected, f"no {', '.join(missing)}", "set `source: dis`")
+    if frames.truth.get("distortion"):
+        found = "the truth of a distorted lens beside them"
+        raise InputError(frames.frames[0].parent, "frames of a pinhole for `source: truth`", found, "set `source: dis`")
     full_Ks, poses = sintel.read_cams(frames.truth_files("camdata_left"))
     Ks = scale_intrinsics(full_Ks, width / frames.width)
     size = (width, height)

@@ -6,6 +6,7 @@ rule export_sequence:
         depth=artifact("ba", "ba/depth.arrow"),
         model=for_formats("gaussians", "gaussians/model.safetensors", "ply", "spz"),
         renders=for_formats("render", "renders", "video"),
+        lens=for_formats("lens", "lens/lens.json", "colmap"),
     output:
         folder=directory("<results>/{dataset}/{seq}/export"),
         stats="<results>/{dataset}/{seq}/stats/export.json",
@@ -18,7 +19,7 @@ rule export_sequence:
     params:
         code=code_digest("stages.export"),
         flags=flags("export"),
-        optional=optional_flags("model", "renders"),
+        optional=optional_flags("model", "renders", "lens"),
     shell:
         "{{ python -m stages.export --sequence {input.sequence:q} --poses {input.poses:q} --masks {input.masks:q}"
         " --depth {input.depth:q} {params.optional} --output {output.folder:q} {params.flags}"
