@@ -16,7 +16,6 @@ from stages.shared import lie
 from stages.shared.colmap_records import CAMERA, COUNT, IMAGE, OBSERVATION, PINHOLE
 from stages.shared.conventions import CENTRE_PX, half_integer_centres
 
-
 NO_POINTS = Points(
     *(np.zeros((0, 3)), np.zeros((0, 3), np.uint8), np.zeros(0)),
     *(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 2))),
