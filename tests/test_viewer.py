@@ -92,7 +92,7 @@ def with_every_effect() -> GaussianScene:
 
 
 def tumbling(unit: float) -> GaussianScene:
-    """Thin and broad Gaussians, each turned by eight control points by up to a whole turn; lengths times `unit`."""
+    """Gaussians thin and broad, brief and lasting, that eight points turn by up to a turn; lengths times `unit`."""
     random, N = torch.manual_seed(1), 600
     means = torch.randn(N, 3, generator=random) * 0.6 + torch.tensor([0.0, 0, 3])
     cloud = Cloud(
@@ -104,6 +104,8 @@ def tumbling(unit: float) -> GaussianScene:
         sh=torch.randn(N, 4, 3, generator=random) * torch.tensor([1, 0.3, 0.3, 0.3])[:, None],
         dynamic=torch.arange(N) >= 200,
     )
+    cloud.births = torch.rand(N, generator=random)
+    cloud.log_spans[200:] = torch.log(0.05 + 0.5 * torch.rand(N - 200, generator=random))
     points = unit * means[200::20]
     motion = TableDeformation(points, torch.full((len(points),), np.log(0.4 * unit)), torch.tensor(truth.TIMES))
     steps = 0.5 * torch.randn(motion.table.shape, generator=random)

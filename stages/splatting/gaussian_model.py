@@ -1,6 +1,6 @@
 """The 4D scene: static and dynamic Gaussians in the canonical frame, and the motion of the dynamic ones."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor
@@ -10,7 +10,9 @@ from stages.deformation.motion_models import Deformation
 from stages.shared.torch_threads import one_torch_thread
 from stages.splatting.colours import ColourTable
 from stages.splatting.gains import Exposure
+from stages.splatting.life_spans import ALWAYS, presence, rows_of
 from stages.splatting.pose_table import PoseTable
+from stages.splatting.raster_bins import MIN_ALPHA
 from stages.splatting.rasterize import Rendering, rasterize
 
 
@@ -24,6 +26,8 @@ class Cloud:
         log_scales: [N, 3] logarithms of the standard deviations in scene units.
         quats: [N, 4] wxyz, any length but zero. logits: [N] of opacity.
         sh: [N, K, 3] coefficients, K = (degree + 1)^2. dynamic: [N] bool, static Gaussians first.
+        births, log_spans: [N] life spans, as for `life_spans.presence`; ALWAYS for all static Gaussians, and for all
+            that are left out.
     """
 
     means: Tensor
@@ -33,6 +37,14 @@ class Cloud:
     logits: Tensor
     sh: Tensor
     dynamic: Tensor
+    births: Tensor = field(default_factory=lambda: torch.zeros(0))
+    log_spans: Tensor = field(default_factory=lambda: torch.zeros(0))
+
+    def __post_init__(self) -> None:
+        """Without life spans Gaussians are there at all times."""
+        if len(self.log_spans) == 0:
+            self.births = torch.zeros_like(self.logits)
+            self.log_spans = torch.full_like(self.logits, ALWAYS)
 
 
 class GaussianScene(torch.nn.Module):
@@ -44,6 +56,7 @@ class GaussianScene(torch.nn.Module):
 
     anchors: Tensor
     footprints: Tensor
+    births: Tensor
     background: Tensor
     index: Tensor
 
@@ -78,11 +91,13 @@ class GaussianScene(torch.nn.Module):
         self.n_static = int((~cloud.dynamic).sum())
         self.register_buffer("anchors", cloud.means)
         self.register_buffer("footprints", cloud.footprints)
+        self.register_buffer("births", cloud.births)
         parameters = {
             "offsets": torch.zeros_like(cloud.means),
             "log_scales": cloud.log_scales,
             "quats": cloud.quats,
             "logits": cloud.logits,
+            "log_spans": cloud.log_spans,
             "sh_dc": cloud.sh[:, :1],
             "sh_rest": cloud.sh[:, 1:],
         }
@@ -95,7 +110,7 @@ class GaussianScene(torch.nn.Module):
         dynamic = torch.arange(len(self.anchors), device=self.anchors.device) >= self.n_static
         sh = torch.cat([values["sh_dc"], values["sh_rest"]], dim=1)
         shape = (values["log_scales"], values["quats"], values["logits"])
-        return Cloud(self.means.detach(), self.footprints, *shape, sh, dynamic)
+        return Cloud(self.means.detach(), self.footprints, *shape, sh, dynamic, self.births, values["log_spans"])
 
     def bind(self) -> None:
         """Find the nearest control points of every dynamic Gaussian at its present canonical mean."""
@@ -111,35 +126,61 @@ class GaussianScene(torch.nn.Module):
         return self.anchors + self.footprints[:, None] * self.gaussians["offsets"]
 
     @property
+    def fading(self) -> bool:
+        """Whether any Gaussian has a life span."""
+        return bool((self.gaussians["log_spans"] < ALWAYS).any())
+
+    @property
     def sh_degree(self) -> int:
         """Degree of the view-dependent colour."""
         return round((1 + self.gaussians["sh_rest"].shape[1]) ** 0.5) - 1
 
-    def at(self, time: float, detach: bool = False) -> tuple[Tensor, Tensor, Tensor]:
+    def at(self, time: float, detach: bool = False, rows: Tensor | None = None) -> tuple[Tensor, Tensor, Tensor]:
         """Means [N, 3], quats [N, 4] and constant SH coefficients [N, 1, 3] at `time` 0..1.
 
         With `detach` they have no gradient to the motion of the control points and to their kernel radii.
+
+        Args:
+            rows: ascending indices of the Gaussians wanted, all static ones among them; None: all.
         """
-        means, quats, sh_dc = self.means, self.gaussians["quats"], self.gaussians["sh_dc"]
-        n = self.n_static
+        values, n = self.gaussians, self.n_static
+        means, quats, sh_dc = (rows_of(x, rows) for x in (self.means, values["quats"], values["sh_dc"]))
         if self.deformation is None or n == len(means):
             return means, quats, sh_dc
+        index = self.index if rows is None else self.index[rows[n:] - n]
         with torch.set_grad_enabled(torch.is_grad_enabled() and not detach):
             point_quats, translations = self.deformation(means.new_tensor([time]))
-            weights = self.skinning_weights(means[n:])
-        motion = (self.deformation.points, point_quats[0], translations[0], weights, self.index)
+            weights = self.skinning_weights(means[n:], index)
+        motion = (self.deformation.points, point_quats[0], translations[0], weights, index)
         parts = [n, len(means) - n]  # the backward pass of a split copies once, that of two slices five times
         (still, means), (unturned, quats) = means.split_with_sizes(parts), quats.split_with_sizes(parts)
         moved, turned = blend(means, quats, *motion)
         if self.colours is not None:
             constant, lit = sh_dc.split_with_sizes(parts)
-            sh_dc = torch.cat([constant, lit + self.colours(time, weights, self.index)[:, None]])
+            sh_dc = torch.cat([constant, lit + self.colours(time, weights, index)[:, None]])
         return torch.cat([still, moved]), torch.cat([unturned, turned]), sh_dc
+
+    def opacities_at(self, time: float) -> tuple[Tensor, Tensor | None]:
+        """Opacities [M] at `time` 0..1 of the Gaussians that are there then, and their rows; None: all of them.
+
+        The others are those whose opacity is too small to be drawn. Without life spans every Gaussian is there.
+        """
+        opacities = self.gaussians["logits"].sigmoid()
+        if not self.fading:
+            return opacities, None
+        n = self.n_static
+        parts = [n, len(opacities) - n]
+        still, peak = opacities.split_with_sizes(parts)
+        now = peak * presence(self.births[n:], self.gaussians["log_spans"].split_with_sizes(parts)[1], time)
+        there = torch.nonzero(now.detach() > MIN_ALPHA)[:, 0]
+        rows = torch.cat([torch.arange(n, device=there.device), n + there])
+        return torch.cat([still, rows_of(now, there)]), rows
 
     def render(
         self, time: float, viewmat: Tensor, K: Tensor, width: int, height: int, detach: bool = False
     ) -> Rendering:
-        """Render the scene at `time` 0..1 from one camera, as `rasterize` does for C = 1.
+        """Render the scene at `time` 0..1 from one camera, as `rasterize` does for C = 1; the Gaussians are
+        those of `opacities_at`.
 
         Args:
             viewmat: estimated cam_from_world [4, 4], to which the pose corrections are applied if there are any.
@@ -147,12 +188,13 @@ class GaussianScene(torch.nn.Module):
         """
         if self.poses is not None:
             viewmat = self.poses(time) @ viewmat.double()
-        means, quats, sh_dc = self.at(time, detach)
-        values = self.gaussians
-        sh = sh_dc if self.sh_degree == 0 else torch.cat([sh_dc, values["sh_rest"]], dim=1)
         # Torch rounds elements outside of whole vectors differently; which ones these are depends on its threads.
         with one_torch_thread():
-            scales, opacities = values["log_scales"].exp(), values["logits"].sigmoid()
+            opacities, rows = self.opacities_at(time)
+            scales = rows_of(self.gaussians["log_scales"], rows).exp()
+        means, quats, sh_dc = self.at(time, detach, rows)
+        rest = rows_of(self.gaussians["sh_rest"], rows)
+        sh = sh_dc if self.sh_degree == 0 else torch.cat([sh_dc, rest], dim=1)
         rendering = rasterize(
             means,
             quats,
@@ -167,15 +209,19 @@ class GaussianScene(torch.nn.Module):
             near_plane=self.near_plane,
             backgrounds=self.background[None],
         )
+        rendering = rendering._replace(rows=rows)
         if self.exposure is None:
             return rendering
         return rendering._replace(colour=rendering.colour * self.exposure(time))
 
-    def skinning_weights(self, means: Tensor) -> Tensor:
-        """Skinning weights [N, K] of the dynamic Gaussians at canonical means [N, 3], without gradient to the means.
+    def skinning_weights(self, means: Tensor, index: Tensor) -> Tensor:
+        """Skinning weights [N, K] of dynamic Gaussians at canonical means [N, 3], without gradient to the means.
 
         With it, Gaussians would move in order to change their weights.
+
+        Args:
+            index: [N, K], the control points of each.
         """
         assert self.deformation is not None
-        offsets = means.detach()[:, None] - self.deformation.points[self.index]
-        return lbs_weights(offsets.square().sum(-1), self.deformation.log_radii, self.index)
+        offsets = means.detach()[:, None] - self.deformation.points[index]
+        return lbs_weights(offsets.square().sum(-1), self.deformation.log_radii, index)

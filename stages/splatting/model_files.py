@@ -13,13 +13,16 @@ from stages.shared.errors import complete
 from stages.splatting.colours import ColourTable
 from stages.splatting.gains import Exposure
 from stages.splatting.gaussian_model import Cloud, GaussianScene
+from stages.splatting.life_spans import rows_of
 from stages.splatting.ply import write_ply
 from stages.splatting.pose_table import PoseTable
 from stages.splatting.spz import write_spz
 
 DEFORMATION, COLOURS, EXPOSURE, POSES = "deformation.", "colours.", "exposure.", "poses."
 """Prefixes of the tensors of the motion, of the colours over time, of the gains and of the pose corrections."""
-HALVED = ("means", "log_scales", "quats", "logits", "sh", DEFORMATION + "table", COLOURS + "table")
+LIFE_SPANS = ("births", "log_spans")
+"""Tensors of the life spans, which dynamic Gaussians alone have."""
+HALVED = ("means", "log_scales", "quats", "logits", "sh", *LIFE_SPANS, DEFORMATION + "table", COLOURS + "table")
 """Tensors that `halved` stores as float16."""
 
 
@@ -27,11 +30,14 @@ def scene_tensors(scene: GaussianScene) -> tuple[dict[str, np.ndarray], dict[str
     """Tensors and metadata that rendering needs; footprints, which only training needs, are left out.
 
     The tensors are those of `Cloud`, in its shapes, `background` [3], and those of motion, colours, gains and pose
-    corrections with their prefixes.
+    corrections with their prefixes. Life spans [D] are those of the dynamic Gaussians, and left out if there are none.
     """
     cloud = scene.cloud()
     tensors = {name: value.cpu().numpy() for name, value in vars(cloud).items() if name != "footprints"}
     tensors["dynamic"] = tensors["dynamic"].astype(np.uint8)
+    for name in LIFE_SPANS:
+        spans = tensors.pop(name)[scene.n_static :]
+        tensors |= {name: spans} if scene.fading else {}
     tensors["background"] = scene.background.cpu().numpy()
     if scene.deformation is not None:
         tensors |= {DEFORMATION + name: value for name, value in deformation_tensors(scene.deformation).items()}
@@ -70,6 +76,8 @@ def scene_from_tensors(tensors: Mapping[str, np.ndarray], metadata: Mapping[str,
         dynamic=values["dynamic"].bool(),
         **{name: values[name] for name in ("log_scales", "quats", "logits", "sh")},
     )
+    if LIFE_SPANS[0] in values:
+        cloud.births[cloud.dynamic], cloud.log_spans[cloud.dynamic] = (values[name] for name in LIFE_SPANS)
     motion = {name.removeprefix(DEFORMATION): arrays[name] for name in arrays if name.startswith(DEFORMATION)}
     deformation = deformation_from_tensors(motion) if motion else None
     colours, exposure, poses = None, None, None
@@ -98,9 +106,14 @@ def read_scene(path: Path) -> GaussianScene:
 
 @torch.no_grad()
 def write_splats(path: Path, scene: GaussianScene, time: float) -> None:
-    """Write the Gaussians, moved to `time` 0..1, as .ply or .spz, as the suffix says, without exposure gains."""
-    means, quats, sh_dc = scene.at(time)
+    """Write the Gaussians that are there at `time` 0..1, as they are then, without exposure gains.
+
+    The suffix says whether as .ply or .spz. Gaussians that are too transparent to be drawn at that time are left out.
+    """
+    opacities, rows = scene.opacities_at(time)
+    means, quats, sh_dc = scene.at(time, rows=rows)
     values = scene.gaussians
-    sh = torch.cat([sh_dc, values["sh_rest"]], dim=1)
+    logits = values["logits"] if rows is None else opacities.logit()
+    sh = torch.cat([sh_dc, rows_of(values["sh_rest"], rows)], dim=1)
     write = write_spz if path.suffix == ".spz" else write_ply
-    write(path, *(x.cpu().numpy() for x in (means, quats, values["log_scales"], values["logits"], sh)))
+    write(path, *(x.cpu().numpy() for x in (means, quats, rows_of(values["log_scales"], rows), logits, sh)))

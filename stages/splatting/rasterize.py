@@ -18,12 +18,14 @@ class Rendering(NamedTuple):
         depth: [C, H, W], sum of weight x z-depth in scene units (divide by alpha for the expected depth).
         alpha: [C, H, W], 0..1.
         centres: one [1, N, 2] per camera, projected means in px with autograd history, for densification.
+        rows: indices of the N Gaussians in the scene that they are from; None: all of it.
     """
 
     colour: Tensor
     depth: Tensor
     alpha: Tensor
     centres: list[Tensor]
+    rows: Tensor | None = None
 
 
 def rasterize(

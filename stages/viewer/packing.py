@@ -11,6 +11,7 @@ unit. With N Gaussians, D of them dynamic, K control points each, P control poin
 | sh_dc | float16 [N, 3] | constant coefficients | 0.0005 |
 | sh_rest | int8 [N, C, 3] | the other C = (degree + 1)^2 - 1, in 1/127 of `sh_steps` [C, 3] | half a step |
 | index, weights | uint16, uint8 [D, K] | skinning pairs, heaviest first; a row of weights sums to 255 | 1/510 |
+| lives | float32 [D, 2] | frame of largest opacity; 1 / (span sqrt(2)), in 1 / frames: 0 if always there | - |
 | instances | uint8 [D] | number of the instance, 0: none | - |
 | points | float32 [P, 3] | canonical control points | - |
 | motions | float16 [T, P, 10] | quaternion, translation, colour offset of each point and frame | 1/2048 |
@@ -28,6 +29,7 @@ import torch
 from stages.deformation.splines import at_times, spline_basis
 from stages.shared.cameras import Cameras
 from stages.splatting.gaussian_model import GaussianScene
+from stages.splatting.life_spans import ALWAYS
 from stages.splatting.projection_kernels import BLUR
 
 SH_LEVELS = 127
@@ -63,6 +65,7 @@ def pack_scene(
         "sh_rest": sh_rest,
         "index": index,
         "weights": weights,
+        "lives": _lives(scene, len(times)),
         "instances": instances.astype(np.uint8),
         "points": points,
         "motions": motions,
@@ -142,8 +145,15 @@ def _pairs(scene: GaussianScene) -> tuple[np.ndarray, np.ndarray]:
     """Index and weights [D, K] of the dynamic Gaussians; K = 1 and no row if there are none."""
     if scene.deformation is None:
         return np.zeros((0, 1), np.int64), np.zeros((0, 1), np.float32)
-    weights = scene.skinning_weights(scene.means[scene.n_static :])
+    weights = scene.skinning_weights(scene.means[scene.n_static :], scene.index)
     return scene.index.cpu().numpy(), weights.cpu().numpy()
+
+
+def _lives(scene: GaussianScene, T: int) -> np.ndarray:
+    """Life spans [D, 2] of the dynamic Gaussians in frames, which the T frames of the clip are evenly spread over."""
+    births, log_spans = (x[scene.n_static :].double().cpu().numpy() for x in (scene.births, scene.cloud().log_spans))
+    rates = np.exp(-log_spans) / (np.sqrt(2) * (T - 1)) * (log_spans < ALWAYS)
+    return np.column_stack([births * (T - 1), rates]).astype(np.float32)
 
 
 def _gains(scene: GaussianScene, times: np.ndarray) -> np.ndarray:

@@ -31,10 +31,11 @@ function makeProgram(gl, vertex, fragment, captured = []) {
 }
 
 const FORMATS = {
-  RGB32F: ["RGB", "FLOAT", 3, Float32Array], RGBA32F: ["RGBA", "FLOAT", 4, Float32Array],
-  RGB16F: ["RGB", "HALF_FLOAT", 3, Uint16Array], RGBA16F: ["RGBA", "HALF_FLOAT", 4, Uint16Array],
-  RGB8_SNORM: ["RGB", "BYTE", 3, Int8Array], R8: ["RED", "UNSIGNED_BYTE", 1, Uint8Array],
-  R8UI: ["RED_INTEGER", "UNSIGNED_BYTE", 1, Uint8Array], R16UI: ["RED_INTEGER", "UNSIGNED_SHORT", 1, Uint16Array],
+  RG32F: ["RG", "FLOAT", 2, Float32Array], RGB32F: ["RGB", "FLOAT", 3, Float32Array],
+  RGBA32F: ["RGBA", "FLOAT", 4, Float32Array], RGB16F: ["RGB", "HALF_FLOAT", 3, Uint16Array],
+  RGBA16F: ["RGBA", "HALF_FLOAT", 4, Uint16Array], RGB8_SNORM: ["RGB", "BYTE", 3, Int8Array],
+  R8: ["RED", "UNSIGNED_BYTE", 1, Uint8Array], R8UI: ["RED_INTEGER", "UNSIGNED_BYTE", 1, Uint8Array],
+  R16UI: ["RED_INTEGER", "UNSIGNED_SHORT", 1, Uint16Array],
 };
 
 // A texture that holds an array row by row, filled up with zeros. `update` writes new values of the same length.

@@ -9,14 +9,14 @@ precision highp usampler2D;
 
 in uint gaussian;
 
-uniform sampler2D means, quats, shapes, sh_dc, sh_rest, weights, motions, points;
+uniform sampler2D means, quats, shapes, sh_dc, sh_rest, weights, lives, motions, points;
 uniform usampler2D index, instances;
 uniform int n_static, pairs, sh_degree, mode;
 uniform vec3 sh_steps[15];            // what +-1 in sh_rest stands for
 uniform vec3 eye, right, down, ahead;  // centre of the camera, rows of its rotation
 uniform vec4 lens;                     // fx fy cx cy in px, pixel centres at integers
 uniform vec2 size;
-uniform float blur, near;
+uniform float blur, near, time;        // time in frames
 
 out vec4 splat_centre;  // x y f0 f1
 out vec4 splat_shape;   // f2, reach in standard deviations times sqrt(1/2), opacity, depth
@@ -97,7 +97,12 @@ void main() {
   int i = int(gaussian);
   vec3 mean = texelFetch(means, at(i), 0).xyz, constant = texelFetch(sh_dc, at(i), 0).rgb;
   vec4 quat = normalize(texelFetch(quats, at(i), 0)), shape = texelFetch(shapes, at(i), 0);
-  if (i >= n_static) constant += skin(i - n_static, mean, quat);
+  if (i >= n_static) {
+    constant += skin(i - n_static, mean, quat);
+    vec2 life = texelFetch(lives, at(i - n_static), 0).xy;
+    float away = (time - life.x) * life.y;
+    shape.w *= exp(-away * away);
+  }
 
   vec3 from_eye = mean - eye, p = vec3(dot(right, from_eye), dot(down, from_eye), dot(ahead, from_eye));
   splat_shape = vec4(0);

@@ -12,7 +12,7 @@ class SplatRenderer {
     this.resolving = makeProgram(gl, "resolve.vert", "resolve.frag");
     const formats = {
       means: "RGB32F", quats: "RGBA16F", shapes: "RGBA16F", sh_dc: "RGB16F", sh_rest: "RGB8_SNORM", index: "R16UI",
-      weights: "R8", instances: "R8UI", points: "RGB32F",
+      weights: "R8", lives: "RG32F", instances: "R8UI", points: "RGB32F",
     };
     this.data = {};
     for (const [name, format] of Object.entries(formats)) this.data[name] = makeData(gl, format, arrays[name]);
@@ -85,9 +85,9 @@ class SplatRenderer {
 
   drawTarget(view, { time, width, height, scale, shown, mode }) {
     const { gl, model } = this, { scene } = model, motion = model.motionAt(time);
-    const order = this.order.sort(view, motion, scene.near, shown);
+    const order = this.order.sort(view, motion, time, scene.near, shown);
     this.data.motions.update(motion);
-    this.project(view, order, width, height, scene.blur * Math.max(1, scale * scale), mode);
+    this.project(view, order, time, width, height, scene.blur * Math.max(1, scale * scale), mode);
     this.target.resize(width, height);
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.target.framebuffer);
     gl.viewport(0, 0, width, height);
@@ -106,7 +106,7 @@ class SplatRenderer {
 
   // Fill the buffer of splats. The blur of the projection is in pixels of the frame, so it grows with the picture: the
   // scene looks as it was trained at any size of the window.
-  project(view, order, width, height, blur, mode) {
+  project(view, order, time, width, height, blur, mode) {
     const { gl } = this, { program, uniforms } = this.projection;
     gl.useProgram(program);
     gl.uniform3fv(uniforms.eye, view.centre);
@@ -114,6 +114,7 @@ class SplatRenderer {
     gl.uniform4fv(uniforms.lens, view.lens);
     gl.uniform2f(uniforms.size, width, height);
     gl.uniform1f(uniforms.blur, blur);
+    gl.uniform1f(uniforms.time, time);
     gl.uniform1i(uniforms.mode, MODES[mode]);
     Object.values(this.data).forEach(({ texture }, k) => {
       gl.activeTexture(gl.TEXTURE0 + k);
@@ -146,7 +147,7 @@ class SplatRenderer {
   // Inverse depths [dark, bright] that leave out the farthest and the nearest 2 % of the Gaussians in front of a view.
   depthRange(view, time) {
     const everything = { static: true, dynamic: true };
-    const order = this.order.sort(view, this.model.motionAt(time), this.model.scene.near, everything);
+    const order = this.order.sort(view, this.model.motionAt(time), time, this.model.scene.near, everything);
     const inverse = (share) => 1 / this.order.depths[order[Math.floor(share * (order.length - 1))]];
     return order.length ? [inverse(0.98), inverse(0.02)] : [0, 1];
   }
