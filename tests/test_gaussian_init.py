@@ -6,9 +6,10 @@ import pytest
 import torch
 from gaussian_training import CANONICAL, TRAIN, image_at, new_scene, psnr
 
-from stages.gaussians.lifting import cloud_within, dynamic_share, initial_cloud, lift, near_plane_of
+from stages.gaussians.lifting import cloud_within, initial_cloud, lift, near_plane_of
 from stages.gaussians.skinning import skin, to_canonical
 from stages.gaussians.training_frames import with_movers
+from stages.gaussians.votes import dynamic_share
 from stages.shared.dense_depth import dense_depth, nearest_on_frame
 from stages.splatting.gaussian_model import GaussianScene
 
@@ -37,7 +38,7 @@ def test_one_false_mask_is_outvoted() -> None:
     points = lift(seen, 0, keep, stride_px=2)
     assert len(points.positions) > 10
     assert seen.masks[0, v, u]
-    assert (dynamic_share(seen, points.positions[None], seen.masks) < 0.5).all()
+    assert (dynamic_share(seen, lambda _: points.positions, seen.masks) < 0.5).all()
     scene = new_scene(seen)
     dynamic = scene.means[scene.n_static :].detach().numpy()
     assert (np.abs(dynamic[:, 2] - truth.SQUARE_Z) < 0.05).all()
@@ -58,9 +59,9 @@ def test_a_mover_whose_motion_is_off_leaves_nothing_hanging_in_the_air() -> None
 def test_the_wall_behind_the_mover_is_not_claimed_by_it() -> None:
     seen = truth.observations(TRAIN)
     behind = truth.square_centre(0.5) * (truth.WALL_Z / truth.SQUARE_Z)
-    assert dynamic_share(seen, behind[None, None], seen.masks)[0] == 0
+    assert dynamic_share(seen, lambda _: behind[None], seen.masks)[0] == 0
     on_square = np.stack([truth.square_centre(time) for time in seen.times])[:, None]
-    assert dynamic_share(seen, on_square, seen.masks)[0] == 1
+    assert dynamic_share(seen, lambda f: on_square[f], seen.masks)[0] == 1
 
 
 def test_skinning_and_its_inverse() -> None:

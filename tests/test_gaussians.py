@@ -51,7 +51,7 @@ def test_densify_splits_what_is_pulled_and_prunes_what_is_transparent() -> None:
     cloud.logits[[3, 160]] = -10.0
     gradient = torch.zeros(200)
     gradient[[7, 170]] = 1.0
-    grown, parents = densify(cloud, gradient, max_gaussians=1000)
+    grown, parents = densify(cloud, gradient, 1000, interval=0.1)
     assert len(grown.means) == 200 - 2 + 2
     assert not grown.dynamic[: int((~grown.dynamic).sum())].any()  # static first
     kept = parents[parents >= 0].tolist()
@@ -65,8 +65,8 @@ def test_densify_splits_what_is_pulled_and_prunes_what_is_transparent() -> None:
 
 def test_densify_keeps_the_cap() -> None:
     gradient = torch.rand(200, generator=torch.manual_seed(1)) ** 4
-    assert len(densify(small_cloud(), gradient, max_gaussians=203)[0].means) == 203
-    assert len(densify(small_cloud(), gradient, max_gaussians=10)[0].means) == 200
+    assert len(densify(small_cloud(), gradient, 203, interval=0.1)[0].means) == 203
+    assert len(densify(small_cloud(), gradient, 10, interval=0.1)[0].means) == 200
 
 
 def coloured_scene(seen: TrainingFrames) -> GaussianScene:

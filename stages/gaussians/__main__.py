@@ -31,7 +31,7 @@ def main(
     scene: Annotated[Path, In("scene.json: which effects the scene needs")],
     points: Annotated[Path, In("control/points.parquet")],
     deformation: Annotated[Path, In("control/deformation.safetensors")],
-    ply: Annotated[Path, Out("canonical splats for viewers")],
+    ply: Annotated[Path, Out("splats of the canonical frame for viewers")],
     model: Annotated[Path, Out("the whole 4D model")],
     half: Annotated[Path, Out("the same in half precision, with what that costs in its metadata")],
     convergence: Annotated[Path, Out("table of step, loss, PSNR, Gaussians, seconds")],
@@ -47,6 +47,7 @@ def main(
     from stages.gaussians.checkpoint import Checkpoint
     from stages.gaussians.inputs import read_observations
     from stages.gaussians.optimise import Trainer
+    from stages.splatting.model_files import write_splats
 
     needs, failed = read_json(scene), "failed" in read_cameras(poses).status
     if failed:
@@ -60,7 +61,8 @@ def main(
     trainer.run(checkpoint.save_sometimes)
     _write_history(convergence, figure, trainer, seen)
     status = {"status": "poses failed" if failed else "trained", "options": options.model_dump()}
-    _write_models((ply, model, half), gaussians, seen, status)
+    _write_models((model, half), gaussians, seen, status)
+    write_splats(ply, gaussians, float(seen.times[canonical]))
     checkpoint.remove()
     return _result(trainer, seen)
 
@@ -82,17 +84,15 @@ def _write_history(convergence: Path, figure: Path, trainer: "Trainer", seen: "T
 
 
 def _write_models(
-    paths: tuple[Path, Path, Path], scene: "GaussianScene", seen: "TrainingFrames", about: dict[str, Any]
+    paths: tuple[Path, Path], scene: "GaussianScene", seen: "TrainingFrames", about: dict[str, Any]
 ) -> None:
-    """Canonical splats, the whole model, and the same in half precision."""
+    """The whole model, and the same in half precision."""
     from stages.splatting.model_files import scene_tensors
-    from stages.splatting.ply import write_ply
 
-    ply, model, half = paths
+    model, half = paths
     tensors, settings = scene_tensors(scene)
     height, width = seen.images.shape[1:3]
     settings |= about | {"median_depth": float(np.median(seen.depths)), "width": width, "height": height}
-    write_ply(ply, *(tensors[name] for name in ("means", "quats", "log_scales", "logits", "sh")))
     _write_half(half, scene, seen, settings)
     write_model(model, tensors, settings)
 
@@ -148,7 +148,8 @@ def _new_scene(
 
     device, neighbours = choose_device(options.device), options.neighbours
     degree, most = needs["view_dependent"]["sh_degree"], options.max_gaussians
-    cloud, stride_px = cloud_within(seen, motion, canonical, options.stride_px, neighbours, degree, most)
+    every = options.movers_every
+    cloud, stride_px = cloud_within(seen, motion, canonical, options.stride_px, neighbours, degree, most, every)
     if stride_px > options.stride_px:
         logger.warning("one Gaussian per %d px, not %d, to stay within max_gaussians", stride_px, options.stride_px)
     background = torch.as_tensor(seen.images.mean(axis=(0, 1, 2)))

@@ -1,5 +1,6 @@
 """Density control: Gaussians with a large image gradient are split, transparent ones pruned, up to a hard cap."""
 
+import math
 from dataclasses import dataclass
 
 import torch
@@ -32,11 +33,13 @@ class GradientRecord:
         """A record of N Gaussians without any step."""
         return cls(torch.zeros(N, device=device), torch.zeros(N, device=device))
 
-    def add(self, gradient: Tensor) -> None:
-        """Add the gradient [1, N, 2] of one step."""
+    def add(self, gradient: Tensor, rows: Tensor | None = None) -> None:
+        """Add the gradient [1, M, 2] of one step, of the Gaussians in `rows` [M], all of them if None."""
         length = gradient[0].norm(dim=-1)
-        self.total += length
-        self.views += length > 0
+        if rows is None:
+            rows = torch.arange(len(length), device=length.device)
+        self.total[rows] += length
+        self.views[rows] += length > 0
 
     @property
     def mean(self) -> Tensor:
@@ -44,19 +47,21 @@ class GradientRecord:
         return self.total / self.views.clamp_min(1)
 
 
-def densify(cloud: Cloud, gradient: Tensor, max_gaussians: int) -> tuple[Cloud, Tensor]:
+def densify(cloud: Cloud, gradient: Tensor, max_gaussians: int, interval: float) -> tuple[Cloud, Tensor]:
     """Prune transparent Gaussians, then split those with the largest gradients along their longest axis.
 
     The halves are half a standard deviation of the parent to either side of its centre. Their longest axis is 0.5 times
-    that of the parent, the other axes 0.85 times and the opacity 0.8 times. No random numbers are used.
+    that of the parent, the other axes 0.85 times and the opacity 0.8 times; life spans are the parent's. No random
+    numbers are used.
 
     Args:
         gradient: [N] mean gradient length of each Gaussian. max_gaussians: hard cap.
+        interval: between training frames, in lengths of the clip.
 
     Returns:
         The new cloud of M Gaussians, static first, and the row [M] of each in the old cloud, -1 for halves.
     """
-    alive = torch.nonzero(cloud.logits.sigmoid() > MIN_OPACITY)[:, 0]
+    alive = torch.nonzero(strength(cloud, interval) > MIN_OPACITY)[:, 0]
     room = max(0, min(int(GROWTH * len(alive)), max_gaussians - len(alive)))
     pulled = gradient[alive]
     wanted = int((pulled > MIN_GRADIENT * float(pulled.cpu().numpy().mean())).sum()) if len(alive) else 0
@@ -70,6 +75,19 @@ def densify(cloud: Cloud, gradient: Tensor, max_gaussians: int) -> tuple[Cloud, 
     _halve(grown, len(kept), len(chosen))
     order = torch.argsort(grown.dynamic.to(torch.uint8), stable=True)
     return select(grown, order), parents[order]
+
+
+def strength(cloud: Cloud, interval: float) -> Tensor:
+    """Largest opacity [N], times the number of training frames that it lasts where that is less than one.
+
+    It lasts for sqrt(2 pi) spans, by the area under its curve. A Gaussian that is gone by the next frame is of use to
+    its own alone, and leaves a hole between the two.
+
+    Args:
+        interval: between training frames, in lengths of the clip.
+    """
+    lasting = cloud.log_spans.exp() * (math.sqrt(2 * math.pi) / interval)
+    return cloud.logits.sigmoid() * lasting.clamp_max(1)
 
 
 def select(cloud: Cloud, rows: Tensor) -> Cloud:

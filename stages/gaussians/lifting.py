@@ -1,6 +1,7 @@
 """Initialisation of the Gaussians: pixels of several training frames lifted by depth, labelled static or dynamic."""
 
-from dataclasses import dataclass
+import sys
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -9,18 +10,20 @@ import torch
 from stages.deformation.motion_models import Deformation
 from stages.gaussians.skinning import skin, to_canonical
 from stages.gaussians.training_frames import TrainingFrames
-from stages.shared.cameras import project, unproject
+from stages.gaussians.votes import DEPTH_TOLERANCE, dynamic_share, pixels_of, static_share
+from stages.shared.cameras import unproject
 from stages.splatting import sh
 from stages.splatting.gaussian_model import Cloud
+from stages.splatting.life_spans import ALWAYS
 from stages.splatting.rasterize import rasterize
 
 LIFTED_FRAMES = 8
 """Frames that are lifted after the canonical one; each adds what the frames before it do not show."""
-DEPTH_TOLERANCE = 0.06
-"""Relative difference of depth up to which two points count as the same surface."""
 SCALE_SHARE = 0.5
 """Initial standard deviation as a share of the distance between neighbouring Gaussians."""
 OPACITY = 0.8
+SPAN_SHARE = 0.75
+"""Initial life span as a share of the time between two frames that movers are lifted from."""
 OUTLINE = 0.006
 """Width of the uncertain band along a mask's outline, as a share of the frame's width: 3 of 512 px. With a narrower one
 static Gaussians keep the colours of the movers' rim, which lowers held-out PSNR."""
@@ -82,7 +85,7 @@ def lift_static(seen: TrainingFrames, order: list[int], stride_px: int, static: 
 def _covered(seen: TrainingFrames, f: int, positions: np.ndarray, stride_px: int) -> np.ndarray:
     """Pixels [H, W] of frame f that have a point within the stride, at or in front of the surface there."""
     height, width = seen.depths.shape[1:]
-    u, v, z, inside = _pixels(seen, f, positions)
+    u, v, z, inside = pixels_of(seen, f, positions)
     nearest = np.full((height, width), np.inf, np.float32)
     np.minimum.at(nearest, (v[inside], u[inside]), z[inside].astype(np.float32))
     size = 2 * stride_px + 1
@@ -90,69 +93,20 @@ def _covered(seen: TrainingFrames, f: int, positions: np.ndarray, stride_px: int
     return np.asarray(nearest < seen.depths[f] * (1 + DEPTH_TOLERANCE))
 
 
-def _pixels(
-    seen: TrainingFrames, f: int, positions: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Nearest pixel u, v [n] (0 if outside) and z-depth [n] of points [n, 3] in frame f, and whether it is inside.
-
-    Pixels of what is burnt in do not count as inside.
-    """
-    height, width = seen.depths.shape[1:]
-    xyz = positions @ seen.cam_from_world[f, :3, :3].T + seen.cam_from_world[f, :3, 3]
-    front = xyz[:, 2] > 0
-    uv = np.full((len(positions), 2), -1.0)
-    uv[front] = project(positions[front], seen.cam_from_world[f], seen.Ks[f])[0]
-    inside = (uv > -0.5).all(axis=1) & (uv[:, 0] < width - 0.5) & (uv[:, 1] < height - 0.5)
-    u, v = np.where(inside[:, None], np.rint(uv), 0).astype(int).T
-    return u, v, xyz[:, 2], inside if seen.scene is None else inside & seen.scene[v, u]
-
-
-def dynamic_share(seen: TrainingFrames, tracks: np.ndarray, masks: np.ndarray) -> np.ndarray:
-    """Share [n] of the frames in which a point is visible whose mask covers it; 0 for points that are never visible.
-
-    A point is visible if it projects into the image and is not behind the depth there.
-
-    Args:
-        tracks: [F, n, 3] positions over time; [1, n, 3] for points at rest.
-        masks: [F, H, W] bool.
-    """
-    return _share(seen, tracks, masks, at_surface=False)
-
-
-def static_share(seen: TrainingFrames, positions: np.ndarray, masks: np.ndarray) -> np.ndarray:
-    """Share [n] of the frames in which a point at rest [n, 3] is visible that show it unmasked and on the surface.
-
-    The surface test excludes points of movers: left at rest, they would float in front of the surface that other frames
-    show.
-    """
-    return _share(seen, positions[None], ~masks, at_surface=True)
-
-
-def _share(seen: TrainingFrames, tracks: np.ndarray, votes: np.ndarray, at_surface: bool) -> np.ndarray:
-    """Share [n] of the frames in which a point on its track [F or 1, n, 3] is visible where votes [F, H, W] is true."""
-    count, views = np.zeros(tracks.shape[1]), np.zeros(tracks.shape[1])
-    for f in range(len(seen.depths)):
-        u, v, z, inside = _pixels(seen, f, tracks[f % len(tracks)])
-        depth = seen.depths[f, v, u]
-        visible = inside & (z < depth * (1 + DEPTH_TOLERANCE))
-        views += visible
-        count += visible & votes[f, v, u] & ((depth < z * (1 + DEPTH_TOLERANCE)) | (not at_surface))
-    return count / np.maximum(views, 1)
-
-
 def lift_dynamic(
-    seen: TrainingFrames, order: list[int], stride_px: int, deformation: Deformation, K: int
+    seen: TrainingFrames, order: list[int], stride_px: int, deformation: Deformation, K: int, everywhere: bool = False
 ) -> tuple[Points, np.ndarray]:
     """Lifted points of masked pixels that no dynamic point covers yet, and their canonical positions [n, 3].
 
     Args:
         order: indices of the frames. stride_px: distance between lifted pixels, px. K: control points per Gaussian.
+        everywhere: lift all masked pixels of these frames, covered or not.
     """
     parts: list[Points] = []
     canonical: list[np.ndarray] = []
     for f in order:
         need = seen.masks[f]
-        if parts:
+        if parts and not everywhere:
             need = need & (_dynamic_alpha(seen, f, join(parts), np.concatenate(canonical), deformation, K) < 0.5)
         points = lift(seen, f, need, stride_px)
         positions, found = to_canonical(points.positions, seen.times[points.frames], deformation, K)
@@ -211,20 +165,28 @@ def cloud_within(
     K: int,
     sh_degree: int,
     max_gaussians: int,
+    movers_every: int = 0,
 ) -> tuple[Cloud, int]:
     """`initial_cloud` at the smallest stride from `stride_px` on that gives at most `max_gaussians`, and that stride.
 
     All other arguments are those of `initial_cloud`.
     """
     while True:
-        cloud = initial_cloud(seen, deformation, canonical, stride_px, K, sh_degree)
+        cloud = initial_cloud(seen, deformation, canonical, stride_px, K, sh_degree, movers_every, max_gaussians)
         if len(cloud.means) <= max_gaussians:
             return cloud, stride_px
         stride_px += 1
 
 
 def initial_cloud(
-    seen: TrainingFrames, deformation: Deformation | None, canonical: int, stride_px: int, K: int, sh_degree: int
+    seen: TrainingFrames,
+    deformation: Deformation | None,
+    canonical: int,
+    stride_px: int,
+    K: int,
+    sh_degree: int,
+    movers_every: int = 0,
+    max_gaussians: int = sys.maxsize,
 ) -> Cloud:
     """Gaussians of the whole scene; without a deformation every pixel is static.
 
@@ -236,6 +198,9 @@ def initial_cloud(
     Args:
         canonical: index (into the F training frames) of the canonical frame.
         stride_px: distance between lifted pixels, px. K: control points per Gaussian.
+        movers_every: dynamic Gaussians have life spans, and are lifted from one frame in this many; 0: they are there
+            at all times, and each frame adds only what those before do not show.
+        max_gaussians: to stay within, movers are lifted from fewer frames, but from no less than half as many.
     """
     order = frame_order(len(seen.images), canonical)
     if deformation is None:
@@ -246,17 +211,51 @@ def initial_cloud(
     kernel = np.ones((size, size), np.uint8)
     widened = np.stack([cv2.dilate(mask.astype(np.uint8), kernel) > 0 for mask in seen.masks])
     static = lift_static(seen, order, stride_px, ~widened)
-    claimed = dynamic_share(seen, static.positions[None], seen.masks) > 0.5
+    claimed = dynamic_share(seen, lambda _: static.positions, seen.masks) > 0.5
     claimed_times = seen.times[static.frames[claimed]]
     recovered, found = to_canonical(static.positions[claimed], claimed_times, deformation, K)
-    dynamic, means = lift_dynamic(seen, order, stride_px, deformation, K)
-    with torch.no_grad():
-        rest = torch.as_tensor(means, dtype=torch.float32)
-        tracks = np.stack([skin(rest, float(time), deformation, K).double().numpy() for time in seen.times])
-    moves = dynamic_share(seen, tracks, widened) >= static_share(seen, dynamic.positions, widened)
+    room = stride_px**2 * (max_gaussians - len(static.frames))
+    births = birth_frames(seen.masks.sum(axis=(1, 2)), movers_every, room) if movers_every else []
+    dynamic, means = lift_dynamic(seen, births or order, stride_px, deformation, K, everywhere=bool(births))
+    rest = torch.as_tensor(means, dtype=torch.float32)
+
+    def moved(f: int) -> np.ndarray:
+        with torch.no_grad():
+            return np.asarray(skin(rest, float(seen.times[f]), deformation, K).double().numpy())
+
+    moves = dynamic_share(seen, moved, widened) >= static_share(seen, dynamic.positions, widened)
     points = join([static[~claimed], static[claimed][found], dynamic])
     positions = np.concatenate([
         static.positions[~claimed], recovered[found], np.where(moves[:, None], means, dynamic.positions)
     ])  # fmt: skip
     labels = np.concatenate([np.zeros((~claimed).sum(), bool), np.ones(found.sum(), bool), moves])
-    return make_cloud(points, positions, labels, sh_degree)
+    cloud = make_cloud(points, positions, labels, sh_degree)
+    return with_life_spans(cloud, points.frames[np.argsort(labels, kind="stable")], seen.times, births)
+
+
+def birth_frames(masked: np.ndarray, every: int, room: int) -> list[int]:
+    """Indices of the frames that movers are lifted from: about one in `every` of F, evenly spread, with both ends.
+
+    As long as these have more masked pixels [F] than there is `room` for, one in more is taken, up to twice `every`:
+    of movers lifted half as often less is lost than of a whole scene that is lifted more coarsely.
+    """
+    F = len(masked)
+    for gap in range(every, 2 * every + 1):
+        chosen = np.unique(np.linspace(0, F - 1, 1 + max(1, round((F - 1) / gap))).round().astype(int))
+        if masked[chosen].sum() <= room:
+            break
+    return [int(f) for f in chosen]
+
+
+def with_life_spans(cloud: Cloud, frames: np.ndarray, times: np.ndarray, births: list[int]) -> Cloud:
+    """The cloud with life spans of its dynamic Gaussians, around the frames [N] that they were lifted from.
+
+    Args:
+        times: [F] of the frames. births: indices of the frames that movers are lifted from; none: no life spans.
+    """
+    if not births:
+        return cloud
+    gap = float(np.mean(np.diff(times[births])))
+    spans = torch.full_like(cloud.logits, float(np.log(SPAN_SHARE * gap)))
+    log_spans = torch.where(cloud.dynamic, spans, torch.full_like(spans, ALWAYS))
+    return replace(cloud, births=torch.as_tensor(times[frames], dtype=torch.float32), log_spans=log_spans)

@@ -22,6 +22,7 @@ LEARNING_RATES = {
     "log_scales": 0.06,
     "quats": 0.03,
     "logits": 0.15,
+    "log_spans": 0.06,
     "sh_dc": 0.1,
     "sh_rest": 0.005,
 }
@@ -123,7 +124,7 @@ class Trainer:
         self.optimiser.step()
         self.optimiser.zero_grad()
         if view.centres[0].grad is not None:
-            self.record.add(view.centres[0].grad)
+            self.record.add(view.centres[0].grad, view.rows)
         return float(loss.detach()), psnr_db(float(mean_by_rows(difference.detach().square())))
 
     def _frame_of_step(self) -> int:
@@ -164,7 +165,8 @@ class Trainer:
 
     def _densify(self) -> None:
         """Densify the Gaussians; those that stay keep their moments in the optimiser."""
-        cloud, parents = densify(self.scene.cloud(), self.record.mean, self.options.max_gaussians)
+        interval = 1 / len(self.times)
+        cloud, parents = densify(self.scene.cloud(), self.record.mean, self.options.max_gaussians, interval)
         old = {name: self.optimiser.state[self.scene.gaussians[name]] for name in LEARNING_RATES}
         motion = {p: state for p, state in self.optimiser.state.items() if p not in set(self.scene.gaussians.values())}
         self.scene.set_cloud(cloud)

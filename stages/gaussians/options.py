@@ -14,6 +14,13 @@ class GaussiansOptions(SplitOptions):
         1000, ge=0, le=100_000, description="optimisation steps, one training frame each; 0: the result of stage 1"
     )
     stride_px: int = Field(2, ge=1, le=16, description="one initial Gaussian per this many pixels, each way")
+    movers_every: int = Field(
+        3,
+        ge=0,
+        le=1000,
+        description="dynamic Gaussians start from one training frame in this many, and each is seen around the time of"
+        " its own; 0: one canonical cloud for all time, as the paper",
+    )
     max_gaussians: int = Field(
         80_000, ge=1, description="largest number of Gaussians, initially and after densification"
     )

@@ -77,6 +77,6 @@ def test_density_control_without_gaussians() -> None:
     seen = truth.observations(TRAIN)
     cloud = initial_cloud(seen, None, CANONICAL, 8, 4, sh_degree=0)
     empty = select(cloud, torch.zeros(0, dtype=torch.int64))
-    assert len(densify(empty, torch.zeros(0), max_gaussians=10)[0].means) == 0
+    assert len(densify(empty, torch.zeros(0), 10, interval=0.1)[0].means) == 0
     cloud.logits[:] = -10
-    assert len(densify(cloud, torch.ones(len(cloud.means)), max_gaussians=10_000)[0].means) == 0
+    assert len(densify(cloud, torch.ones(len(cloud.means)), 10_000, interval=0.1)[0].means) == 0
