@@ -37,7 +37,8 @@ def _windows(x: np.ndarray, size: int, stride: int) -> np.ndarray:
     return sliding_window_view(x, (size, size), axis=(1, 2))[:, ::stride, ::stride]
 
 
-def _oracle(weights: dict[str, torch.Tensor], images: list[np.ndarray]) -> float:
+def _oracle(weights: dict[str, torch.Tensor], images: list[np.ndarray], columns: int | None = None) -> float:
+    """Of the whole images, or of so many of their first columns: of a pixel of a layer the share that these cover."""
     shift, scale = np.array([-0.030, -0.088, -0.188]), np.array([0.458, 0.448, 0.450])
     x, y = (np.moveaxis((image / 255 * 2 - 1 - shift) / scale, -1, 0) for image in images)
     total = 0.0
@@ -53,7 +54,11 @@ def _oracle(weights: dict[str, torch.Tensor], images: list[np.ndarray]) -> float
         x, y = maps
         unit_x, unit_y = (z / (np.linalg.norm(z, axis=0) + 1e-10) for z in (x, y))
         weight = weights[f"lin{k}.model.1.weight"].double().numpy().ravel()
-        total += float(np.einsum("c,chw->hw", weight, (unit_x - unit_y) ** 2).mean())
+        difference = np.einsum("c,chw->hw", weight, (unit_x - unit_y) ** 2)
+        width = images[0].shape[1] / difference.shape[1]  # of a pixel of the layer
+        first = np.arange(difference.shape[1]) * width
+        share = np.ones_like(first) if columns is None else ((columns - first) / width).clip(0, 1)
+        total += float((difference * share).sum() / (len(difference) * share.sum()))
     return total
 
 
@@ -64,8 +69,11 @@ def test_distance_is_the_formula(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
     image = rng.integers(0, 256, (47, 61, 3), dtype=np.uint8)
     other = np.clip(image + rng.normal(0, 30, image.shape), 0, 255).astype(np.uint8)
-    assert distance(image, other) == pytest.approx(_oracle(weights, [image, other]), rel=1e-4)
-    assert distance(image, image) == 0
+    assert distance(image, other, None) == pytest.approx(_oracle(weights, [image, other]), rel=1e-4)
+    assert distance(image, other, np.ones((47, 61), bool)) == pytest.approx(distance(image, other, None), rel=1e-5)
+    left = np.broadcast_to(np.arange(61) < 25, (47, 61))
+    assert distance(image, other, left) == pytest.approx(_oracle(weights, [image, other], 25), rel=1e-4)
+    assert distance(image, image, None) == 0
 
 
 def test_files_that_are_no_weights_are_bad_input(tmp_path: Path) -> None:
@@ -88,7 +96,7 @@ def test_files_that_are_no_weights_are_bad_input(tmp_path: Path) -> None:
         load_lpips(path)
 
 
-def test_image_rows_carry_lpips_of_whole_frames_where_weights_are_given(tmp_path: Path) -> None:
+def test_image_rows_carry_lpips_of_all_regions_where_weights_are_given(tmp_path: Path) -> None:
     paths = [tmp_path / f"frame_{number:04d}.png" for number in (1, 2, 3)]
     images = np.random.default_rng(2).integers(0, 256, (3, 40, 48, 3), dtype=np.uint8)
     for path, image in zip(paths, images, strict=True):
@@ -98,14 +106,16 @@ def test_image_rows_carry_lpips_of_whole_frames_where_weights_are_given(tmp_path
     flow = {"source": np.zeros(0, int), "target": np.zeros(0, int), "flow": np.zeros((0, 40, 48, 2))}
     half = np.broadcast_to(np.arange(48) < 24, (40, 48))
     torch.save(_weights(), tmp_path / "alex.pth")
-    expected = {"alex.pth": _oracle(_weights(), [images[0], images[1]]), None: None}
-    for file, value in expected.items():
+    pair = [images[0], images[1]]
+    expected = {"alex.pth": (_oracle(_weights(), pair), _oracle(_weights(), pair, 24)), None: (None, None)}
+    for file, (whole, left) in expected.items():
         weights = tmp_path / file if file else None
         options = EvaluateOptions(lpips_weights=weights, holdout_every=3, holdout_first=1)
         rows, _ = score_images(sequence, tmp_path / "renders", flow, ({2: half}, "by hand"), options)
         found = {row["region"]: row["lpips"] for row in rows if row["method"] == "ours"}
-        assert found["whole"] == (None if value is None else pytest.approx(value, rel=1e-4))
-        assert (found["static"], found["dynamic"]) == (None, None)
+        assert found["whole"] == (None if whole is None else pytest.approx(whole, rel=1e-4))
+        assert found["dynamic"] == (None if left is None else pytest.approx(left, rel=1e-4))
+        assert (found["static"] is None) == (whole is None)
 
 
 def test_a_missing_file_of_weights_stops_before_any_job() -> None:

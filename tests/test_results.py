@@ -11,6 +11,7 @@ import yaml
 from conftest import REPO
 
 from stages.comparisons import made_under
+from stages.evaluate import image_baselines
 from stages.results import __main__ as results_stage
 from stages.results import scene_tables, scorecard
 from stages.results.options import ResultsOptions
@@ -73,6 +74,29 @@ def test_a_row_holds_what_the_tables_say(finished: Path) -> None:
     assert (row["threads"], row["colmap_threads"]) == (2, 1)
     assert row["flags"] == "a warning; one more"
     assert "ba" in row["old"]  # its time file was written by other code than this checkout's
+
+
+def test_ours_minus_warping_is_of_the_same_frames(finished: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Warping leaves out frames without an edge; a difference of means over other frames would say nothing."""
+    read = scorecard.read_rows
+
+    def with_warp(frames: int) -> dict[str, Any]:
+        def rows(path: Path) -> list[dict[str, Any]]:
+            found = read(path)
+            if path.name != "images.parquet":
+                return found
+            ours = [row for row in found if (row["method"], row["split"]) == ("ours", "test")]
+            scores = {"method": image_baselines.WARP, "psnr_db": 20.0, "ssim": 0.5}
+            return found + [row | scores | {"frames": frames * row["frames"]} for row in ours]
+
+        monkeypatch.setattr(scorecard, "read_rows", rows)
+        return scorecard.score_row(finished / "results/wall")
+
+    same, other = with_warp(1), with_warp(2)
+    assert same["gain_whole"] == pytest.approx(same["psnr_whole"] - 20)
+    assert (same["warp_ssim_whole"], other["gain_whole"]) == (0.5, None)
+    table = scene_tables.view_table([same | {"sequence": "wall"}, _scene("a", gain_whole=-1.26, gain_static=0.5)])
+    assert table.rows[1]["gain"] == "-1.3 / 0.50 / n/a"
 
 
 def test_medians_and_means_count_what_they_leave_out() -> None:

@@ -11,7 +11,8 @@ from stages.shared.errors import InputError
 if TYPE_CHECKING:
     from torch import Tensor
 
-Distance = Callable[[np.ndarray, np.ndarray], float]
+Distance = Callable[[np.ndarray, np.ndarray, np.ndarray | None], float]
+"""Of two images [H, W, 3] uint8, over the pixels where a region [H, W] bool is true, over all if it is None."""
 SHIFT, SCALE = (-0.030, -0.088, -0.188), (0.458, 0.448, 0.450)
 LAYERS = (  # name, shape of the kernel, stride, padding, pooled before
     ("net.slice1.0", (64, 3, 11, 11), 4, 2, False),
@@ -21,7 +22,10 @@ LAYERS = (  # name, shape of the kernel, stride, padding, pooled before
     ("net.slice5.10", (256, 256, 3, 3), 1, 1, False),
 )
 EPSILON = 1e-10
-PROTOCOL = "LPIPS: version 0.1, AlexNet, whole images in -1..1"
+PROTOCOL = (
+    "LPIPS: version 0.1, AlexNet, on whole images in -1..1; of a region the mean of each layer over its share of the "
+    "layer's pixels"
+)
 SAVED_BY = "write the state_dict() of lpips.LPIPS(net='alex') by torch, as config.yaml shows"
 
 
@@ -42,7 +46,7 @@ def load_lpips(path: Path) -> Distance:
         found = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise InputError(path, "a state dict that torch saved", found, SAVED_BY) from error
     _check(path, weights)
-    return lambda image, truth: _distance(weights, image, truth)
+    return lambda image, truth, region: _distance(weights, image, truth, region)
 
 
 def _check(path: Path, weights: object) -> None:
@@ -60,8 +64,11 @@ def _check(path: Path, weights: object) -> None:
                 raise InputError(path, f"finite '{key}' of shape {size}", f"shape {tuple(tensor.shape)}", SAVED_BY)
 
 
-def _distance(weights: "Mapping[str, Tensor]", image: np.ndarray, truth: np.ndarray) -> float:
+def _distance(
+    weights: "Mapping[str, Tensor]", image: np.ndarray, truth: np.ndarray, region: np.ndarray | None
+) -> float:
     """Sum over layers of the mean over pixels of the weighted squared difference of unit features (eq. 1)."""
+    import cv2
     import torch
 
     with torch.inference_mode():
@@ -70,7 +77,12 @@ def _distance(weights: "Mapping[str, Tensor]", image: np.ndarray, truth: np.ndar
         for k, features in enumerate(maps):
             unit = features / (features.square().sum(dim=1, keepdim=True).sqrt() + EPSILON)
             weight = weights[f"lin{k}.model.1.weight"].to(unit.dtype)
-            total += float(((unit[:1] - unit[1:]).square() * weight).sum(dim=1).mean())
+            difference = ((unit[:1] - unit[1:]).square() * weight).sum(dim=1)[0]
+            if region is None:
+                total += float(difference.mean())
+                continue
+            share = cv2.resize(region.astype(np.float32), difference.shape[::-1], interpolation=cv2.INTER_AREA)
+            total += float(np.average(difference.numpy(), weights=share))
     return total
 
 

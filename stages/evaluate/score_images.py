@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -22,6 +22,14 @@ SPLITS = {
     "its own estimated pose",
     "right": "right-eye views against the clean pass, the only one with right-eye truth",
 }
+
+
+class Score(NamedTuple):
+    """PSNR in dB, SSIM, and LPIPS if its weights are given."""
+
+    psnr_db: float
+    ssim: float
+    lpips: float | None
 
 
 def score_images(
@@ -75,38 +83,45 @@ def _score(
     left_out: np.ndarray | None,
 ) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """Rows per region and rows per frame of one method and split."""
-    scores: dict[str, list[tuple[float, float]]] = {region: [] for region in REGIONS}
-    frames, distances = [], []
+    scores: dict[str, list[Score]] = {region: [] for region in REGIONS}
+    frames = []
     for number, (image, truth) in pairs.items():
-        of_regions = score_frame(image, truth, masks.get(number), left_out)
+        of_regions = score_frame(image, truth, masks.get(number), left_out, distance)
         for region, score in of_regions.items():
             scores[region].append(score)
-        if distance:
-            distances.append(distance(image, reduced(truth, image)))
-        psnr, ssim = of_regions["whole"]
-        frames.append({**about, "frame": number, "psnr_db": psnr, "ssim": ssim})
+        whole = of_regions["whole"]
+        frames.append({**about, "frame": number, "psnr_db": whole.psnr_db, "ssim": whole.ssim})
     rows = []
     for region, values in scores.items():
         if values:
-            psnr, ssim = np.mean(values, axis=0).tolist()
             height, width = next(iter(pairs.values()))[0].shape[:2]
-            lpips = float(np.mean(distances)) if distances and region == "whole" else None
-            row: dict[str, Any] = about | {"region": region, "psnr_db": psnr, "ssim": ssim, "lpips": lpips}
+            row: dict[str, Any] = about | {"region": region} | _means(values)
             row |= {"frames": len(values), "width": width, "height": height}
             rows.append(row | {"mask_source": None if region == "whole" else mask_source})
     return rows, frames
 
 
+def _means(scores: list[Score]) -> dict[str, float | None]:
+    """Means of all scores by name; None where there are none."""
+    columns = zip(Score._fields, zip(*scores, strict=True), strict=True)
+    return {name: None if None in values else float(np.mean(values)) for name, values in columns}
+
+
 def score_frame(
-    image: np.ndarray, truth: np.ndarray, mask: np.ndarray | None, left_out: np.ndarray | None = None
-) -> dict[str, tuple[float, float]]:
-    """PSNR (dB) and SSIM by region; a region without pixels (or without a mask) is left out.
+    image: np.ndarray,
+    truth: np.ndarray,
+    mask: np.ndarray | None,
+    left_out: np.ndarray | None = None,
+    distance: Distance | None = None,
+) -> dict[str, Score]:
+    """Scores by region; a region without pixels (or without a mask) is left out.
 
     Args:
         image: [H, W, 3] uint8.
         truth: [H', W', 3] uint8, reduced to the size of `image` if that is smaller.
         mask: dynamic pixels [H', W'], or None.
         left_out: pixels [H', W'] that do not count, because something is burnt in there, or None.
+        distance: LPIPS, if its weights are given.
     """
     truth = reduced(truth, image)
     mask, left_out = (None if pixels is None else _resized(pixels, image) for pixels in (mask, left_out))
@@ -114,12 +129,14 @@ def score_frame(
     similarity = image_metrics.ssim_map(x, y)
     whole = None if left_out is None else ~left_out
     over = similarity if whole is None else similarity[image_metrics.inside(whole)]
-    scores = {"whole": (image_metrics.psnr(x, y, whole), float(over.mean()))}
+    lpips = distance(image, truth, whole) if distance else None
+    scores = {"whole": Score(image_metrics.psnr(x, y, whole), float(over.mean()), lpips)}
     for region, chosen in (("static", ~mask), ("dynamic", mask)) if mask is not None else ():
         pixels = chosen if whole is None else chosen & whole
         inner = image_metrics.inside(pixels)
         if inner.any():
-            scores[region] = image_metrics.psnr(x, y, pixels), float(similarity[inner].mean())
+            lpips = distance(image, truth, pixels) if distance else None
+            scores[region] = Score(image_metrics.psnr(x, y, pixels), float(similarity[inner].mean()), lpips)
     return scores
 
 

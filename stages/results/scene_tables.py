@@ -38,6 +38,8 @@ VIEWS = (
     SCENE,
     Column("psnr", "held-out PSNR: whole / static / moving, dB"),
     Column("warp", "warping neighbours by our flow, dB"),
+    Column("gain", "ours minus warping, dB"),
+    Column("ssim", "SSIM of movers: ours / warping"),
     Column("right_db", "right eye", "dB", 1),
     Column("wall_s", "all our stages", "s", 0),
     Column("cpu_s", "CPU", "s", 0),
@@ -56,6 +58,11 @@ FIGURES: tuple[tuple[str, str, int], ...] = (
     ("warp_whole", "warping neighbours by our flow, whole, dB", 1),
     ("warp_static", "warping neighbours, static, dB", 1),
     ("warp_dynamic", "warping neighbours, moving, dB", 1),
+    ("gain_whole", "ours minus warping, whole, dB", 1),
+    ("gain_static", "ours minus warping, static, dB", 1),
+    ("gain_dynamic", "ours minus warping, moving, dB", 1),
+    ("ssim_dynamic", "held-out SSIM, moving", 3),
+    ("warp_ssim_dynamic", "warping neighbours, SSIM, moving", 3),
     ("right_db", "right-eye PSNR, dB", 1),
     ("wall_s", "all our stages, s", 0),
     ("cpu_s", "all our stages, CPU s", 0),
@@ -65,7 +72,8 @@ FIGURES: tuple[tuple[str, str, int], ...] = (
 )
 HEADLINE = (
     *("ate_percent", "colmap_percent", "focal_abs_percent", "iou", "psnr_whole", "psnr_static", "psnr_dynamic"),
-    *("warp_whole", "warp_static", "warp_dynamic", "cpu_s", "poses_cpu_s", "colmap_cpu_s"),
+    *("warp_whole", "warp_static", "warp_dynamic", "gain_whole", "gain_dynamic"),
+    *("cpu_s", "poses_cpu_s", "colmap_cpu_s"),
 )
 """The figures in the summary."""
 
@@ -88,9 +96,12 @@ def camera_table(rows: Sequence[Row]) -> Table:
 
 def view_table(rows: Sequence[Row]) -> Table:
     """Held-out and right-eye views of every scene, failed ones too."""
-    shown = [
-        row | {"scene": row["sequence"], "psnr": _regions(row, "psnr"), "warp": _regions(row, "warp")} for row in rows
-    ]
+    shown = []
+    for row in rows:
+        of = {name: [row.get(f"{name}_{region}") for region in REGIONS] for name in ("psnr", "warp", "gain")}
+        ssim = _several([row.get("ssim_dynamic"), row.get("warp_ssim_dynamic")], digits=2)
+        regions = {name: _several(values) for name, values in of.items()}
+        shown.append(row | {"scene": row["sequence"], "ssim": ssim} | regions)
     return Table("views", "Views that were not used for training", "", VIEWS, shown)
 
 
@@ -191,8 +202,7 @@ def _spent(row: Row) -> str:
     return " / ".join(decimal(value, 1) for value in seconds if value is not None)
 
 
-def _regions(row: Row, prefix: str) -> str:
-    values = [row.get(f"{prefix}_{region}") for region in REGIONS]
+def _several(values: Sequence[float | None], digits: int = 1) -> str:
     if all(value is None for value in values):
         return "n/a"
-    return " / ".join("n/a" if value is None else decimal(value, 1) for value in values)
+    return " / ".join("n/a" if value is None else decimal(value, digits) for value in values)

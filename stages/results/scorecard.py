@@ -120,7 +120,14 @@ def _mask_scores(masks: Sequence[Row]) -> Row:
 
 
 def _image_scores(images: Sequence[Row]) -> Row:
-    found = {(row["method"], row["split"], row["region"]): row["psnr_db"] for row in images}
-    scores: Row = {f"psnr_{region}": found.get(("ours", "test", region)) for region in REGIONS}
-    scores |= {f"warp_{region}": found.get((image_baselines.WARP, "test", region)) for region in REGIONS}
-    return scores | {"right_db": found.get(("ours", "right", "whole"))}
+    """Held-out scores of our renders and of warped neighbours; ours minus theirs where both have the same frames."""
+    scores: Row = {}
+    found = {(row["method"], row["split"], row["region"]): row for row in images}
+    for region in REGIONS:
+        ours, warp = (found.get((method, "test", region), {}) for method in ("ours", image_baselines.WARP))
+        scores |= {f"psnr_{region}": ours.get("psnr_db"), f"warp_{region}": warp.get("psnr_db")}
+        scores |= {f"ssim_{region}": ours.get("ssim"), f"warp_ssim_{region}": warp.get("ssim")}
+        both = bool(ours) and bool(warp) and ours["frames"] == warp["frames"]
+        scores[f"gain_{region}"] = ours["psnr_db"] - warp["psnr_db"] if both else None
+    right = found.get(("ours", "right", "whole"), {})
+    return scores | {"right_db": right.get("psnr_db")}
