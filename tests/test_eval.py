@@ -10,7 +10,7 @@ import pytest
 from stages.evaluate import costs, pose_diagnostics, score_geometry, score_models, score_poses
 from stages.report import overview
 from stages.shared import lie
-from stages.shared.artifacts import read_dense, write_model
+from stages.shared.artifacts import read_dense, read_metadata, read_model, write_model
 from stages.shared.cameras import Cameras, make_cameras, read_cameras, write_cameras
 from stages.shared.masks import read_masks
 from stages.shared.run_inputs import RunInputs, read_run_inputs
@@ -137,6 +137,21 @@ def test_checks_say_how_well_motion_is_fitted_and_what_the_model_takes(scored: P
     assert (values["model file"], values["model file, half precision"]) == (full / 1e6, half / 1e6)
     computed = values["computed: model file with a motion per Gaussian and frame"]
     assert 1e6 * computed == pytest.approx(full - 5 * 100 * 7 * 4 + 50 * run.T * 7 * 4)
+
+
+def test_a_motion_per_gaussian_is_only_counted_while_it_can_be_seen(scored: Path, tmp_path: Path) -> None:
+    """Gaussians of opacity 0.5 are seen up to 3.1 spans from their birth, here in the middle of eight frames."""
+    source = scored / "gaussians/model.safetensors"
+    tensors, about, half = read_model(source), read_metadata(source), scored / "gaussians/model_half.safetensors"
+    tensors["logits"] = np.zeros(1000, np.float32)
+    sizes = {}
+    for name, span in (("brief", 0.1), ("long", 10.0)):
+        spans = {"births": np.full(50, 3 / 7, np.float32), "log_spans": np.full(50, np.log(span), np.float32)}
+        path = tmp_path / f"{name}.safetensors"
+        write_model(path, tensors | spans, about)
+        rows = score_models.model_rows(name, run.T, scored / "control/deformation.safetensors", path, half)
+        sizes[name] = 1e6 * rows[-1]["value"] - path.stat().st_size
+    assert sizes["long"] - sizes["brief"] == pytest.approx(50 * (run.T - 5) * 7 * 4)
 
 
 def test_a_frame_without_matches_has_a_pose_in_no_table(scored: Path, tmp_path: Path) -> None:

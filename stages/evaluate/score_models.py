@@ -1,10 +1,14 @@
 """Rows of the check table on the model: residual of the tracks under the control points, and file sizes."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from stages.evaluate.score_geometry import check_row
 from stages.shared.artifacts import read_metadata, read_model
+from stages.shared.split import frame_times
 
 STUCK = "motion fit stuck"
 MEDIAN, P90 = "motion fit residual, median", "motion fit residual, 90th percentile"
@@ -15,7 +19,7 @@ FILE_PROTOCOL = "size of the file; n: Gaussians"
 HALF_PROTOCOL = "mean over a few training frames rendered from the file in half precision; n: Gaussians"
 COMPUTED_PROTOCOL = (
     "computed, no such model is made: our full file with a quaternion and a translation (7 float32) per dynamic "
-    "Gaussian and frame in place of the control points and their motion; n: dynamic Gaussians"
+    "Gaussian and frame in which it can be seen, in place of the control points and their motion; n: dynamic Gaussians"
 )
 MOTION_PREFIX = "deformation."
 MOTION_BYTES = 7 * 4
@@ -56,11 +60,27 @@ def _file_rows(frames: int, full: Path, half: Path) -> list[dict[str, Any]]:
         check_row("PSNR lost by half precision", quality["psnr_loss_db"], N, "dB", HALF_PROTOCOL),
     ]
     if dynamic:
-        ours = sum(values.nbytes for key, values in read_model(full).items() if key.startswith(MOTION_PREFIX))
-        megabytes = (full.stat().st_size - ours + dynamic * frames * MOTION_BYTES) / 1e6
+        tensors = read_model(full)
+        ours = sum(values.nbytes for key, values in tensors.items() if key.startswith(MOTION_PREFIX))
+        megabytes = (full.stat().st_size - ours + _sightings(tensors, dynamic, frames) * MOTION_BYTES) / 1e6
         name = "computed: model file with a motion per Gaussian and frame"
         rows.append(check_row(name, megabytes, dynamic, "MB", COMPUTED_PROTOCOL))
     return rows
+
+
+def _sightings(tensors: Mapping[str, np.ndarray], dynamic: int, frames: int) -> int:
+    """Number of pairs of a dynamic Gaussian and a frame in which its opacity can be seen; all without life spans."""
+    if "births" not in tensors:
+        return dynamic * frames
+    import torch
+
+    from stages.splatting.life_spans import presence
+    from stages.splatting.raster_bins import MIN_ALPHA
+
+    births, log_spans = (torch.from_numpy(tensors[name]) for name in ("births", "log_spans"))
+    opacities = torch.from_numpy(tensors["logits"][-dynamic:]).sigmoid()
+    moments = [opacities * presence(births, log_spans, float(time)) for time in frame_times(frames)]
+    return sum(int((opacity > MIN_ALPHA).sum()) for opacity in moments)
 
 
 def stuck_fits(rows: list[dict[str, Any]]) -> list[str]:
