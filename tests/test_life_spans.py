@@ -99,6 +99,16 @@ def test_the_rasteriser_passes_gradients_on_to_births_and_spans() -> None:
         assert float(gradient) == pytest.approx((sums[0] - sums[1]) / 0.02, rel=2e-3)
 
 
+def test_gaussians_drift_from_where_they_are_at_birth() -> None:
+    """Control points at rest leave the straight way of a Gaussian through its life as it is."""
+    scene = single()
+    start, drift = torch.tensor([[0.0, 0.0, 2.0]]), torch.tensor([[0.3, -0.1, 0.2]])
+    with torch.no_grad():
+        scene.gaussians["drifts"][:] = drift
+        for time, spans in ((0.4, 0.0), (0.2, -1.0), (0.7, 1.5)):
+            assert torch.allclose(scene.at(time)[0], start + spans * drift, atol=1e-5)
+
+
 def test_what_is_too_transparent_at_a_time_is_left_out_and_nothing_changes(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = fading_scene(truth.observations(TRAIN), every=1)
     with torch.no_grad():
@@ -143,12 +153,13 @@ def test_halves_inherit_life_spans_and_what_hardly_lives_is_pruned() -> None:
     cloud.births = torch.linspace(0, 1, len(cloud.means))
     cloud.log_spans[n:] = torch.linspace(-3, -1, len(cloud.means) - n)
     cloud.log_spans[n + 5] = np.log(1e-4)
+    cloud.drifts = torch.randn(len(cloud.means), 3)
     gradient = torch.zeros(len(cloud.means))
     gradient[n + 9] = 1.0
     grown, parents = densify(cloud, gradient, 10**6, interval=0.1)
     assert sorted(parents.tolist()) == [-1, -1, *(k for k in range(len(cloud.means)) if k not in (n + 5, n + 9))]
     kept = parents >= 0
-    for name in ("births", "log_spans"):
+    for name in ("births", "log_spans", "drifts"):
         now, before = getattr(grown, name), getattr(cloud, name)
         assert torch.equal(now[kept], before[parents[kept]])
         assert (now[~kept] == before[n + 9]).all()
@@ -158,6 +169,7 @@ def test_files_hold_the_life_spans(tmp_path: Path) -> None:
     scene = fading_scene(truth.observations(TRAIN))
     with torch.no_grad():
         scene.gaussians["log_spans"][scene.n_static :] += 0.3 * torch.randn(len(scene.anchors) - scene.n_static)
+        scene.gaussians["drifts"] += 0.5 * torch.randn(len(scene.anchors), 3)
     write_model(tmp_path / "model.safetensors", *scene_tensors(scene))
     tensors, about = read_model(tmp_path / "model.safetensors"), read_metadata(tmp_path / "model.safetensors")
     again, small = scene_from_tensors(tensors, about), scene_from_tensors(*halved(tensors, about))

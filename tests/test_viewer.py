@@ -106,6 +106,7 @@ def tumbling(unit: float) -> GaussianScene:
     )
     cloud.births = torch.rand(N, generator=random)
     cloud.log_spans[200:] = torch.log(0.05 + 0.5 * torch.rand(N - 200, generator=random))
+    cloud.drifts = 0.1 * unit * torch.randn(N, 3, generator=random)
     points = unit * means[200::20]
     motion = TableDeformation(points, torch.full((len(points),), np.log(0.4 * unit)), torch.tensor(truth.TIMES))
     steps = 0.5 * torch.randn(motion.table.shape, generator=random)

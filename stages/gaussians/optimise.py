@@ -23,10 +23,12 @@ LEARNING_RATES = {
     "quats": 0.03,
     "logits": 0.15,
     "log_spans": 0.06,
+    "drifts": 0.06,
     "sh_dc": 0.1,
     "sh_rest": 0.005,
 }
-"""Adam's learning rate per parameter, in footprints, logarithms, radians / 2, logits and SH coefficients."""
+"""Adam's learning rate per parameter, in footprints (of drifts, per span), logarithms, radians / 2, logits and SH
+coefficients."""
 MOTION_RATE = 1e-4
 """Of rotations and translations of the control points. At several times this rate, control points that few pixels
 constrain drift and blur fast movers; without any, PSNR of movers is lower too (`gaussians.detach` measures that)."""

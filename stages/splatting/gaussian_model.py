@@ -26,8 +26,8 @@ class Cloud:
         log_scales: [N, 3] logarithms of the standard deviations in scene units.
         quats: [N, 4] wxyz, any length but zero. logits: [N] of opacity.
         sh: [N, K, 3] coefficients, K = (degree + 1)^2. dynamic: [N] bool, static Gaussians first.
-        births, log_spans: [N] life spans, as for `life_spans.presence`; ALWAYS for all static Gaussians, and for all
-            that are left out.
+        births, log_spans: [N] life spans, as for `life_spans.presence`; ALWAYS where static, and where left out.
+        drifts: [N, 3] motion of the canonical means, scene units per span; they are at `means` at their birth.
     """
 
     means: Tensor
@@ -39,19 +39,22 @@ class Cloud:
     dynamic: Tensor
     births: Tensor = field(default_factory=lambda: torch.zeros(0))
     log_spans: Tensor = field(default_factory=lambda: torch.zeros(0))
+    drifts: Tensor = field(default_factory=lambda: torch.zeros(0))
 
     def __post_init__(self) -> None:
-        """Without life spans Gaussians are there at all times."""
+        """Without life spans Gaussians are there at all times, and do not drift."""
         if len(self.log_spans) == 0:
             self.births = torch.zeros_like(self.logits)
             self.log_spans = torch.full_like(self.logits, ALWAYS)
+        if len(self.drifts) == 0:
+            self.drifts = torch.zeros_like(self.means)
 
 
 class GaussianScene(torch.nn.Module):
     """Gaussians with their motion.
 
     A mean is `anchors + footprints * offsets`. A step of the optimiser is therefore in footprints: the same share of a
-    pixel for near and far Gaussians, and independent of the scene unit.
+    pixel for near and far Gaussians, and independent of the scene unit. Drifts are in footprints too.
     """
 
     anchors: Tensor
@@ -98,6 +101,7 @@ class GaussianScene(torch.nn.Module):
             "quats": cloud.quats,
             "logits": cloud.logits,
             "log_spans": cloud.log_spans,
+            "drifts": cloud.drifts / cloud.footprints[:, None],
             "sh_dc": cloud.sh[:, :1],
             "sh_rest": cloud.sh[:, 1:],
         }
@@ -110,7 +114,9 @@ class GaussianScene(torch.nn.Module):
         dynamic = torch.arange(len(self.anchors), device=self.anchors.device) >= self.n_static
         sh = torch.cat([values["sh_dc"], values["sh_rest"]], dim=1)
         shape = (values["log_scales"], values["quats"], values["logits"])
-        return Cloud(self.means.detach(), self.footprints, *shape, sh, dynamic, self.births, values["log_spans"])
+        drifts = self.footprints[:, None] * values["drifts"]
+        life = (self.births, values["log_spans"], drifts)
+        return Cloud(self.means.detach(), self.footprints, *shape, sh, dynamic, *life)
 
     def bind(self) -> None:
         """Find the nearest control points of every dynamic Gaussian at its present canonical mean."""
@@ -154,11 +160,22 @@ class GaussianScene(torch.nn.Module):
         motion = (self.deformation.points, point_quats[0], translations[0], weights, index)
         parts = [n, len(means) - n]  # the backward pass of a split copies once, that of two slices five times
         (still, means), (unturned, quats) = means.split_with_sizes(parts), quats.split_with_sizes(parts)
+        if self.fading:
+            means = means + rows_of(self._drifted(time), None if rows is None else rows[n:] - n)
         moved, turned = blend(means, quats, *motion)
         if self.colours is not None:
             constant, lit = sh_dc.split_with_sizes(parts)
             sh_dc = torch.cat([constant, lit + self.colours(time, weights, index)[:, None]])
         return torch.cat([still, moved]), torch.cat([unturned, turned]), sh_dc
+
+    def _drifted(self, time: float) -> Tensor:
+        """How far the dynamic Gaussians are from where they are at birth, [D, 3] in the canonical frame.
+
+        It has no gradient to the spans.
+        """
+        n, values = self.n_static, self.gaussians
+        age = (time - self.births[n:]) * torch.exp(-values["log_spans"].detach()[n:])
+        return age[:, None] * (self.footprints[n:, None] * values["drifts"][n:])
 
     def opacities_at(self, time: float) -> tuple[Tensor, Tensor | None]:
         """Opacities [M] at `time` 0..1 of the Gaussians that are there then, and their rows; None: all of them.

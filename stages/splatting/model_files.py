@@ -20,7 +20,7 @@ from stages.splatting.spz import write_spz
 
 DEFORMATION, COLOURS, EXPOSURE, POSES = "deformation.", "colours.", "exposure.", "poses."
 """Prefixes of the tensors of the motion, of the colours over time, of the gains and of the pose corrections."""
-LIFE_SPANS = ("births", "log_spans")
+LIFE_SPANS = ("births", "log_spans", "drifts")
 """Tensors of the life spans, which dynamic Gaussians alone have."""
 HALVED = ("means", "log_scales", "quats", "logits", "sh", *LIFE_SPANS, DEFORMATION + "table", COLOURS + "table")
 """Tensors that `halved` stores as float16."""
@@ -30,7 +30,8 @@ def scene_tensors(scene: GaussianScene) -> tuple[dict[str, np.ndarray], dict[str
     """Tensors and metadata that rendering needs; footprints, which only training needs, are left out.
 
     The tensors are those of `Cloud`, in its shapes, `background` [3], and those of motion, colours, gains and pose
-    corrections with their prefixes. Life spans [D] are those of the dynamic Gaussians, and left out if there are none.
+    corrections with their prefixes. Life spans and drifts [D, ...] are those of the dynamic Gaussians, and left out if
+    there are none.
     """
     cloud = scene.cloud()
     tensors = {name: value.cpu().numpy() for name, value in vars(cloud).items() if name != "footprints"}
@@ -61,7 +62,8 @@ def halved(
     distances = np.linalg.norm(tensors["means"], axis=-1)
     unit = float(np.median(distances)) if distances.any() else 1.0
     lengths = np.abs(tensors["quats"]).max(axis=-1, keepdims=True)
-    scaled = {"means": tensors["means"] / unit, "quats": tensors["quats"] / lengths}
+    scaled = {"quats": tensors["quats"] / lengths}
+    scaled |= {name: tensors[name] / unit for name in ("means", "drifts") if name in tensors}
     small = {name: (scaled.get(name, tensors[name])).astype(np.float16) for name in HALVED if name in tensors}
     return {**tensors, **small}, {**settings, "unit": unit}
 
@@ -77,7 +79,8 @@ def scene_from_tensors(tensors: Mapping[str, np.ndarray], metadata: Mapping[str,
         **{name: values[name] for name in ("log_scales", "quats", "logits", "sh")},
     )
     if LIFE_SPANS[0] in values:
-        cloud.births[cloud.dynamic], cloud.log_spans[cloud.dynamic] = (values[name] for name in LIFE_SPANS)
+        cloud.births[cloud.dynamic], cloud.log_spans[cloud.dynamic] = values["births"], values["log_spans"]
+        cloud.drifts[cloud.dynamic] = values["drifts"] * metadata.get("unit", 1.0)
     motion = {name.removeprefix(DEFORMATION): arrays[name] for name in arrays if name.startswith(DEFORMATION)}
     deformation = deformation_from_tensors(motion) if motion else None
     colours, exposure, poses = None, None, None

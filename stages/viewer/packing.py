@@ -12,6 +12,7 @@ unit. With N Gaussians, D of them dynamic, K control points each, P control poin
 | sh_rest | int8 [N, C, 3] | the other C = (degree + 1)^2 - 1, in 1/127 of `sh_steps` [C, 3] | half a step |
 | index, weights | uint16, uint8 [D, K] | skinning pairs, heaviest first; a row of weights sums to 255 | 1/510 |
 | lives | float32 [D, 2] | frame of largest opacity; 1 / (span sqrt(2)), in 1 / frames: 0 if always there | - |
+| drifts | float16 [D, 3] | motion of the mean in span sqrt(2), from its birth on | 1/2048 |
 | instances | uint8 [D] | number of the instance, 0: none | - |
 | points | float32 [P, 3] | canonical control points | - |
 | motions | float16 [T, P, 10] | quaternion, translation, colour offset of each point and frame | 1/2048 |
@@ -66,6 +67,7 @@ def pack_scene(
         "index": index,
         "weights": weights,
         "lives": _lives(scene, len(times)),
+        "drifts": (np.sqrt(2) / unit * cloud.drifts[n:].cpu().numpy()).astype(np.float16),
         "instances": instances.astype(np.uint8),
         "points": points,
         "motions": motions,

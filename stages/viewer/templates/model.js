@@ -32,6 +32,7 @@ class Model {
     this.pairs = scene.arrays.index.shape[1];
     const table = Float32Array.from({ length: 65536 }, (_, half) => halfToFloat(half));
     this.motions = Float32Array.from(this.arrays.motions, (half) => table[half]);
+    this.drifts = Float32Array.from(this.arrays.drifts, (half) => table[half]);
     this.present = new Float32Array(12 * this.P);
   }
 

@@ -34,7 +34,9 @@ class DrawingOrder {
     for (let i = first; i < model.N; i++) {
       const life = 2 * (i - first), away = (time - lives[life]) * lives[life + 1];
       if (away * away > GONE) continue;
-      const x = means[3 * i], y = means[3 * i + 1], z = means[3 * i + 2];
+      const from = 3 * i, by = 3 * (i - first), { drifts } = model;
+      const x = means[from] + away * drifts[by], y = means[from + 1] + away * drifts[by + 1];
+      const z = means[from + 2] + away * drifts[by + 2];
       let depth = 0;
       for (let k = 0, pair = K * (i - first); k < K; k++, pair++) {
         const at = 4 * index[pair];

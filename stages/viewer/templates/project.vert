@@ -9,7 +9,7 @@ precision highp usampler2D;
 
 in uint gaussian;
 
-uniform sampler2D means, quats, shapes, sh_dc, sh_rest, weights, lives, motions, points;
+uniform sampler2D means, quats, shapes, sh_dc, sh_rest, weights, lives, drifts, motions, points;
 uniform usampler2D index, instances;
 uniform int n_static, pairs, sh_degree, mode;
 uniform vec3 sh_steps[15];            // what +-1 in sh_rest stands for
@@ -98,10 +98,11 @@ void main() {
   vec3 mean = texelFetch(means, at(i), 0).xyz, constant = texelFetch(sh_dc, at(i), 0).rgb;
   vec4 quat = normalize(texelFetch(quats, at(i), 0)), shape = texelFetch(shapes, at(i), 0);
   if (i >= n_static) {
-    constant += skin(i - n_static, mean, quat);
     vec2 life = texelFetch(lives, at(i - n_static), 0).xy;
     float away = (time - life.x) * life.y;
     shape.w *= exp(-away * away);
+    mean += away * texelFetch(drifts, at(i - n_static), 0).xyz;
+    constant += skin(i - n_static, mean, quat);
   }
 
   vec3 from_eye = mean - eye, p = vec3(dot(right, from_eye), dot(down, from_eye), dot(ahead, from_eye));

@@ -12,7 +12,7 @@ class SplatRenderer {
     this.resolving = makeProgram(gl, "resolve.vert", "resolve.frag");
     const formats = {
       means: "RGB32F", quats: "RGBA16F", shapes: "RGBA16F", sh_dc: "RGB16F", sh_rest: "RGB8_SNORM", index: "R16UI",
-      weights: "R8", lives: "RG32F", instances: "R8UI", points: "RGB32F",
+      weights: "R8", lives: "RG32F", drifts: "RGB16F", instances: "R8UI", points: "RGB32F",
     };
     this.data = {};
     for (const [name, format] of Object.entries(formats)) this.data[name] = makeData(gl, format, arrays[name]);
