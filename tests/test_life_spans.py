@@ -107,6 +107,8 @@ def test_gaussians_drift_from_where_they_are_at_birth() -> None:
         scene.gaussians["drifts"][:] = drift
         for time, spans in ((0.4, 0.0), (0.2, -1.0), (0.7, 1.5)):
             assert torch.allclose(scene.at(time)[0], start + spans * drift, atol=1e-5)
+        scene.gaussians["log_spans"][:] = np.log(0.1)
+        assert torch.allclose(scene.at(0.9)[0], start + 3.33 * drift, atol=1e-3)  # five spans on, it is gone
 
 
 def test_what_is_too_transparent_at_a_time_is_left_out_and_nothing_changes(monkeypatch: pytest.MonkeyPatch) -> None:

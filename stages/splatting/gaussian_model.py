@@ -10,7 +10,7 @@ from stages.deformation.motion_models import Deformation
 from stages.shared.torch_threads import one_torch_thread
 from stages.splatting.colours import ColourTable
 from stages.splatting.gains import Exposure
-from stages.splatting.life_spans import ALWAYS, presence, rows_of
+from stages.splatting.life_spans import ALWAYS, REACH, presence, rows_of
 from stages.splatting.pose_table import PoseTable
 from stages.splatting.raster_bins import MIN_ALPHA
 from stages.splatting.rasterize import Rendering, rasterize
@@ -171,11 +171,12 @@ class GaussianScene(torch.nn.Module):
     def _drifted(self, time: float) -> Tensor:
         """How far the dynamic Gaussians are from where they are at birth, [D, 3] in the canonical frame.
 
-        It has no gradient to the spans.
+        It has no gradient to the spans. Where a Gaussian can no longer be seen it stays with its control points: votes
+        for its instance ask where it is then, too.
         """
         n, values = self.n_static, self.gaussians
         age = (time - self.births[n:]) * torch.exp(-values["log_spans"].detach()[n:])
-        return age[:, None] * (self.footprints[n:, None] * values["drifts"][n:])
+        return age.clamp(-REACH, REACH)[:, None] * (self.footprints[n:, None] * values["drifts"][n:])
 
     def opacities_at(self, time: float) -> tuple[Tensor, Tensor | None]:
         """Opacities [M] at `time` 0..1 of the Gaussians that are there then, and their rows; None: all of them.

@@ -5,6 +5,7 @@ off by half a pixel. With life spans each Gaussian answers for the frames around
 Spacetime Gaussians does (Li et al., CVPR 2024).
 """
 
+import math
 from typing import Any
 
 import torch
@@ -12,6 +13,9 @@ from torch import Tensor
 
 ALWAYS = 10.0
 """Logarithm of a span, in lengths of the clip, at which opacity is constant in single precision."""
+
+REACH = math.sqrt(2 * math.log(255))
+"""Spans from the birth at which even an opaque Gaussian is too transparent to be drawn, below alpha 1/255."""
 
 
 def presence(births: Tensor, log_spans: Tensor, time: float) -> Tensor:
