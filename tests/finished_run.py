@@ -114,6 +114,7 @@ def write_results(folder: Path) -> None:
     write_image(folder / "renders/right/frame_0001.png", picture(0))
     write_image(folder / "figures/flow.png", picture(0))
     decision = {"needed": True, "evidence": {"share": 0.1}, "why": "a square moves", "source": "evidence"}
+    decision |= {"statistic": 2.5, "interval": [2.0, 3.0], "threshold": 0.15, "unit": "px", "seconds": 0.5}
     write_json(folder / "scene.json", {"dynamic": decision, "exposure": decision | {"needed": False}})
     _write_baseline(folder / "colmap/poses.parquet", estimated)
     cost = {

@@ -225,6 +225,8 @@ def test_effects_say_what_ran_and_what_it_cost(results: Path) -> None:
     ]
     decisions = pq.read_table(results / "tables" / "decisions.parquet").to_pylist()
     assert decisions[0]["evidence"] == "share 0.1"
+    numbers = ("statistic", "low", "high", "threshold", "unit", "seconds")
+    assert [decisions[0][name] for name in numbers] == [2.5, 2.0, 3.0, 0.15, "px", 0.5]
     assert {row["modelled"] for row in decisions} == {"yes", "no"}
 
 

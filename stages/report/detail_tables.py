@@ -119,10 +119,17 @@ def check_tables(rows: list[Row]) -> tuple[Table, Table]:
 
 def decision_table(rows: list[Row]) -> Table:
     """The effects that the reconstruction models, with the evidence."""
-    what = Column("effect", "effect"), Column("modelled", "modelled"), Column("why", "why", long=True)
+    what = Column("effect", "effect"), Column("modelled", "modelled"), Column("statistic", "saves", "", 2)
+    range_ = Column("low", "from", "", 2), Column("high", "to", "", 2), Column("threshold", "threshold", "", 2)
+    cost = Column("unit", "unit"), Column("seconds", "CPU time of the decision", "s", 1)
     how = Column("source", "decided by"), Column("settings", "settings", long=True)
-    note = "An effect without evidence in the scene is not modelled; 'user' marks a decision overruled by an option."
-    columns = (SEQUENCE, *what, *how, Column("evidence", "evidence", long=True))
+    note = (
+        "An effect is modelled if its model saves enough of the error on samples of the training frames that it was not"
+        " fitted to: root mean square with two standard errors. A camera only turns if travel saves less than the"
+        " threshold. 'user' marks a decision overruled by an option."
+    )
+    why = Column("why", "why", long=True), Column("evidence", "evidence", long=True)
+    columns = (SEQUENCE, *what, *range_, *cost, why[0], *how, why[1])
     return Table("decisions", "Effects the reconstruction models", note, columns, rows)
 
 

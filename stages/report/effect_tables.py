@@ -7,6 +7,9 @@ from typing import Any
 from stages.shared.artifacts import read_json
 from stages.shared.tables import Row
 
+JUDGED = ("needed", "statistic", "interval", "threshold", "unit", "seconds", "evidence", "why", "source")
+"""What every decision has; the rest are settings of the effect."""
+
 
 def simulation_rows(manifests: Path | None, name: str) -> list[Row]:
     """A row per effect that the simulator rendered or left out, from the manifest `<manifests>/<name>.json`."""
@@ -39,10 +42,14 @@ def decision_rows(folder: Path) -> list[dict[str, Any]]:
     return rows
 
 
-def _decision(decision: Mapping[str, Any]) -> dict[str, str]:
-    settings = {k: v for k, v in decision.items() if k not in ("needed", "evidence", "why", "source")}
+def _decision(decision: Mapping[str, Any]) -> dict[str, Any]:
+    settings = {name: value for name, value in decision.items() if name not in JUDGED}
+    low, high = decision.get("interval", (None, None))
     return {
         "modelled": "yes" if decision["needed"] else "no",
+        **{name: decision.get(name) for name in ("statistic", "threshold", "unit", "seconds")},
+        "low": low,
+        "high": high,
         "why": decision["why"],
         "source": decision["source"],
         "settings": _words(settings),

@@ -1,4 +1,4 @@
-"""The report's picture of the decisions: a table of effects, verdicts and reasons."""
+"""The report's picture of the decisions: a row per effect with what it saves, beside the threshold."""
 
 import textwrap
 from typing import Any
@@ -6,10 +6,17 @@ from typing import Any
 import numpy as np
 
 WIDTH_PX, ROW_PX = 1200, 64
+SCALE_PX = (430, 640)
+"""Left and right end of the scale."""
+ENDS = (-0.5, 3.0)
+"""What is saved at its ends, in thresholds; what lies beyond is drawn at the end."""
 
 
 def decision_table(decisions: dict[str, dict[str, Any]]) -> np.ndarray:
-    """One row per effect [h, 1200, 3]: its name, whether it is modelled, who decided, and the reason with numbers."""
+    """One row per effect [h, 1200, 3]: name, verdict, who decided, the statistic with its interval, and the reason.
+
+    The scale is in thresholds: the line is at one.
+    """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -24,9 +31,19 @@ def decision_table(decisions: dict[str, dict[str, Any]]) -> np.ndarray:
         colour = "#1b7837" if decision["needed"] else "#888888"
         axes.axhline((row + 1) * ROW_PX, color="#dddddd", linewidth=1)
         axes.text(20, y, name.replace("_", " "), fontsize=13, va="center", weight="bold")
-        axes.text(210, y, "modelled" if decision["needed"] else "skipped", fontsize=13, va="center", color=colour)
-        axes.text(320, y, f"by {decision['source']}", fontsize=11, va="center", color="#555555")
-        axes.text(450, y, textwrap.fill(decision["why"], 100), fontsize=10.5, va="center")
+        axes.text(200, y, "modelled" if decision["needed"] else "skipped", fontsize=13, va="center", color=colour)
+        axes.text(305, y, f"by {decision['source']}", fontsize=11, va="center", color="#555555")
+        low, high = (_place(value / decision["threshold"]) for value in decision["interval"])
+        axes.plot(SCALE_PX, (y, y), color="#cccccc", linewidth=1)
+        axes.plot((_place(1.0),) * 2, (y - 18, y + 18), color="#b0552b", linewidth=1.5)
+        axes.plot((low, high), (y, y), color=colour, linewidth=5, solid_capstyle="butt", alpha=0.5)
+        axes.plot(_place(decision["statistic"] / decision["threshold"]), y, "o", color=colour, markersize=7)
+        axes.text(660, y, textwrap.fill(decision["why"], 78), fontsize=8.5, va="center")
     canvas.draw()  # type: ignore[no-untyped-call]
     rgba = np.asarray(canvas.buffer_rgba())  # type: ignore[no-untyped-call]
     return np.ascontiguousarray(rgba[..., :3])
+
+
+def _place(thresholds: float) -> float:
+    """Pixel of a statistic on the scale."""
+    return float(np.interp(thresholds, ENDS, SCALE_PX))

@@ -1,103 +1,185 @@
-"""Evidence from colours: do they change with the view?"""
+"""Evidence from colours: which model of light predicts static points that it was not fitted to, and do views matter?"""
 
-import cv2
+from collections.abc import Callable
+from functools import cache
+from typing import NamedTuple
+
 import numpy as np
 
-from stages.scene.exposure import BRIGHT, DARK
-from stages.scene.observed import Observed, static_motion
-from stages.shared import lie
-from stages.shared.cameras import pixel_grid, unproject
-from stages.shared.warp import is_inside, warp
+from stages.scene import light
+from stages.scene.light import Light, Model
+from stages.scene.sightings import GROUP, Sightings
+from stages.scene.weigh import NOTHING, Bought, weigh
 
-REFERENCES = 3
-SAMPLES = 4000
-DEPTH_TOLERANCE = 0.05
+GREY_LEVELS = 255.0
+LEAST_GREY, LEAST_SHARE, LEAST_FOG_SHARE = 0.7, 0.15, 0.3
+"""Grey levels of held-out error, and share of its square, that a model of light must save: 0.07 dB at 33 dB. Fog
+imitates whatever differs between the near ground and the rest, as bands of flicker do."""
 RIDGE = 1e-2
-MIN_SIGHTINGS = 3
 
 
-def view_evidence(seen: Observed, gains: np.ndarray) -> dict[str, float]:
-    """How much of the colours' change between frames the viewing direction predicts, on points left out of the fit.
+class LightEvidence(NamedTuple):
+    """What each part of the light buys beside the other parts that are modelled, in grey levels.
 
-    Static points of low contrast (where a misplaced sample changes little) are looked up in every frame that sees
-    them. Per point, a constant colour and spherical harmonics of degree 1 and 2 are fitted to the even sightings and
-    judged on the odd ones, and the other way round.
-
-    Returns:
-        colour_change: RMS of the change, of 1. gain_degree1, gain_degree2: share of its square that is predicted.
-        view_angle_deg: median range of the viewing directions of a point.
+    Attributes:
+        exposure: a gain per frame. white_balance: a gain per channel beside it. atmosphere: fog.
+        model: the parts that buy enough. fitted: its parameters, from all points.
     """
-    colours, directions, sighted = _sightings(seen, gains)
-    even = np.arange(sighted.shape[1]) % 2 == 0
-    enough = (sighted[:, even].sum(axis=1) >= MIN_SIGHTINGS) & (sighted[:, ~even].sum(axis=1) >= MIN_SIGHTINGS)
-    if not enough.any():
-        return {"colour_change": 0.0, "gain_degree1": 0.0, "gain_degree2": 0.0, "view_angle_deg": 0.0}
-    colours, directions, sighted = colours[enough], directions[enough], sighted[enough]
-    errors = [_left_out_error(colours, _basis(directions, sighted, degree), sighted) for degree in range(3)]
-    kept = errors[0] <= np.quantile(errors[0], 0.9)  # the rest saw something else in front
-    constant, first, second = (float(error[kept].mean()) for error in errors)
-    reference = directions[np.arange(len(directions)), sighted.argmax(axis=1)]
-    cosine = np.einsum("nfc,nc->nf", directions, reference)
-    angle = np.where(sighted, np.arccos(np.clip(cosine, -1, 1)), 0.0).max(axis=1)
-    return {
-        "colour_change": float(np.sqrt(constant)),
-        "gain_degree1": 1 - first / constant if constant > 0 else 0.0,
-        "gain_degree2": 1 - second / constant if constant > 0 else 0.0,
-        "view_angle_deg": float(np.degrees(np.median(angle))),
-    }
+
+    exposure: Bought
+    white_balance: Bought
+    atmosphere: Bought
+    model: Model
+    fitted: Light
 
 
-def _sightings(seen: Observed, gains: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Colours [n, F, 3], unit viewing directions [n, F, 3] and whether seen [n, F] of sampled static points."""
-    F = len(seen.rgb)
-    adjusted = seen.rgb / np.exp(gains).astype(np.float32)[:, None, None, None]
-    smooth = np.stack([cv2.GaussianBlur(image, (0, 0), 1.5) for image in adjusted])
-    centres = lie.inverse(seen.cam_from_world)[:, :3, 3]
-    parts = []
-    for reference in np.unique(np.linspace(0, F - 1, REFERENCES).astype(int)):
-        rows = _flat_static_pixels(smooth[reference], seen.dynamic[reference])
-        looked_up = [_look_up(seen, smooth, reference, target, rows) for target in range(F)]
-        colours, sighted = (np.stack(part, axis=1) for part in zip(*looked_up, strict=True))
-        depth = seen.depth[reference]
-        points = unproject(pixel_grid(*depth.shape), depth, seen.cam_from_world[reference], seen.Ks[reference])
-        rays = points.reshape(-1, 1, 3)[rows] - centres
-        parts.append((colours, rays / np.linalg.norm(rays, axis=-1, keepdims=True), sighted))
-    colours, directions, sighted = (np.concatenate(part) for part in zip(*parts, strict=True))
-    return colours, directions, sighted
+def light_evidence(seen: Sightings) -> LightEvidence:
+    """Gains, white balance and fog, each judged on cells of space that it was not fitted to.
+
+    Parts are added while they buy enough, the one that saves most first: a part that only imitates another one then
+    buys nothing.
+    """
+
+    @cache
+    def errors(model: Model) -> np.ndarray:
+        return _held_out_errors(seen, model)
+
+    @cache
+    def bought(simple: Model, rich: Model) -> Bought:
+        usable = seen.usable
+        cells = np.broadcast_to(seen.cell[:, None, None], usable.shape)[usable]
+        return weigh(errors(simple)[usable], errors(rich)[usable], cells)
+
+    chosen = _chosen(bought)
+    return LightEvidence(
+        bought(Model(0, chosen.fog), Model(1, chosen.fog)),
+        bought(Model(1, chosen.fog), Model(3, chosen.fog)),
+        bought(Model(chosen.gains, False), Model(chosen.gains, True)),
+        chosen,
+        _fit_all(seen, chosen),
+    )
 
 
-def _flat_static_pixels(image: np.ndarray, dynamic: np.ndarray) -> np.ndarray:
-    """At most SAMPLES pixel numbers (row w + column), evenly spread, of static, well exposed, low-contrast pixels."""
-    grey = image.mean(axis=-1)
-    contrast = np.hypot(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1))
-    usable = ~dynamic & (grey > DARK) & (grey < BRIGHT)
-    flat = usable & (contrast <= np.median(contrast[usable])) if usable.any() else usable
-    rows = np.flatnonzero(flat)
-    return rows[:: max(len(rows) // SAMPLES, 1)]
+def is_worth(bought: Bought, fog: bool) -> bool:
+    """Whether a part of the light buys enough."""
+    return bought.reaches(LEAST_GREY, LEAST_FOG_SHARE if fog else LEAST_SHARE)
 
 
-def _look_up(
-    seen: Observed, images: np.ndarray, source: int, target: int, rows: np.ndarray
+def _chosen(bought: Callable[[Model, Model], Bought]) -> Model:
+    """The model reached from a constant light by adding what buys most, while that is enough.
+
+    Gains or fog is added as the best of their models says, but of gains one per frame first, if that buys enough.
+    """
+    model = Model(0, False)
+    while True:
+        richer = [Model(number, model.fog) for number in (1, 3) if number > model.gains]
+        gains = [more for more in richer if is_worth(bought(model, more), fog=False)]
+        fog = [] if model.fog else [Model(model.gains, True)]
+        fog = [more for more in fog if is_worth(bought(model, more), fog=True)]
+        if not gains and not fog:
+            return model
+        saved = [max((bought(model, more).saved for more in kind), default=0.0) for kind in (gains, fog)]
+        model = gains[0] if saved[0] >= saved[1] else fog[0]
+
+
+def _held_out_errors(seen: Sightings, model: Model) -> np.ndarray:
+    """Errors [n, F, 3] in grey levels, of each half of the cells with the parameters of the other half."""
+    errors = np.zeros(seen.colours.shape, np.float32)
+    for half in (seen.odd, ~seen.odd):
+        errors[half] = light.residuals(seen, _fit(seen, model, ~half), half)
+    return GREY_LEVELS * errors
+
+
+def _fit(seen: Sightings, model: Model, rows: np.ndarray) -> Light:
+    """The parameters of a model from the points `rows`; fog begins at the gains without it."""
+    start = light.no_light(seen.colours.shape[1])
+    if model.fog:
+        start = light.fit(seen, model._replace(fog=False), rows, start)
+    return light.fit(seen, model, rows, start)
+
+
+def _fit_all(seen: Sightings, model: Model) -> Light:
+    return _fit(seen, model, np.ones(len(seen.cell), bool))
+
+
+class ViewEvidence(NamedTuple):
+    """What colours that change with the view buy, in grey levels: harmonics of degree 1 and 2 over none.
+
+    Attributes:
+        degrees: of 1 and 2. second: of degree 2 over degree 1. angle_deg: median range of the viewing directions.
+    """
+
+    degrees: tuple[Bought, Bought]
+    second: Bought
+    angle_deg: float
+
+
+def view_evidence(seen: Sightings, fitted: Light) -> ViewEvidence:
+    """How well the change of a point's colour with the view predicts that of its neighbours, at other times.
+
+    Gloss changes neighbours on a surface alike. A pose or depth that is slightly wrong also changes a colour smoothly
+    over the frames, but each point's by its own surroundings.
+    """
+    usable = seen.usable.all(axis=2).reshape(-1, GROUP, seen.usable.shape[1])
+    colours = light.cleared(seen, fitted).reshape(*usable.shape, 3)
+    rays = seen.points[:, None] - seen.centres
+    directions = (rays / np.linalg.norm(rays, axis=-1, keepdims=True)).reshape(*usable.shape, 3)
+    errors, judged = zip(*(_predicted(colours, directions, usable, degree) for degree in range(3)), strict=True)
+    kept = np.logical_and.reduce(judged)
+    if not kept.any():
+        return ViewEvidence((NOTHING, NOTHING), NOTHING, 0.0)
+    cell = np.broadcast_to(seen.cell.reshape(-1, GROUP, 1, 1), errors[0].shape)[kept]
+    none, first, second = (GREY_LEVELS * error[kept] for error in errors)
+    degrees = weigh(none, first, cell), weigh(none, second, cell)
+    return ViewEvidence(degrees, weigh(first, second, cell), _angle_deg(directions, usable))
+
+
+def _angle_deg(directions: np.ndarray, usable: np.ndarray) -> float:
+    """Median over the first points of the groups of the largest angle to their first sighting."""
+    seen, views = usable[:, 0], directions[:, 0]
+    reference = views[np.arange(len(views)), seen.argmax(axis=1)]
+    cosine = np.einsum("gfc,gc->gf", views, reference)
+    angle = np.where(seen, np.arccos(np.clip(cosine, -1, 1)), 0.0).max(axis=1)
+    return float(np.degrees(np.median(angle[seen.any(axis=1)])))
+
+
+def _predicted(
+    colours: np.ndarray, directions: np.ndarray, usable: np.ndarray, degree: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Colours [n, 3] of static pixels of `source` in `target`, and whether they are in view there [n]."""
-    motion, ratio = static_motion(seen, source, target)
-    flow, expected = motion.astype(np.float32), ratio * seen.depth[source]
-    in_view = is_inside(flow) & (np.abs(warp(seen.depth[target], flow) / expected - 1) < DEPTH_TOLERANCE)
-    in_view &= warp(seen.dynamic[target].astype(np.float32), flow) == 0
-    return warp(images[target], flow).reshape(-1, 3)[rows], in_view.ravel()[rows]
+    """Errors [g, GROUP, F, 3] of colours, and which are judged: predicted from two neighbours in every other frame.
 
-
-def _basis(directions: np.ndarray, sighted: np.ndarray, degree: int) -> np.ndarray:
-    """Polynomials up to `degree` of each point's viewing directions, centred and of unit spread: [n, F, 1, 4 or 10].
-
-    On the unit sphere they span what spherical harmonics of that degree span.
+    Of a point itself, only the mean colour in these frames is used.
     """
-    count = sighted.sum(axis=1)[:, None, None]
-    mean = (directions * sighted[..., None]).sum(axis=1, keepdims=True) / count
-    x = np.where(sighted[..., None], directions - mean, 0.0)
-    spread = np.sqrt(np.square(x).sum(axis=(1, 2), keepdims=True) / count)
+    basis = _basis(directions, usable, degree)
+    errors, judged = np.zeros(colours.shape, np.float32), np.zeros(colours.shape, bool)
+    even = np.arange(usable.shape[2]) % 2 == 0
+    for rows, others in (((0, 3), (1, 2)), ((1, 2), (0, 3))):
+        for frames in (even, ~even):
+            fitted = usable & frames
+            change = basis @ _coefficients(colours[:, others], basis[:, others], fitted[:, others])[:, None]
+            own, count = fitted[:, rows, :, None], np.maximum(fitted[:, rows].sum(axis=2), 1)[..., None, None]
+            left = colours[:, rows] - change[:, rows]
+            error = left - (left * own).sum(axis=2, keepdims=True) / count
+            target = usable[:, rows] & ~frames & (fitted[:, rows].sum(axis=2, keepdims=True) >= 2)
+            target &= fitted[:, others].all(axis=1).sum(axis=1)[:, None, None] >= 2
+            for k, row in enumerate(rows):
+                errors[:, row] = np.where(target[:, k, :, None], error[:, k], errors[:, row])
+                judged[:, row] |= target[:, k, :, None]
+    return errors, judged
+
+
+def _basis(directions: np.ndarray, usable: np.ndarray, degree: int) -> np.ndarray:
+    """Polynomials of degree 1 to `degree` of the viewing directions, centred and of unit spread: [g, GROUP, F, 0..9].
+
+    On the unit sphere they and a constant span what spherical harmonics of that degree span.
+    """
+    count = np.maximum(usable.sum(axis=(1, 2)), 1)[:, None, None, None]
+    shown = usable[..., None]
+    mean = (directions * shown).sum(axis=(1, 2), keepdims=True) / count
+    x = np.where(shown, directions - mean, 0.0)
+    spread = np.sqrt(np.square(x).sum(axis=(1, 2, 3), keepdims=True) / count)
     x = x / np.where(spread > 0, spread, 1.0)
-    columns = [np.ones_like(x[..., :1])]
+    columns = [x[..., :0]]
     if degree >= 1:
         columns.append(x)
     if degree >= 2:
@@ -105,16 +187,11 @@ def _basis(directions: np.ndarray, sighted: np.ndarray, degree: int) -> np.ndarr
     return np.concatenate(columns, axis=-1)
 
 
-def _left_out_error(colours: np.ndarray, basis: np.ndarray, sighted: np.ndarray) -> np.ndarray:
-    """Mean squared error [n] on left-out sightings: a ridge fit to even frames judged on odd ones, and back."""
-    even = np.arange(sighted.shape[1]) % 2 == 0
-    total = np.zeros(len(colours))
-    for fitted in (even, ~even):
-        used = basis * (sighted & fitted)[..., None]
-        normal = np.einsum("nfi,nfj->nij", used, basis)
-        ridge = RIDGE * normal[:, 0, 0, None] * (np.arange(basis.shape[-1]) > 0)
-        normal += ridge[..., None] * np.eye(basis.shape[-1])
-        coefficients = np.linalg.solve(normal, np.einsum("nfi,nfc->nic", used, colours))
-        error = np.square(colours - basis @ coefficients).mean(axis=-1)
-        total += (error * (sighted & ~fitted)).sum(axis=1)
-    return total / sighted.sum(axis=1)
+def _coefficients(colours: np.ndarray, basis: np.ndarray, fitted: np.ndarray) -> np.ndarray:
+    """Coefficients [g, K, 3] that the points [g, m] share, each with a mean colour of its own: ridge regression."""
+    shown, count = fitted[..., None], np.maximum(fitted.sum(axis=2), 1)[..., None, None]
+    x, y = (np.where(shown, part - (part * shown).sum(axis=2, keepdims=True) / count, 0.0) for part in (basis, colours))
+    normal = np.einsum("gmfi,gmfj->gij", x, x)
+    size = np.maximum(fitted.sum(axis=(1, 2)), 1)
+    normal += (RIDGE * size)[:, None, None] * np.eye(basis.shape[-1])
+    return np.asarray(np.linalg.solve(normal, np.einsum("gmfi,gmfc->gic", x, y)))

@@ -1,48 +1,58 @@
-"""Decisions from evidence, with their thresholds and the reasons for these."""
+"""Decisions from evidence, with their thresholds and the reasons for these.
+
+An effect is decided by what its model saves on samples that it was not fitted to, in the unit of the errors.
+"""
 
 from collections.abc import Mapping
 from typing import Any, Literal
 
 import numpy as np
 
+from stages.scene.geometry import MaskEvidence
+from stages.scene.photometry import LEAST_FOG_SHARE, LEAST_GREY, LEAST_SHARE, LightEvidence, ViewEvidence, is_worth
+from stages.scene.weigh import NOTHING, Bought
+
 MIN_MASK_SHARE = 5e-4
 """A mask of less than this share of the pixels is noise of the refinement: 56 px of a 512 x 218 frame."""
-RIGID_RATIO, RIGID_SLACK_PX = 1.2, 0.2
-"""Masked pixels that fit the static scene about as well as the others are false positives."""
-MIN_PARALLAX_PX = 1.0
-"""Parallax below one pixel between the most distant frames does not separate depths from infinity."""
-MIN_GAIN_PERCENT, MIN_GAIN_SIGMAS = 3.0, 4.0
-"""A gain below 3 per cent is invisible and costs less than 0.1 dB at 30 dB."""
-MIN_PREDICTED_CHANGE, MIN_PREDICTED_SHARE = 0.01, 0.25
-"""View dependence must predict 2.5 grey levels, and a quarter of the change; a degree more, another tenth."""
+MIN_MOTION_PX, MIN_MOTION_SHARE = 0.15, 0.5
+"""Masked pixels that fit the static scene about as well as a motion of their own are false positives."""
+MIN_TRAVEL_PX, MIN_TRAVEL_SHARE = 0.05, 0.2
+"""Travel that explains less than the errors of the flow does not separate depths from infinity."""
+MIN_VIEW_GREY, MIN_VIEW_SHARE = 2.55, 0.25
+"""Harmonics make the model two or three times as large; a degree more must save another tenth of the change."""
 MIN_SECOND_DEGREE_SHARE = 0.1
-MIN_BENDING_PX, MIN_BENDING_SHARE = 0.25, 0.15
-"""Flow between neighbouring frames has errors of about a quarter of a pixel."""
+MIN_BENDING_PX, MIN_BENDING_SHARE, MIN_IMAGE_PX = 0.25, 0.15, 0.12
+"""Flow between neighbouring frames has errors of about a quarter of a pixel; share: of the spread of its flow. Over all
+pixels of the frames: bending of small movers buys nothing that is worth twice as many points."""
 RIGID_POINTS, BENDING_POINTS = 256, 512
 RIGID_ARAP, BENDING_ARAP = 0.5, 0.05
 """Held-out PSNR hardly depends on the number of points; on non-rigid movers a strong rigidity costs up to 0.9 dB."""
 
 Choice = Literal["auto", "yes", "no"]
+Decision = dict[str, Any]
 
 
-def decide_dynamic(evidence: dict[str, float], choice: Choice) -> dict[str, Any]:
-    """Moving parts: masks that are not empty and whose flow a static scene does not explain."""
-    share, inside, outside = (evidence[key] for key in ("mask_share", "residual_inside_px", "residual_outside_px"))
-    explained = inside <= RIGID_RATIO * outside + RIGID_SLACK_PX
-    needed = share >= MIN_MASK_SHARE and not explained
-    if share < MIN_MASK_SHARE:
+def decide_dynamic(evidence: MaskEvidence, choice: Choice) -> Decision:
+    """Moving parts: masks that are not empty, whose flow their own motion predicts better than a static scene.
+
+    To model a moving part as static costs far more than the reverse: chance counts for the movers.
+    """
+    bought, share = evidence.bought, evidence.share
+    few = share < MIN_MASK_SHARE
+    needed = not few and bought.size >= MIN_MOTION_PX and bought.share >= MIN_MOTION_SHARE
+    residuals = f"{evidence.inside_px:.2f} px inside them and {evidence.outside_px:.2f} px outside"
+    if few:
         why = f"the masks cover {share:.2%} of the pixels, less than {MIN_MASK_SHARE:.2%}"
-    elif explained:
-        why = f"a static scene explains the masked pixels as well as the others: {inside:.2f} px and {outside:.2f} px"
+    elif needed:
+        why = f"the masks cover {share:.1%}; {_saves(bought, 'px')}; the residual of a static scene is {residuals}"
     else:
-        why = (
-            f"the masks cover {share:.1%}; the residual of a static scene is {inside:.1f} px inside them"
-            f" and {outside:.2f} px outside"
-        )
-    return _decision(needed, evidence, why, choice)
+        why = f"a static scene explains the masked pixels as well as the others: {_saves(bought, 'px')}; {residuals}"
+    numbers = {"mask_share": share}
+    numbers |= {"residual_inside_px": evidence.inside_px, "residual_outside_px": evidence.outside_px}
+    return _decision(needed, bought, MIN_MOTION_PX, "px", numbers, why, choice)
 
 
-def about_masks(decision: dict[str, Any], trusted: np.ndarray, used: np.ndarray) -> dict[str, Any]:
+def about_masks(decision: Decision, trusted: np.ndarray, used: np.ndarray) -> Decision:
     """Changes to the decision about moving parts if the pose stage did not trust the masks of some frames [T]."""
     if trusted.all():
         return {}
@@ -52,74 +62,98 @@ def about_masks(decision: dict[str, Any], trusted: np.ndarray, used: np.ndarray)
     return {"why": why, "masks_distrusted": int((~trusted).sum()), "masks_left_out": int((~used).sum())}
 
 
-def decide_rotation_only(evidence: dict[str, float], choice: Choice) -> dict[str, Any]:
-    """A camera that only turns: hardly any parallax, or the pose stage found none."""
-    parallax, marked = evidence["parallax_px"], evidence["frames_marked_share"]
-    needed = parallax < MIN_PARALLAX_PX or marked > 0.5
-    why = f"static pixels shift by {parallax:.1f} px between the most distant frames (threshold {MIN_PARALLAX_PX} px)"
+def decide_rotation_only(travel: Bought, marked: float, choice: Choice) -> Decision:
+    """A camera that only turns: travel explains no more of the flow than turning does, or the pose stage found none.
+
+    Args:
+        marked: share of the frames that the pose stage marks as rotation-only.
+    """
+    travels = travel.reaches(MIN_TRAVEL_PX, MIN_TRAVEL_SHARE)
+    why = f"beside turning, travel with depth from other frames {_saves(travel, 'px')} of the static flow"
     if marked > 0:
         why += f"; the pose stage marks {marked:.0%} of the frames as rotation-only"
-    return _decision(needed, evidence, why, choice)
+    numbers = {"frames_marked_share": marked}
+    return _decision(not travels or marked > 0.5, travel, MIN_TRAVEL_PX, "px", numbers, why, choice)
 
 
-def decide_exposure(evidence: dict[str, float], choice: Choice) -> dict[str, Any]:
-    """Exposure change: a visible and significant range of the frames' brightness, beyond what fog explains."""
-    gain, error = evidence["gain_range_percent"], evidence["standard_error_percent"]
-    threshold = max(MIN_GAIN_PERCENT, MIN_GAIN_SIGMAS * error)
-    near, far = evidence["near_range_percent"], evidence["far_range_percent"]
-    why = (
-        f"beside what fog explains, near and far static pixels share a brightness range of {gain:.1f} +- {error:.1f} %"
-        f" (threshold {threshold:.1f} %; alone {near:.1f} % and {far:.1f} %)"
-    )
-    return _decision(gain >= threshold, evidence | {"threshold_percent": threshold}, why, choice)
+def decide_exposure(evidence: LightEvidence, choice: Choice) -> Decision:
+    """Exposure change: a gain per frame predicts static points that it was not fitted to."""
+    bought, gains = evidence.exposure, evidence.fitted.log_gains.mean(axis=1)
+    numbers = {"gain_range_percent": 100 * float(np.expm1(np.ptp(gains)))}
+    why = f"a gain per frame, beside fog and vignetting, {_saves(bought, 'grey levels')}"
+    if not bought.samples:
+        why = "not observable: no static point is seen unclipped in several frames"
+    return _light_decision(bought, False, numbers, why, choice)
 
 
-def decide_view_dependent(evidence: dict[str, float], choice: Choice) -> dict[str, Any]:
+def decide_view_dependent(evidence: ViewEvidence, choice: Choice) -> Decision:
     """View-dependent colour, with the degree of the spherical harmonics: 0 where it is not needed."""
-    first, second = evidence["gain_degree1"], evidence["gain_degree2"]
-    share = max(first, second)
-    change = evidence["colour_change"] * max(share, 0.0) ** 0.5
-    needed = change >= MIN_PREDICTED_CHANGE and share >= MIN_PREDICTED_SHARE
+    first, second = evidence.degrees
+    best = max(evidence.degrees, key=lambda bought: bought.saved)
+    needed = best.reaches(MIN_VIEW_GREY, MIN_VIEW_SHARE)
     why = (
-        f"the viewing direction predicts {max(share, 0):.0%} of the colours' change, {255 * change:.1f} grey levels,"
-        f" over {evidence['view_angle_deg']:.0f} degrees (thresholds {MIN_PREDICTED_SHARE:.0%},"
-        f" {255 * MIN_PREDICTED_CHANGE:.1f})"
+        f"the change of neighbours with the view, over {evidence.angle_deg:.0f} degrees, {_saves(best, 'grey levels')}"
+        f" (at least {MIN_VIEW_SHARE:.0%})"
     )
-    decision = _decision(needed, evidence, why, choice)
-    degree = 2 if second - first >= MIN_SECOND_DEGREE_SHARE else 1
+    numbers = {"share_degree1": first.share, "share_degree2": second.share, "view_angle_deg": evidence.angle_deg}
+    decision = _decision(needed, best, MIN_VIEW_GREY, "grey levels", numbers, why, choice)
+    degree = 2 if second.share - first.share >= MIN_SECOND_DEGREE_SHARE else 1
     return decision | {"sh_degree": degree if decision["needed"] else 0}
 
 
 def decide_non_rigid(
-    evidence: dict[str, float], instances: Mapping[int, dict[str, float]], choice: Choice
-) -> dict[str, Any]:
-    """Non-rigid movers: the residual of a rigid plane's flow is large in px and relative to the spread of the flow.
+    evidence: tuple[Bought, float], area: float, instances: Mapping[int, tuple[Bought, float]], choice: Choice
+) -> Decision:
+    """Non-rigid movers: bending predicts flow that a rigid plane does not, in px and relative to the flow's spread.
 
     Args:
-        evidence: of all movers, which decides; instances: of each, which gives it a label of its own.
+        evidence: what bending buys for all movers, which decides, and the spread of their flow in px.
+        area: share of the frames that they cover.
+        instances: the same of each, which gives it a label of its own.
     """
-    bending, spread = evidence["bending_px"], evidence["flow_spread_px"]
-    needed = _bends(evidence)
+    inside, spread = evidence
+    bought = inside.diluted(area)
     why = (
-        f"residual of rigid motion of each region {bending:.2f} px, spread of its flow {spread:.2f} px"
-        f" (thresholds {MIN_BENDING_PX} px, {MIN_BENDING_SHARE:.0%})"
+        f"beside rigid motion of each region, bending {_saves(inside, 'px')} in them, {bought.size:.2f} px over the"
+        f" frames; spread of the flow {spread:.2f} px (at least {MIN_BENDING_SHARE:.0%} of that)"
     )
-    decision = _decision(needed, evidence, why, choice)
+    needed = bought.reaches(MIN_IMAGE_PX, 0.0) and inside.size >= MIN_BENDING_SHARE * spread
+    numbers = {"bending_px": inside.size, "flow_spread_px": spread, "area_share": area}
+    decision = _decision(needed, bought, MIN_IMAGE_PX, "px", numbers, why, choice)
     bends = decision["needed"]
+    labels = {
+        str(n): {"label": "bending" if _bends(*of) else "rigid", "bending_px": of[0].size, "flow_spread_px": of[1]}
+        for n, of in instances.items()
+    }
     return decision | {
         "arap_weight": BENDING_ARAP if bends else RIGID_ARAP,
         "points": BENDING_POINTS if bends else RIGID_POINTS,
-        "instances": {str(n): {"label": "bending" if _bends(of) else "rigid", **of} for n, of in instances.items()},
+        "instances": labels,
     }
 
 
-def _bends(evidence: dict[str, float]) -> bool:
-    bending = evidence["bending_px"]
-    return bending >= MIN_BENDING_PX and bending >= MIN_BENDING_SHARE * evidence["flow_spread_px"]
+def _bends(bought: Bought, spread: float) -> bool:
+    return bought.reaches(MIN_BENDING_PX, 0.0) and bought.size >= MIN_BENDING_SHARE * spread
 
 
-def _decision(needed: bool, evidence: dict[str, float], why: str, choice: Choice) -> dict[str, Any]:
+def _light_decision(bought: Bought, fog: bool, evidence: dict[str, float], why: str, choice: Choice) -> Decision:
+    why = f"{why} (at least {LEAST_FOG_SHARE if fog else LEAST_SHARE:.0%})"
+    return _decision(is_worth(bought, fog), bought, LEAST_GREY, "grey levels", evidence, why, choice)
+
+
+def _saves(bought: Bought, unit: str) -> str:
+    if bought == NOTHING:
+        return "saves nothing, since nothing is observed"
+    low, high = bought.interval
+    return f"saves {bought.size:.2f} {unit} ({low:.2f} to {high:.2f}), {max(bought.share, 0):.0%} of the held-out error"
+
+
+def _decision(
+    needed: bool, bought: Bought, threshold: float, unit: str, evidence: dict[str, float], why: str, choice: Choice
+) -> Decision:
     """The entry of scene.json; the user's choice overrules the evidence, which stays on record."""
+    found = {"statistic": bought.size, "interval": list(bought.interval), "threshold": threshold, "unit": unit}
+    by_evidence = {"needed": bool(needed), **found, "evidence": {**evidence, "saved_share": bought.share}}
     if choice != "auto":
-        return {"needed": choice == "yes", "evidence": evidence, "why": f"set by the user; {why}", "source": "user"}
-    return {"needed": bool(needed), "evidence": evidence, "why": why, "source": "evidence"}
+        return by_evidence | {"needed": choice == "yes", "why": f"set by the user; {why}", "source": "user"}
+    return by_evidence | {"why": why, "source": "evidence"}

@@ -1,0 +1,120 @@
+"""Colours of static points in all training frames: what the models of light are fitted to and judged on."""
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from stages.scene.observed import Observed
+from stages.shared import lie
+from stages.shared.cameras import pixel_grid, project, unproject
+from stages.shared.warp import bilinear
+
+DARK, BRIGHT = 0.06, 0.94
+"""Colours outside this range are clipped or mostly noise: a channel there says nothing about light."""
+SMOOTH_PX = 1.5
+DEPTH_TOLERANCE = 0.05
+FRAMES_PER_REFERENCE, MIN_REFERENCES = 4, 3
+"""Points are taken from every so-manieth frame, and from no fewer frames than that."""
+SAMPLES, MAX_SIGHTINGS = 2400, 150_000
+GROUP_PX = 5
+"""Side of the square of four points: beyond the smoothing, and mostly on the same surface."""
+GROUP = 4
+MARGIN_PX = 3
+"""Distance from movers within which smoothing mixes their colours in."""
+MIN_SIGHTINGS = 4
+CELLS = (4, 6)
+"""Rows and columns of the cells of space per image that are held out in turn."""
+
+
+class Sightings(NamedTuple):
+    """n static points, n a multiple of GROUP, four neighbours behind one another, in F frames.
+
+    Attributes:
+        colours: [n, F, 3] smoothed, 0..1, as stored in the frames. usable: [n, F, 3] bool: seen there, not clipped.
+        distance: [n, F] from the camera, scene units. off_axis: [n, F] squared distance from the principal point, 1 in
+            the corners. cell: [n] number of the cell of space. odd: [n] bool, its half, as on a chessboard.
+        points: [n, 3] world. centres: [F, 3] of the cameras.
+    """
+
+    colours: np.ndarray
+    usable: np.ndarray
+    distance: np.ndarray
+    off_axis: np.ndarray
+    cell: np.ndarray
+    odd: np.ndarray
+    points: np.ndarray
+    centres: np.ndarray
+
+
+def sight(seen: Observed) -> Sightings:
+    """Static points of low contrast, where a misplaced sample changes little, looked up by pose and depth."""
+    F = len(seen.rgb)
+    smooth = np.stack([cv2.GaussianBlur(image, (0, 0), SMOOTH_PX) for image in seen.rgb])
+    kernel = np.ones((2 * MARGIN_PX + 1, 2 * MARGIN_PX + 1), np.uint8)
+    moving = np.stack([cv2.dilate(mask.astype(np.uint8), kernel) for mask in seen.dynamic])
+    points = _points(seen, smooth, moving)
+    looked_up = [_look_up(seen, smooth[k], moving[k], k, points) for k in range(F)]
+    colours, usable, off_axis = (np.stack(part, axis=1) for part in zip(*looked_up, strict=True))
+    often = (usable.sum(axis=1) >= MIN_SIGHTINGS).any(axis=1)
+    kept = np.repeat(often.reshape(-1, GROUP).all(axis=1), GROUP)
+    colours, usable, off_axis, points = (part[kept] for part in (colours, usable, off_axis, points))
+    centres = lie.inverse(seen.cam_from_world)[:, :3, 3]
+    distance = np.linalg.norm(points[:, None] - centres, axis=-1).astype(np.float32)
+    return Sightings(colours, usable, distance, off_axis, *_cells(seen, points, centres), points, centres)
+
+
+def _points(seen: Observed, smooth: np.ndarray, moving: np.ndarray) -> np.ndarray:
+    """World points [n, 3] of groups of four flat static pixels of frames spread over the clip."""
+    F, h, w = seen.depth.shape
+    references = np.unique(np.linspace(0, F - 1, max(MIN_REFERENCES, F // FRAMES_PER_REFERENCE)).astype(int))
+    groups = min(SAMPLES, MAX_SIGHTINGS // F) // GROUP // len(references)
+    corners = np.array([[0, 0], [0, GROUP_PX], [GROUP_PX, 0], [GROUP_PX, GROUP_PX]])
+    found = [np.zeros((0, 3))]
+    for k in references:
+        flat = _is_flat(smooth[k], moving[k] > 0)
+        whole = np.all([flat[v : h - GROUP_PX + v, u : w - GROUP_PX + u] for v, u in corners], axis=0)
+        at = np.argwhere(whole)
+        at = at[np.unique(np.linspace(0, len(at) - 1, min(groups, len(at))).astype(int))]
+        v, u = np.moveaxis(at[:, None] + corners, -1, 0).reshape(2, -1)
+        uv = pixel_grid(h, w)[v, u]
+        found.append(unproject(uv, seen.depth[k][v, u], seen.cam_from_world[k], seen.Ks[k]))
+    return np.concatenate(found)
+
+
+def _is_flat(image: np.ndarray, moving: np.ndarray) -> np.ndarray:
+    """Static, well exposed pixels [h, w] of no more than the median contrast."""
+    grey = image.mean(axis=-1)
+    contrast = np.hypot(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1))
+    usable = ~moving & (grey > DARK) & (grey < BRIGHT)
+    return np.asarray(usable & (contrast <= np.median(contrast[usable])) if usable.any() else usable)
+
+
+def _look_up(
+    seen: Observed, image: np.ndarray, moving: np.ndarray, k: int, points: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Colours [n, 3] of points in frame k, whether they are usable [n, 3], and `off_axis` [n]."""
+    h, w = moving.shape
+    z = points @ seen.cam_from_world[k, 2, :3] + seen.cam_from_world[k, 2, 3]
+    front = z > 0
+    uv = np.zeros((len(points), 2))
+    uv[front] = project(points[front], seen.cam_from_world[k], seen.Ks[k])[0]
+    inside = front & ((uv >= 0) & (uv <= (w - 1, h - 1))).all(axis=1)
+    uv[~inside] = 0.0
+    near = np.abs(bilinear(seen.depth[k], uv) / np.where(inside, z, 1.0) - 1) < DEPTH_TOLERANCE
+    shown = inside & near & (bilinear(moving, uv) == 0)
+    colours = bilinear(image, uv).astype(np.float32)
+    usable = shown[:, None] & (colours > DARK) & (colours < BRIGHT)
+    radius = (uv - seen.Ks[k, :2, 2]) / (0.5 * np.hypot(h, w))
+    return colours, usable, np.square(radius).sum(axis=1).astype(np.float32)
+
+
+def _cells(seen: Observed, points: np.ndarray, centres: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Number [n] and half [n] of the cell of each point: by its direction from the mean camera, in the middle view."""
+    F, h, w = seen.depth.shape
+    rays = (points - centres.mean(axis=0)) @ seen.cam_from_world[F // 2, :3, :3].T
+    angles = np.stack([np.arctan2(rays[:, 1], np.hypot(rays[:, 0], rays[:, 2])), np.arctan2(rays[:, 0], rays[:, 2])])
+    size = np.array([h / CELLS[0], w / CELLS[1]]) / seen.Ks[F // 2, 0, 0]
+    row, column = np.floor(angles / size[:, None]).astype(int)
+    _, cell = np.unique(np.stack([row, column], axis=1), axis=0, return_inverse=True)
+    return cell.ravel(), (row + column) % 2 == 1

@@ -1,0 +1,149 @@
+"""Which changes of light are modelled: gains, white balance, fog and gloss, each beside the others, against truth."""
+
+from functools import cache
+
+import finished_run as clip
+import numpy as np
+import pytest
+from square_inputs import observe
+from synthetic import flow_arrays, make_scene
+
+from stages.scene import photometry, rules
+from stages.scene.light import no_light
+from stages.scene.observed import Observed
+from stages.scene.photometry import LightEvidence, light_evidence, view_evidence
+from stages.scene.sightings import sight
+from stages.shared.cameras import pixel_grid, unproject
+
+NOISE = 0.01
+
+
+@cache
+def room() -> tuple:
+    """A room that the camera goes into, and the flow of its neighbouring frames."""
+    scene = make_scene(size=(96, 160))
+    return scene, flow_arrays(scene, (1,))
+
+
+def lit_room(
+    extinction: float = 0.0,
+    airlight: tuple[float, float, float] = (0.6, 0.6, 0.6),
+    gains: np.ndarray | float = 1.0,
+    grey: bool = False,
+) -> Observed:
+    """The room in fog of linear radiance `airlight`, with gains per frame [T, 3]."""
+    scene, (source, target, flow, visible) = room()
+    gains = np.broadcast_to(np.asarray(gains, float), (scene.T, 3))
+    rng, rgb = np.random.default_rng(0), []
+    for k, (depth, pose) in enumerate(zip(scene.depth, scene.cam_from_world, strict=True)):
+        points = unproject(pixel_grid(96, 160), depth, pose, scene.K)
+        x, y, z = np.moveaxis(points, -1, 0)
+        shade = 0.3 + 0.25 * np.sin(3 * x + z) * np.cos(4 * y + 2 * z)
+        surface = shade[..., None] * (np.ones(3) if grey else np.array([1.0, 0.8, 0.6]))
+        distance = np.linalg.norm(points - np.linalg.inv(pose)[:3, 3], axis=-1)[..., None]
+        clear = np.exp(-extinction * distance)
+        shown = gains[k] * (clear * surface + (1 - clear) * np.array(airlight)) ** (1 / 2.2)
+        noise = NOISE * rng.standard_normal((*depth.shape, 1 if grey else 3))
+        rgb.append(np.clip(np.rint(255 * (shown + noise)), 0, 255) / 255)
+    return Observed(
+        rgb=np.stack(rgb).astype(np.float32),
+        dynamic=np.zeros(scene.depth.shape, bool),
+        instances=np.zeros(scene.depth.shape, np.uint16),
+        depth=scene.depth,
+        cam_from_world=scene.cam_from_world,
+        Ks=np.broadcast_to(scene.K, (scene.T, 3, 3)),
+        edges=np.stack([source, target], axis=1),
+        flow=flow,
+        confidence=visible,
+        offsets=target - source,
+    )
+
+
+def drift(percent: float) -> np.ndarray:
+    """A gain [T, 1] that grows by so many per cent."""
+    return np.exp(np.linspace(0, np.log1p(percent / 100), room()[0].T))[:, None]
+
+
+def tint(share: float) -> np.ndarray:
+    """Gains [T, 3] of red and blue that go opposite ways."""
+    return 1 + share * np.linspace(-1, 1, room()[0].T)[:, None] * np.array([1, 0, -1])
+
+
+def decided(evidence: LightEvidence) -> tuple[bool, bool, bool]:
+    """Whether gains, gains per channel beside them, and fog buy enough."""
+    parts = ((evidence.exposure, False), (evidence.white_balance, False), (evidence.atmosphere, True))
+    exposure, white_balance, fog = (photometry.is_worth(bought, is_fog) for bought, is_fog in parts)
+    return exposure, white_balance, fog
+
+
+@pytest.mark.parametrize("drift_percent", [0.0, 15.0])
+@pytest.mark.parametrize(("extinction", "level"), [(0.0, 0.7), (0.15, 0.7), (0.4, 0.05)])
+def test_fog_is_told_from_exposure(extinction: float, level: float, drift_percent: float) -> None:
+    """On the way into fog everything darkens or brightens, near and far alike.
+
+    Beside a gain that grows with the way, fog saves less than a grey level here: it is not modelled then.
+    """
+    evidence = light_evidence(sight(lit_room(extinction, (level, level, 1.2 * level), drift(drift_percent))))
+    found = rules.decide_exposure(evidence, "auto")
+    foggy = extinction > 0 and not drift_percent
+    assert decided(evidence) == (drift_percent > 0, False, foggy)
+    assert found["needed"] == (drift_percent > 0)
+    assert found["evidence"]["gain_range_percent"] == pytest.approx(drift_percent, abs=1 + 15 * extinction)
+    assert found["interval"][0] < found["statistic"] < found["interval"][1]
+    assert evidence.fitted.extinction == pytest.approx(extinction * foggy, abs=0.35 * extinction)
+    if foggy:
+        assert evidence.fitted.airlight == pytest.approx([level, level, 1.2 * level], abs=0.1)
+
+
+@pytest.mark.parametrize(("exposure", "white_balance"), [(15.0, 0.1), (15.0, 0.0), (0.0, 0.1)])
+def test_white_balance_is_told_from_exposure(exposure: float, white_balance: float) -> None:
+    evidence = light_evidence(sight(lit_room(gains=drift(exposure) * tint(white_balance))))
+    assert decided(evidence) == (exposure > 0, white_balance > 0, False)
+    expected = np.log(drift(exposure) * tint(white_balance))
+    assert evidence.fitted.log_gains == pytest.approx(expected - expected.mean(axis=0), abs=0.01)
+
+
+def test_vignetting_that_moves_over_the_scene_is_no_gain() -> None:
+    """A camera that goes on sees what was in the corner, and dark, in the middle."""
+    seen = lit_room()
+    v, u = np.mgrid[-1:1:96j, -1:1:160j]
+    seen.rgb[:] *= (1 - 0.25 * (u**2 + v**2) / 2)[None, ..., None]
+    assert decided(light_evidence(sight(seen))) == (False, False, False)
+
+
+def smooth_pictures(shine: float = 0.0) -> np.ndarray:
+    """Frames [T, H, W, 3] of a softly shaded wall, and a shine that depends on the view only."""
+    images = []
+    for k in range(clip.T):
+        points, _ = clip.wall(k)
+        shade = 0.4 + 0.1 * np.sin(2 * points[..., 0]) * np.cos(3 * points[..., 1])
+        rays = points - clip.CENTRES[k]
+        direction = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+        images.append(shade + shine * direction[..., 0])
+    return np.repeat(np.stack(images)[..., None], 3, axis=-1)
+
+
+def view_decision(images: np.ndarray, choice: rules.Choice = "auto") -> rules.Decision:
+    return rules.decide_view_dependent(view_evidence(sight(observe(images)), no_light(clip.T)), choice)
+
+
+def test_view_dependence_is_predicted_at_other_times_and_places() -> None:
+    noise = np.random.default_rng(0).normal(0, 0.03, clip.T)[:, None, None, None]
+    assert view_decision(smooth_pictures())["sh_degree"] == 0
+    assert view_decision(smooth_pictures() + noise)["sh_degree"] == 0
+    assert view_decision(smooth_pictures(), "yes")["sh_degree"] == 1
+    shiny = view_decision(smooth_pictures(shine=0.5))
+    assert shiny["sh_degree"] >= 1
+    assert shiny["evidence"]["share_degree1"] > 0.8
+
+
+def test_a_texture_that_slides_over_the_depth_is_no_gloss() -> None:
+    """Poses that are wrong by up to a pixel make each point's colour change smoothly, by its own surroundings."""
+    images = []
+    for k in range(clip.T):
+        points, _ = clip.wall(k)
+        x, y = points[..., 0] + 0.06 * k / clip.T, points[..., 1]
+        images.append(0.5 + 0.06 * np.sin(17 * x) * np.cos(19 * y))
+    decision = view_decision(np.repeat(np.stack(images)[..., None], 3, axis=-1))
+    assert decision["sh_degree"] == 0
+    assert decision["statistic"] < 0.7 * rules.MIN_VIEW_GREY
