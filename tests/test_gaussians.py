@@ -10,6 +10,7 @@ import torch
 from gaussian_training import CANONICAL, OPTIONS, TRAIN, image_at, new_scene, psnr, trained
 from scipy.ndimage import binary_dilation
 
+from stages.gaussians import __main__ as gaussians_stage
 from stages.gaussians import checkpoint, optimise
 from stages.gaussians.densify import densify
 from stages.gaussians.lifting import initial_cloud
@@ -84,7 +85,7 @@ def test_a_killed_training_resumes_to_the_same_result(monkeypatch: pytest.Monkey
     scenes = coloured_scene(seen), coloured_scene(seen)
     for scene in scenes:
         scene.poses = PoseTable(torch.tensor(seen.times), length=4.0)
-        scene.exposure = Exposure(torch.tensor(seen.times))
+        scene.exposure = Exposure(torch.tensor(seen.times), 3)
     straight = Trainer(scenes[0], seen, options, arap_weight=0.01)
     saved: dict[int, tuple[dict[str, np.ndarray], int]] = {}
 
@@ -119,7 +120,7 @@ def test_the_model_file_renders_the_same(tmp_path: Path, sh_degree: int) -> None
     seen = truth.observations(TRAIN)
     cloud = initial_cloud(seen, truth.true_motion(), CANONICAL, 4, 4, sh_degree)
     cloud.sh[:, 1:] = 0.2 * torch.randn(cloud.sh[:, 1:].shape, generator=torch.manual_seed(0))
-    exposure = Exposure(torch.tensor(truth.TIMES))
+    exposure = Exposure(torch.tensor(truth.TIMES), 3)
     exposure.log_gains.data[3:] = 0.2
     colours = ColourTable(torch.tensor(truth.TIMES), len(truth.true_motion().points))
     colours.table.data = 0.3 * torch.randn(colours.table.shape, generator=torch.manual_seed(1))
@@ -152,7 +153,7 @@ def test_exposure_drift_is_compensated_between_frames_too() -> None:
     faded = replace(seen, images=(seen.images * fade[:, None, None, None]).astype(np.float32))
     expected = truth.ray_cast(truth.cameras()[4], truth.TIMES[4])[0] * (1 - 0.4 * truth.TIMES[4])
     scores = []
-    for exposure in (None, Exposure(torch.tensor(seen.times))):
+    for exposure in (None, Exposure(torch.tensor(seen.times), 3)):
         scene = new_scene(faded)
         scene.exposure = exposure
         Trainer(scene, faded, OPTIONS, arap_weight=0.0).run(lambda _: None)
@@ -193,3 +194,22 @@ def test_colours_over_time_have_the_gradient_of_their_formula() -> None:
         return torch.func.functional_call(colours, {"table": table}, (0.4, weights, index))
 
     assert torch.autograd.gradcheck(shown, colours.table)
+
+
+@pytest.mark.parametrize(("exposure", "white_balance", "channels"), [(0, 0, 0), (1, 0, 1), (0, 1, 3), (1, 1, 3)])
+def test_only_the_gains_that_are_called_for_are_trained(exposure: int, white_balance: int, channels: int) -> None:
+    """One for all channels, or one for each; both come back from the model file, and none leaves no tensor."""
+    seen, scene = truth.observations(TRAIN), new_scene(truth.observations(TRAIN))
+    needs = {"exposure": {"needed": bool(exposure)}, "white_balance": {"needed": bool(white_balance)}}
+    _, gains, _ = gaussians_stage._tables_over_time(seen, None, needs, GaussiansOptions())
+    assert (0 if gains is None else gains.log_gains.shape[1]) == channels
+    if gains is not None:
+        gains.log_gains.data = 0.2 * torch.randn(gains.log_gains.shape, generator=torch.manual_seed(0))
+    scene.exposure = gains
+    tensors, settings = scene_tensors(scene)
+    assert any(name.startswith("exposure.") for name in tensors) == bool(channels)
+    again = scene_from_tensors(tensors, settings).exposure
+    for time in (0.0, 0.37, 1.0) if gains is not None and again is not None else ():
+        assert gains(time).shape == (3,)
+        assert torch.equal(again(time), gains(time))
+        assert (gains(time)[0] == gains(time)[2]) == (channels == 1)

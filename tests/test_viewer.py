@@ -83,7 +83,7 @@ def with_every_effect() -> GaussianScene:
     cloud.sh = torch.cat([cloud.sh[:, :1], 0.15 * torch.randn(len(cloud.sh), 15, 3, generator=random)], dim=1)
     scene.set_cloud(cloud)
     times = torch.tensor(truth.TIMES[TRAIN])
-    scene.colours, scene.exposure = ColourTable(times, 16), Exposure(times)
+    scene.colours, scene.exposure = ColourTable(times, 16), Exposure(times, 3)
     scene.poses = PoseTable(times, length=3.0)
     scene.colours.table.data = 0.4 * torch.randn(len(times), 16, 3, generator=random)
     scene.exposure.log_gains.data = 0.2 * torch.randn(len(times), 3, generator=random)

@@ -171,9 +171,10 @@ def _tables_over_time(
     from stages.splatting.pose_table import PoseTable
 
     times = torch.as_tensor(seen.times)
+    channels = 3 if needs["white_balance"]["needed"] else int(needs["exposure"]["needed"])
     return (
         ColourTable(times, len(motion.points)) if motion is not None and options.colour_table else None,
-        Exposure(times) if needs["exposure"]["needed"] else None,
+        Exposure(times, channels) if channels else None,
         PoseTable(times, float(np.median(seen.depths))) if options.refine_poses else None,
     )
 

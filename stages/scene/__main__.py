@@ -34,9 +34,9 @@ def main(
 ) -> str:
     """Decide from evidence which effects the reconstruction has to model, and write why.
 
-    Moving parts, a camera that only rotates, exposure change, view-dependent colour and non-rigid movers are modelled
-    where that predicts samples of the training frames better that it was not fitted to. An option can overrule each
-    decision.
+    Moving parts, a camera that only rotates, changes of exposure and white balance, view-dependent colour and non-rigid
+    movers are modelled where that predicts samples of the training frames better that it was not fitted to. An option
+    can overrule each decision.
     """
     content = read_sequence(sequence)
     seen = _observe(content, flow, masks, poses, depth, options)
@@ -56,7 +56,7 @@ def main(
 
 
 def _decide(seen: Observed, rotation_only_share: float, options: SceneOptions) -> dict[str, dict[str, Any]]:
-    """The entries of scene.json, each with the CPU seconds of its evidence."""
+    """The entries of scene.json, each with the CPU seconds of its evidence; those of all light count for exposure."""
     began = time.process_time()
 
     def timed(decision: dict[str, Any]) -> dict[str, Any]:
@@ -70,6 +70,7 @@ def _decide(seen: Observed, rotation_only_share: float, options: SceneOptions) -
     points = sight(seen)
     light = photometry.light_evidence(points)
     exposure = timed(rules.decide_exposure(light, options.exposure))
+    white_balance = timed(rules.decide_white_balance(light, options.white_balance))
     view = photometry.view_evidence(points, light.fitted)
     view_dependent = timed(rules.decide_view_dependent(view, options.view_dependent))
     regions = geometry.moving_regions(seen)
@@ -78,6 +79,7 @@ def _decide(seen: Observed, rotation_only_share: float, options: SceneOptions) -
         "dynamic": dynamic,
         "rotation_only": turning,
         "exposure": exposure,
+        "white_balance": white_balance,
         "view_dependent": view_dependent,
         "non_rigid": timed(rules.decide_non_rigid(*bending, options.non_rigid)),
     }

@@ -196,7 +196,8 @@ def _slopes(of: _Data, state: _State) -> np.ndarray:
 
 def _noise(of: _Data, error: np.ndarray) -> float:
     """Standard deviation of the errors of the colours, robustly."""
-    return max(1.4826 * float(np.median(np.abs(of.colours * error)[of.usable])), LEAST_NOISE)
+    shown = np.abs(of.colours * error)[of.usable]
+    return max(1.4826 * float(np.median(shown)), LEAST_NOISE) if len(shown) else LEAST_NOISE
 
 
 def _weights(of: _Data, error: np.ndarray, noise: float) -> np.ndarray:

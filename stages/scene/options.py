@@ -17,5 +17,6 @@ class SceneOptions(SplitOptions):
         "auto", description="a camera that only turns; stated in the report, poses do not follow it"
     )
     exposure: Choice = Field("auto", description="brightness that changes over time: a gain per frame")
+    white_balance: Choice = Field("auto", description="tint that changes over time: a gain per channel and frame")
     view_dependent: Choice = Field("auto", description="colours that change with the view: spherical harmonics")
     non_rigid: Choice = Field("auto", description="non-rigid movers: more control points, weaker rigidity")

@@ -86,6 +86,15 @@ def decide_exposure(evidence: LightEvidence, choice: Choice) -> Decision:
     return _light_decision(bought, False, numbers, why, choice)
 
 
+def decide_white_balance(evidence: LightEvidence, choice: Choice) -> Decision:
+    """Changing white balance: a gain per channel predicts static points better than one for all channels."""
+    bought, gains = evidence.white_balance, evidence.fitted.log_gains
+    tint = gains - gains.mean(axis=1, keepdims=True)
+    numbers = {"tint_range_percent": 100 * float(np.expm1(np.ptp(tint, axis=0).max()))}
+    why = f"a gain per channel, beside one for all, {_saves(bought, 'grey levels')}"
+    return _light_decision(bought, False, numbers, why, choice)
+
+
 def decide_view_dependent(evidence: ViewEvidence, choice: Choice) -> Decision:
     """View-dependent colour, with the degree of the spherical harmonics: 0 where it is not needed."""
     first, second = evidence.degrees

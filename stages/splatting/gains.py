@@ -1,4 +1,4 @@
-"""Exposure compensation: one gain per colour channel and training frame, for scenes whose brightness changes."""
+"""Exposure and white balance: gains per training frame, for scenes whose brightness or tint changes."""
 
 import numpy as np
 import torch
@@ -11,19 +11,20 @@ class Exposure(torch.nn.Module):
     Their mean logarithm over the frames is zero: otherwise a common factor of gains and colours would be undetermined.
 
     Attributes:
-        knots: [F] ascending times in 0..1. log_gains: [F, 3], trained.
+        knots: [F] ascending times in 0..1.
+        log_gains: [F, 1] of all channels together, or [F, 3] of each; trained.
     """
 
     knots: Tensor
 
-    def __init__(self, knots: Tensor) -> None:
+    def __init__(self, knots: Tensor, channels: int) -> None:
         super().__init__()
         self.register_buffer("knots", knots.to(torch.float64))
-        self.log_gains = torch.nn.Parameter(torch.zeros(len(knots), 3))
+        self.log_gains = torch.nn.Parameter(torch.zeros(len(knots), channels))
 
     def forward(self, time: float) -> Tensor:
         """Gain [3] > 0 at `time` 0..1."""
         knots = self.knots.cpu().numpy()
         shares = [np.interp(time, knots, unit) for unit in np.eye(len(knots))]
         centred = self.log_gains - self.log_gains.mean(dim=0)
-        return (torch.tensor(shares).to(centred) @ centred).exp()
+        return (torch.tensor(shares).to(centred) @ centred).exp().expand(3)

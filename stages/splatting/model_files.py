@@ -88,7 +88,7 @@ def scene_from_tensors(tensors: Mapping[str, np.ndarray], metadata: Mapping[str,
         colours = ColourTable(values[COLOURS + "knots"], values[COLOURS + "table"].shape[1])
         colours.load_state_dict({name: values[COLOURS + name] for name in ("knots", "table")})
     if EXPOSURE + "knots" in values:
-        exposure = Exposure(values[EXPOSURE + "knots"])
+        exposure = Exposure(values[EXPOSURE + "knots"], values[EXPOSURE + "log_gains"].shape[1])
         exposure.load_state_dict({name: values[EXPOSURE + name] for name in ("knots", "log_gains")})
     if POSES + "knots" in values:
         poses = PoseTable(values[POSES + "knots"], float(values[POSES + "length"]))

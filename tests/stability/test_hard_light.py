@@ -1,0 +1,61 @@
+"""Light that hides what it would be measured on: clipped and black frames, grey channels, fog that hides everything."""
+
+import numpy as np
+import pytest
+from test_scene_light import decided, drift, lit_room, tint
+
+from stages.scene import rules
+from stages.scene.photometry import light_evidence, view_evidence
+from stages.scene.sightings import sight
+
+
+@pytest.mark.parametrize("level", [0.0, 1.0])
+def test_gains_of_clipped_frames_are_not_observable(level: float) -> None:
+    """Black or white frames: nothing is decided, nothing is infinite, and the reason says so."""
+    seen = lit_room()
+    seen.rgb[:] = level
+    points = sight(seen)
+    evidence, view = light_evidence(points), view_evidence(points, light_evidence(points).fitted)
+    for decision in (
+        rules.decide_exposure(evidence, "auto"),
+        rules.decide_white_balance(evidence, "auto"),
+        rules.decide_view_dependent(view, "auto"),
+    ):
+        assert not decision["needed"]
+        assert np.isfinite([decision["statistic"], *decision["interval"], *decision["evidence"].values()]).all()
+    assert "not observable" in rules.decide_exposure(evidence, "auto")["why"]
+
+
+def test_clipped_pixels_do_not_pull_a_gain() -> None:
+    """Half of the picture is saturated in half of the frames: the other pixels tell the gain."""
+    seen = lit_room(gains=drift(15.0))
+    seen.rgb[4:, :, 80:] = 1.0
+    evidence = light_evidence(sight(seen))
+    assert decided(evidence) == (True, False, False)
+    assert np.ptp(evidence.fitted.log_gains.mean(axis=1)) == pytest.approx(np.log(1.15), abs=0.01)
+
+
+def test_one_frame_that_shows_nothing_keeps_the_gain_of_the_others() -> None:
+    seen = lit_room(gains=drift(15.0))
+    seen.rgb[3] = 0.0
+    gains = light_evidence(sight(seen)).fitted.log_gains[:, 0]
+    assert gains[-1] - gains[0] == pytest.approx(np.log(1.15), abs=0.01)
+    assert np.isfinite(gains).all()
+
+
+def test_grey_frames_have_no_white_balance() -> None:
+    """All channels are one: a gain per channel saves nothing over one for all."""
+    evidence = light_evidence(sight(lit_room(gains=drift(15.0), grey=True)))
+    assert decided(evidence) == (True, False, False)
+    assert abs(evidence.white_balance.size) < 0.1
+
+
+def test_fog_that_hides_everything_is_no_gain_and_no_gloss() -> None:
+    """No texture shows through: the fog is not observable, and what stays the same is called that."""
+    points = sight(lit_room(extinction=5.0))
+    evidence = light_evidence(points)
+    assert decided(evidence) == (False, False, False)
+    view = rules.decide_view_dependent(view_evidence(points, evidence.fitted), "auto")
+    assert not view["needed"]
+    tinted = light_evidence(sight(lit_room(extinction=5.0, gains=drift(10.0) * tint(0.1))))
+    assert decided(tinted) == (True, True, False)  # gains are seen on the fog itself
