@@ -10,6 +10,7 @@ from stages.gaussians.optimise import Trainer
 from stages.gaussians.training_frames import TrainingFrames
 from stages.shared.drawing import contact_sheet, spread
 from stages.shared.images import to_uint8
+from stages.splatting.shutter import expose
 
 WIDTH_PX = 1200
 GAIN = 4
@@ -21,10 +22,7 @@ def training_figure(trainer: Trainer, seen: TrainingFrames) -> np.ndarray:
     """Frame, render and difference x GAIN of two training frames; below, the PSNR curve. [H, W, 3] uint8."""
     cells = []
     for f in spread(len(seen.images), 2):
-        view = trainer.scene.render(
-            float(seen.times[f]), trainer.viewmats[f], trainer.Ks[f], trainer.width, trainer.height
-        )
-        image = view.colour[0].cpu().numpy()
+        image = expose(trainer.scene, trainer.pictures[f], trainer.width, trainer.height)[0].cpu().numpy()
         difference = GAIN * np.abs(image - seen.images[f])
         cells += [to_uint8(seen.images[f]), to_uint8(image), to_uint8(difference)]
     sheet = contact_sheet(cells, columns=3, width_px=WIDTH_PX)

@@ -8,6 +8,8 @@ from scipy.spatial import cKDTree
 
 from stages.deformation.motion_models import Deformation
 from stages.shared.cameras import project, unproject
+from stages.splatting.gaussian_model import GaussianScene
+from stages.splatting.shutter import Moments, Shutter, instant, open_moments
 
 REACH = 6.0
 """Points farther than this many kernel radii from their nearest control point are treated as static."""
@@ -23,6 +25,7 @@ class TrainingFrames:
         guessed: [F, H, W] bool, true where the depth was not triangulated but filled in.
         cam_from_world: [F, 4, 4]. Ks: [F, 3, 3] px. times: [F] in 0..1.
         scene: [H, W] bool, false where something is burnt into all frames; None: nothing is.
+        smeared: [F] the moments over which each frame is averaged; None: each shows a single one.
     """
 
     images: np.ndarray
@@ -33,6 +36,12 @@ class TrainingFrames:
     Ks: np.ndarray
     times: np.ndarray
     scene: np.ndarray | None = None
+    smeared: tuple[Moments, ...] | None = None
+
+    def picture(self, f: int) -> Moments:
+        """The moments of frame f, 0..F-1."""
+        single = instant(float(self.times[f]), self.cam_from_world[f], self.Ks[f])
+        return single if self.smeared is None else self.smeared[f]
 
 
 def with_movers(seen: TrainingFrames, deformation: Deformation) -> TrainingFrames:
@@ -58,6 +67,13 @@ def with_movers(seen: TrainingFrames, deformation: Deformation) -> TrainingFrame
         depths[f, v[carried], u[carried]] = depth[carried]
         masks[f, v[~carried], u[~carried]] = False
     return replace(seen, masks=masks, depths=depths)
+
+
+def with_smear(seen: TrainingFrames, scene: GaussianScene, shutter: Shutter) -> TrainingFrames:
+    """Give every frame the moments over which it is averaged, as many as its smear is long."""
+    height, width = seen.images.shape[1:3]
+    rows = np.rint(seen.times * (len(shutter.Ks) - 1)).astype(int).tolist()
+    return replace(seen, smeared=tuple(open_moments(scene, shutter, row, (width, height)) for row in rows))
 
 
 def _depth_from_points(pixels: np.ndarray, points: np.ndarray, pose: np.ndarray, K: np.ndarray) -> np.ndarray:
