@@ -55,12 +55,17 @@ def main(
     seen = read_observations(sequence, masks, poses, depth, options)
     seen, motion, canonical = _with_motion(seen, needs, sequence, points, deformation)
     gaussians = _new_scene(seen, motion, canonical, needs, options)
+    shutter = None if failed or not needs["motion_blur"]["needed"] else float(needs["motion_blur"]["shutter"])
+    if shutter is not None:
+        seen = _with_smear(seen, gaussians, poses, shutter)
     trainer = Trainer(gaussians, seen, options, read_metadata(deformation)["arap_weight"])
     checkpoint = Checkpoint(model, [sequence, masks, poses, depth, scene, points, deformation], options)
     checkpoint.resume(trainer)
     trainer.run(checkpoint.save_sometimes)
     _write_history(convergence, figure, trainer, seen)
-    status = {"status": "poses failed" if failed else "trained", "options": options.model_dump()}
+    status: dict[str, Any] = {"status": "poses failed" if failed else "trained", "options": options.model_dump()}
+    if shutter is not None:
+        status["shutter"] = shutter
     _write_models((model, half), gaussians, seen, status)
     write_splats(ply, gaussians, float(seen.times[canonical]))
     checkpoint.remove()
@@ -130,6 +135,20 @@ def _with_motion(
     lost = masked - seen.masks.sum()
     logger.info("%d of %d masked pixels are out of reach of the control points: static", lost, masked)
     return seen, motion, canonical_row(seen, sequence, deformation)
+
+
+def _with_smear(seen: "TrainingFrames", scene: "GaussianScene", poses: Path, shutter: float) -> "TrainingFrames":
+    """The training frames with the moments over which each is averaged."""
+    from stages.gaussians.training_frames import with_smear
+    from stages.splatting.shutter import Shutter
+
+    cameras = read_cameras(poses)
+    seen = with_smear(seen, scene, Shutter(shutter, cameras.cam_from_world, cameras.Ks))
+    counts = [len(seen.picture(f).times) for f in range(len(seen.images))]
+    logger.info(
+        "shutter open for %.2f frames: %.1f moments per frame, at most %d", shutter, np.mean(counts), max(counts)
+    )
+    return seen
 
 
 def _new_scene(

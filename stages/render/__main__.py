@@ -28,21 +28,27 @@ def main(
 ) -> str:
     """Render every frame at its estimated pose and time, a fly-through, and the right eye if its true camera is known.
 
-    In the fly-through the camera circles around the estimated path while time runs from 0 to 1. It lasts as long as the
-    video, within what is bearable.
+    Frames have the motion blur that the model was trained with, other views are sharp. In the fly-through the camera
+    circles around the estimated path while time runs from 0 to 1. It lasts as long as the video, within what is
+    bearable.
     """
     from stages.render.shots import load_scene, planned_shots, take
     from stages.render.video import write_gif
     from stages.shared.artifacts import atomic_folder
     from stages.shared.images import write_image
+    from stages.splatting.shutter import Shutter
 
     content, cameras = read_sequence(sequence), read_cameras(poses)
-    shots = planned_shots(content, cameras, float(read_metadata(model)["median_depth"]), options)
+    trained = read_metadata(model)
+    shots = planned_shots(content, cameras, float(trained["median_depth"]), options)
+    shutter = None
+    if "shutter" in trained:
+        shutter = Shutter(float(trained["shutter"]), cameras.cam_from_world, cameras.Ks)
     scene = load_scene(model, options.device)
     novel = []
     with atomic_folder(output, FILES) as folder:
         for shot in progress(shots, "rendering"):
-            image = take(scene, shot, content.width, content.height)
+            image = take(scene, shot, content.width, content.height, shutter)
             write_image(folder / shot.split / f"frame_{shot.number:04d}.png", image)
             if shot.split == "novel":
                 novel.append(image)

@@ -18,6 +18,7 @@ from stages.shared.split import frame_times, held_out
 from stages.splatting.gaussian_model import GaussianScene
 from stages.splatting.model_files import read_scene
 from stages.splatting.rasterize import backend_name, choose_device
+from stages.splatting.shutter import Shutter, expose, instant, open_moments
 
 
 @dataclass(frozen=True)
@@ -27,6 +28,7 @@ class Shot:
     Attributes:
         split: its folder, "train", "test", "novel" or "right". number: the number in its file name. time: 0..1.
         cam_from_world: [4, 4]. K: [3, 3] px.
+        frame: 0-based index of the frame whose picture it is, with its motion blur; None: it is sharp.
     """
 
     split: str
@@ -34,6 +36,7 @@ class Shot:
     time: float
     cam_from_world: np.ndarray
     K: np.ndarray
+    frame: int | None = None
 
 
 def planned_shots(content: Sequence, cameras: Cameras, distance: float, options: RenderOptions) -> list[Shot]:
@@ -45,7 +48,9 @@ def planned_shots(content: Sequence, cameras: Cameras, distance: float, options:
     T = len(content.frames)
     times, is_test = frame_times(T), held_out(T, options)
     shots = [
-        Shot("test" if is_test[k] else "train", content.numbers[k], times[k], cameras.cam_from_world[k], cameras.Ks[k])
+        Shot(
+            "test" if is_test[k] else "train", content.numbers[k], times[k], cameras.cam_from_world[k], cameras.Ks[k], k
+        )
         for k in range(T)
     ]
     moments = even_moments(content.times_s, options.novel_views)
@@ -96,7 +101,9 @@ def load_scene(model: Path, device: str) -> GaussianScene:
 
 
 @torch.no_grad()
-def take(scene: GaussianScene, shot: Shot, width: int, height: int) -> np.ndarray:
-    """The rendered view, [height, width, 3] uint8."""
-    viewmat, K = (torch.as_tensor(matrix, device=scene.background.device) for matrix in (shot.cam_from_world, shot.K))
-    return to_uint8(scene.render(float(shot.time), viewmat, K, width, height).colour[0].cpu().numpy())
+def take(scene: GaussianScene, shot: Shot, width: int, height: int, shutter: Shutter | None = None) -> np.ndarray:
+    """The rendered view, [height, width, 3] uint8; that of a frame with the motion blur of the shutter, if any."""
+    picture = instant(shot.time, shot.cam_from_world, shot.K)
+    if shot.frame is not None and shutter is not None:
+        picture = open_moments(scene, shutter, shot.frame, (width, height))
+    return to_uint8(expose(scene, picture, width, height)[0].cpu().numpy())

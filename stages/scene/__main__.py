@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import cv2
 import numpy as np
 
-from stages.scene import geometry, photometry, rules
+from stages.scene import blur_rules, geometry, photometry, rules, shutter
 from stages.scene.observed import Observed, depth_on_grid
 from stages.scene.options import SceneOptions
 from stages.scene.sightings import sight
@@ -34,9 +34,9 @@ def main(
 ) -> str:
     """Decide from evidence which effects the reconstruction has to model, and write why.
 
-    Moving parts, a camera that only rotates, changes of exposure and white balance, view-dependent colour and non-rigid
-    movers are modelled where that predicts samples of the training frames better that it was not fitted to. An option
-    can overrule each decision.
+    Moving parts, a camera that only rotates, changes of exposure and white balance, view-dependent colour, non-rigid
+    movers and motion blur are modelled where that predicts samples of the training frames better that it was not fitted
+    to. An option can overrule each decision.
     """
     content = read_sequence(sequence)
     seen = _observe(content, flow, masks, poses, depth, options)
@@ -75,13 +75,17 @@ def _decide(seen: Observed, rotation_only_share: float, options: SceneOptions) -
     view_dependent = timed(rules.decide_view_dependent(view, options.view_dependent))
     regions = geometry.moving_regions(seen)
     bending = geometry.bending_of(regions), float(seen.dynamic.mean()), geometry.bending_of_instances(regions)
+    non_rigid = timed(rules.decide_non_rigid(*bending, options.non_rigid))
+    given = None if options.shutter == "auto" else options.shutter
+    blur = shutter.shutter_evidence(seen, blur_rules.MIN_SPEED_PX, given)
     return {
         "dynamic": dynamic,
         "rotation_only": turning,
         "exposure": exposure,
         "white_balance": white_balance,
         "view_dependent": view_dependent,
-        "non_rigid": timed(rules.decide_non_rigid(*bending, options.non_rigid)),
+        "non_rigid": non_rigid,
+        "motion_blur": timed(blur_rules.decide_motion_blur(blur, options.motion_blur, given)),
     }
 
 

@@ -1,6 +1,6 @@
 """Options of the decision which effects a scene needs."""
 
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
@@ -20,3 +20,7 @@ class SceneOptions(SplitOptions):
     white_balance: Choice = Field("auto", description="tint that changes over time: a gain per channel and frame")
     view_dependent: Choice = Field("auto", description="colours that change with the view: spherical harmonics")
     non_rigid: Choice = Field("auto", description="non-rigid movers: more control points, weaker rigidity")
+    motion_blur: Choice = Field("auto", description="frames that are averaged while the shutter is open")
+    shutter: Literal["auto"] | Annotated[float, Field(gt=0, le=1)] = Field(
+        "auto", description="how long the shutter is open for a frame, in frames; auto: measured"
+    )

@@ -1,0 +1,244 @@
+"""Evidence for motion blur, and how long the shutter is open: frames blurred again and compared.
+
+A point that moves by v px per frame is smeared along s v while the shutter is open for s frames. If it is sharp as I,
+frames i and j show K_i I and K_j I, where K_i and K_j average along s v_i and s v_j. Each smeared as the other is, they
+are equal. That is a = b with
+
+    a = (K_i + K_j) (B_i - B_j) / 2,    b = (K_i - K_j) (B_i + B_j) / 2:
+
+the faster frame lacks what b says. Noise, and errors of the flow, are as likely in one frame as in the other. They
+leave the product of a and b zero on average, since b changes its sign with the exchange of both and a too. So
+<a, b> / <b, b> is 1 at the true shutter, more at shorter ones and less at longer ones: no prior on sharpness of the
+scene is needed, but the same points at different speeds.
+"""
+
+import cv2
+import numpy as np
+
+from stages.scene.geometry import MIN_CONFIDENCE
+from stages.scene.light import DISPLAY_GAMMA
+from stages.scene.observed import Observed
+from stages.scene.sightings import BRIGHT
+from stages.shared.warp import is_inside, matches, warp
+
+TILES = (4, 6)
+"""Rows and columns of image tiles: the shutter is fitted to every other one, as on a chessboard, judged on the rest."""
+SHUTTERS = np.arange(1, 9) / 8
+TESTED = 3
+"""Index of the shutter at which the slope <a, b> / <b, b> shows how well it could be told from none: half a frame."""
+PAIRS = 12
+"""Number of pairs of frames, those between which the speeds differ most."""
+MAX_STRIDE = 2
+"""Frames between the two of an edge from which the speed is taken."""
+SMOOTH_PX = 0.7
+FOOTPRINT_PX2 = SMOOTH_PX**2 + 1 / 6
+"""Variance of what a pixel averages, per axis: SMOOTH_PX, the pixel itself and its reduction to the flow grid."""
+FLOW_SMOOTH_PX = 2.0
+MAX_MAGNIFICATION = 2.0
+"""Points whose area changes by more between two frames are left out."""
+STEEPEST_PX = 6.0
+"""Differences of speed count up to here in the choice of pairs: beyond, more of them are errors."""
+UNLIKE, COARSE_PX = 4.0, 4.0
+"""Pixels differ in what they show if their difference, smoothed by COARSE_PX, exceeds UNLIKE times the median one."""
+FAST_QUANTILE = 0.95
+LEAST_PIXELS = 100
+
+
+def shutter_evidence(seen: Observed, least_px: float, given: float | None = None) -> dict[str, float]:
+    """The shutter, what it predicts on image tiles held out of its fit, and the speeds, in px of the flow grid.
+
+    Args:
+        least_px: speed below which nothing is measured. given: the shutter in frames, if it is known.
+
+    Returns:
+        speed_px: per frame, exceeded by a twentieth of the pixels of the fastest frame; the others are missing if it is
+        below `least_px`. speed_agreement: as `_agreement`. shutter, shutter_sigma: open time in frames, 0..1, and its
+        standard error. gain_percent, gain_sigma_percent: share of the squared difference between frames that the blur
+        predicts, and its standard error. slope_sigma: standard error of the slope at half a frame: 0 is no blur, 1 that
+        of this shutter.
+    """
+    sides, weights = _velocities(seen)
+    velocity = np.asarray((weights[..., None] * sides).sum(axis=0) / np.maximum(weights.sum(axis=0), 1e-6)[..., None])
+    trusted = weights.sum(axis=0) >= MIN_CONFIDENCE
+    speeds = np.linalg.norm(velocity, axis=-1)
+    fast = [np.quantile(speed[good], FAST_QUANTILE) for speed, good in zip(speeds, trusted, strict=True) if good.any()]
+    evidence = {"speed_px": float(max(fast, default=0.0))}
+    edges = _edges(seen, velocity, trusted)
+    if evidence["speed_px"] < least_px or not edges:
+        return evidence
+    evidence["speed_agreement"] = _agreement(seen, sides, weights >= MIN_CONFIDENCE, edges)
+    grey = [cv2.GaussianBlur((rgb**DISPLAY_GAMMA).mean(axis=-1), (0, 0), SMOOTH_PX) for rgb in seen.rgb]
+    sums = np.sum([_compare(seen, grey, velocity, trusted, edge) for edge in edges], axis=0)
+    return evidence | _judge(sums, given)
+
+
+def _velocities(seen: Observed) -> tuple[np.ndarray, np.ndarray]:
+    """Motion [2, F, h, w, 2] in px per frame, by the nearest frame before and after, and its weight [2, F, h, w]."""
+    sides = np.zeros((2, *seen.depth.shape, 2), np.float32)
+    weights = np.zeros(sides.shape[:-1], np.float32)
+    for k in range(len(seen.depth)):
+        for side, ahead in enumerate((-1, 1)):
+            near = (seen.edges[:, 0] == k) & (ahead * seen.offsets > 0) & (np.abs(seen.offsets) <= MAX_STRIDE)
+            rows = np.flatnonzero(near)
+            if len(rows):
+                row = rows[np.abs(seen.offsets[rows]).argmin()]
+                sides[side, k] = seen.flow[row] / seen.offsets[row]
+                weights[side, k] = seen.confidence[row]
+    return sides, weights
+
+
+def _agreement(seen: Observed, sides: np.ndarray, known: np.ndarray, edges: list[int]) -> float:
+    """Correlation of how the squared speeds differ between frames, by the frames before and by those after: 0 if noise.
+
+    Args:
+        sides, known: of `_velocities`. edges: rows.
+    """
+    products = np.zeros((2, 2))
+    for edge in edges:
+        (i, j), flow, part = seen.edges[edge], seen.flow[edge], (slice(None, None, 4), slice(None, None, 4))
+        good = (seen.confidence[edge] >= MIN_CONFIDENCE) & is_inside(flow) & known[:, i].all(axis=0)
+        both_there = np.asarray(known[:, j].all(axis=0), np.float32)
+        good &= warp(both_there, flow) == 1
+        change = [(v[i] ** 2).sum(axis=-1) - (warp(np.asarray(v[j]), flow) ** 2).sum(axis=-1) for v in sides]
+        values = np.stack([np.clip(c, -(STEEPEST_PX**2), STEEPEST_PX**2)[part][good[part]] for c in change])
+        products += values @ values.T
+    return float(products[0, 1] / max(np.sqrt(products[0, 0] * products[1, 1]), 1e-12))
+
+
+def _edges(seen: Observed, velocity: np.ndarray, trusted: np.ndarray) -> list[int]:
+    """Rows of the edges between the PAIRS pairs of frames whose speeds differ most, both ways."""
+    row_of = {tuple(edge): row for row, edge in enumerate(seen.edges.tolist())}
+    contrast = {}
+    for (i, j), row in row_of.items():
+        if i < j and (j, i) in row_of:
+            flow, part = seen.flow[row], (slice(None, None, 4), slice(None, None, 4))
+            change = (velocity[i] ** 2).sum(axis=-1) - (warp(velocity[j], flow) ** 2).sum(axis=-1)
+            good = (seen.confidence[row] >= MIN_CONFIDENCE) & trusted[i] & is_inside(flow)
+            contrast[i, j] = float((np.minimum(np.abs(change), STEEPEST_PX**2) ** 2 * good)[part].mean())
+    best = sorted(contrast, key=lambda pair: -contrast[pair])[:PAIRS]
+    return [row_of[way] for i, j in best for way in ((i, j), (j, i))]
+
+
+def _compare(
+    seen: Observed, grey: list[np.ndarray], velocity: np.ndarray, trusted: np.ndarray, edge: int
+) -> np.ndarray:
+    """Sums [3, SHUTTERS, tiles] of a a, a b and b b over the pixels of an edge, weighted by their precision."""
+    (i, j), flow = seen.edges[edge], seen.flow[edge]
+    here, there = grey[i], cv2.remap(grey[j], *matches(flow), cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT_101)
+    back, area = _inverse_jacobian(flow)
+    good = (seen.confidence[edge] >= MIN_CONFIDENCE) & is_inside(flow) & trusted[i]
+    good &= (warp(trusted[j].astype(np.float32), flow) == 1) & (np.abs(np.log(area)) < np.log(MAX_MAGNIFICATION))
+    good &= np.maximum(here, there) < BRIGHT**DISPLAY_GAMMA
+    tiles, n = _tiles(*here.shape).ravel(), TILES[0] * TILES[1]
+    if good.sum() < LEAST_PIXELS:
+        return np.zeros((3, len(SHUTTERS), n))
+    there = there * np.median(here[good] / np.maximum(there[good], 1e-3))
+    difference, total = here - there - _footprint_change(here + there, back), here + there
+    weight = _weights(difference, total, good).ravel()
+    there_velocity = np.einsum("hwab,hwb->hwa", back, warp(velocity[j], flow))
+    both = np.stack([difference, total], axis=-1)
+    sums = []
+    for one, other in zip(_smeared(both, velocity[i]), _smeared(both, there_velocity), strict=True):
+        a, b = (one + other)[..., 0].ravel() / 2, (one - other)[..., 1].ravel() / 2
+        sums.append([np.bincount(tiles, weight * product, n) for product in (a * a, a * b, b * b)])
+    return np.swapaxes(np.array(sums), 0, 1)
+
+
+def _weights(difference: np.ndarray, total: np.ndarray, good: np.ndarray) -> np.ndarray:
+    """Precision of pixels [h, w], 0 where not good or unlike; errors of the flow make a difference of the gradient."""
+    coarse = np.abs(cv2.GaussianBlur(difference, (0, 0), COARSE_PX))
+    alike = good & (coarse < UNLIKE * np.median(coarse[good]))
+    by_u, by_v = (cv2.Sobel(total, cv2.CV_32F, *order, scale=1 / 16) for order in ((1, 0), (0, 1)))
+    squared = by_u**2 + by_v**2
+    weight = alike / np.maximum(squared + np.median(squared[good]), 1e-12)
+    noise = (weight * cv2.GaussianBlur(difference, (0, 0), 1.0) ** 2).sum() / max(alike.sum(), 1)
+    return np.asarray(weight / max(noise, 1e-12))
+
+
+def _inverse_jacobian(flow: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Inverse [h, w, 2, 2] of the derivative of the matches by the pixel, and the magnification of areas [h, w]."""
+    smooth = cv2.GaussianBlur(flow, (0, 0), FLOW_SMOOTH_PX)
+    by_u, by_v = (cv2.Sobel(smooth, cv2.CV_32F, *order, scale=1 / 8) for order in ((1, 0), (0, 1)))
+    (a, b), (c, d) = (1 + by_u[..., 0], by_v[..., 0]), (by_u[..., 1], 1 + by_v[..., 1])
+    area = np.maximum(a * d - b * c, 1e-3)
+    return np.stack([d, -b, -c, a], axis=-1).reshape(*area.shape, 2, 2) / area[..., None, None], area
+
+
+def _footprint_change(total: np.ndarray, back: np.ndarray) -> np.ndarray:
+    """What B_i lacks against B_j since a pixel of j covers another part of the surface: half their Hessian [h, w].
+
+    Args:
+        total: B_i + B_j. back: the inverse Jacobian.
+    """
+    covariance = FOOTPRINT_PX2 * (np.eye(2) - back @ np.swapaxes(back, -1, -2))
+    uu, vv, uv = (cv2.Sobel(total, cv2.CV_32F, *order, scale=1 / 4) for order in ((2, 0), (0, 2), (1, 1)))
+    mean = covariance[..., 0, 0] * uu + 2 * covariance[..., 0, 1] * uv + covariance[..., 1, 1] * vv
+    return np.asarray(mean / 4, np.float32)
+
+
+def _smeared(images: np.ndarray, velocity: np.ndarray) -> list[np.ndarray]:
+    """Images [h, w, c] averaged along each of SHUTTERS times the velocity [h, w, 2]."""
+    total, means = np.zeros_like(images), []
+    for k in range(len(SHUTTERS)):
+        for side in (-1, 1):
+            offset = side * (k + 0.5) * SHUTTERS[0] / 2
+            total += cv2.remap(images, *matches(offset * velocity), cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT_101)
+        means.append(total / (2 * (k + 1)))
+    return means
+
+
+def _tiles(height: int, width: int) -> np.ndarray:
+    v, u = np.mgrid[:height, :width]
+    return np.asarray((v * TILES[0] // height) * TILES[1] + u * TILES[1] // width)
+
+
+def _judge(sums: np.ndarray, given: float | None) -> dict[str, float]:
+    """The evidence from sums [3, SHUTTERS, tiles]."""
+    n = sums.shape[-1]
+    odd = (np.arange(n) // TILES[1] + np.arange(n) % TILES[1]) % 2 == 1
+    saved, before = np.zeros(n), np.zeros(n)
+    for fitted in (odd, ~odd):
+        shutter = _best(sums[..., fitted]) if given is None else given
+        aa, ab, bb = _at(shutter, sums[..., ~fitted])
+        saved[~fitted], before[~fitted] = 2 * ab - bb, aa
+    without = [np.delete(sums, tile, axis=-1) for tile in range(n)]
+    return {
+        "shutter": _best(sums) if given is None else given,
+        "shutter_sigma": _jackknife([_best(part) for part in without]) if given is None else 0.0,
+        "gain_percent": 100 * float(saved.sum() / max(before.sum(), 1e-12)),
+        "gain_sigma_percent": 100 * float(np.sqrt(n) * saved.std(ddof=1) / max(before.sum(), 1e-12)),
+        "slope_sigma": _jackknife([float(_slopes(part)[TESTED]) for part in without]),
+    }
+
+
+def _slopes(sums: np.ndarray) -> np.ndarray:
+    """<a, b> / <b, b> by shutter, from sums [3, SHUTTERS, n]."""
+    _, ab, bb = sums.sum(axis=-1)
+    return np.asarray(ab / np.maximum(bb, 1e-12))
+
+
+def _best(sums: np.ndarray) -> float:
+    """The shutter 0..1 whose slope is 1. The slope falls with the square of a short shutter."""
+    slopes = _slopes(sums)
+    below = np.flatnonzero(slopes < 1)
+    if not len(below):
+        return float(SHUTTERS[-1])
+    k = below[0]
+    if k == 0:
+        return float(SHUTTERS[0] * np.sqrt(max(slopes[0], 0.0)))
+    logs = np.log(np.maximum(slopes[k - 1 : k + 1], 1e-6))
+    return float(SHUTTERS[k - 1] + (SHUTTERS[k] - SHUTTERS[k - 1]) * logs[0] / (logs[0] - logs[1]))
+
+
+def _at(shutter: float, sums: np.ndarray) -> np.ndarray:
+    """Sums [3, n] at a shutter, from those [3, SHUTTERS, n]; without one b is zero."""
+    knots = np.append(0.0, SHUTTERS)
+    none = sums[:, :1] * np.array([1.0, 0.0, 0.0])[:, None, None]
+    table = np.concatenate([none, sums], axis=1)
+    return np.array([[np.interp(shutter, knots, column) for column in rows.T] for rows in table])
+
+
+def _jackknife(values: list[float]) -> float:
+    """Standard error from values that leave out one part of n each (Efron 1982)."""
+    n = len(values)
+    return float(np.sqrt((n - 1) / n * np.square(np.array(values) - np.mean(values)).sum()))

@@ -1,0 +1,124 @@
+"""Motion blur before a panning camera whose speed changes: found, measured, and not mistaken for other effects."""
+
+import cv2
+import numpy as np
+import pytest
+
+from stages.scene import blur_rules
+from stages.scene.observed import Observed
+from stages.scene.shutter import shutter_evidence
+
+H, W, F = 72, 128, 12
+MEAN_PX, SWING_PX = 4.0, 3.5
+"""Speed in px per frame, and how far it swings about that over the clip."""
+FAST = np.sin(2 * np.pi * np.arange(F) / F)
+
+
+def clip(
+    shutter: float,
+    speeds_px: tuple[float, float] = (MEAN_PX, SWING_PX),
+    noise: float = 0.0,
+    flow_error_px: float = 0.0,
+    magnified: float = 0.0,
+    drift: float = 0.0,
+) -> Observed:
+    """A pan over a textured wall, with exact flow between frames up to six apart, in both directions.
+
+    Args:
+        speeds_px: mean and swing. noise: of the radiance. magnified, drift: how much larger and brighter the fastest
+            frame shows the wall; the slowest as much smaller and darker.
+    """
+    rng = np.random.default_rng(0)
+    wall = cv2.GaussianBlur(rng.standard_normal((4 * H, 4 * W)).astype(np.float32), (0, 0), 1.2)
+    wall = np.clip(0.35 + 0.12 * wall / wall.std(), 0.02, 0.75)
+    scales, gains = np.exp(magnified * FAST), np.exp(drift * FAST)
+    uv = np.moveaxis(np.mgrid[:H, :W][::-1], 0, -1).astype(float)
+
+    def source(k: int, pixels: np.ndarray, passed: float = 0.0) -> np.ndarray:
+        """Where pixels of frame k lie on the wall, a share of a frame later."""
+        angle = 2 * np.pi * (k + passed) / F
+        travelled = speeds_px[0] * (k + passed) - speeds_px[1] * F / (2 * np.pi) * np.cos(angle)
+        return (pixels - (W / 2, H / 2)) / scales[k] + (1.5 * W, 2 * H) + [travelled, 0.0]
+
+    def picture(k: int) -> np.ndarray:
+        moments = shutter * ((np.arange(16) + 0.5) / 16 - 0.5)
+        places = [np.moveaxis(source(k, uv, passed).astype(np.float32), -1, 0) for passed in moments]
+        light = gains[k] * np.mean([cv2.remap(wall, *place, cv2.INTER_CUBIC) for place in places], axis=0)
+        return np.clip(light + noise * rng.standard_normal((H, W)), 0, 1) ** (1 / 2.2)
+
+    pairs = [(i, j) for i in range(F) for j in range(F) if 0 < abs(i - j) <= 6]
+    flow = np.stack([(source(i, uv) - source(j, np.zeros(2))) * scales[j] - uv for i, j in pairs])
+    wrong = [cv2.GaussianBlur(rng.standard_normal((H, W, 2)), (0, 0), 3) for _ in pairs]
+    flow += flow_error_px * np.stack(wrong) / np.std(wrong)
+    return Observed(
+        rgb=np.repeat(np.stack([picture(k) for k in range(F)])[..., None], 3, axis=-1).astype(np.float32),
+        dynamic=np.zeros((F, H, W), bool),
+        instances=np.zeros((F, H, W), np.uint16),
+        depth=np.ones((F, H, W)),
+        cam_from_world=np.tile(np.eye(4), (F, 1, 1)),
+        Ks=np.tile(np.eye(3), (F, 1, 1)),
+        edges=np.array(pairs),
+        flow=flow.astype(np.float32),
+        confidence=np.ones((len(pairs), H, W), np.float32),
+        offsets=np.array([j - i for i, j in pairs]),
+    )
+
+
+def measured(seen: Observed) -> dict[str, float]:
+    return shutter_evidence(seen, blur_rules.MIN_SPEED_PX)
+
+
+def decided(seen: Observed, given: float | None = None) -> dict:
+    return blur_rules.decide_motion_blur(shutter_evidence(seen, blur_rules.MIN_SPEED_PX, given), "auto", given)
+
+
+@pytest.mark.parametrize("shutter", [0.3, 0.6, 0.9])
+def test_the_shutter_is_measured(shutter: float) -> None:
+    evidence = measured(clip(shutter, noise=0.005))
+    assert evidence["shutter"] == pytest.approx(shutter, abs=0.06)
+    assert blur_rules.decide_motion_blur(evidence, "auto", None)["needed"]
+
+
+@pytest.mark.parametrize(
+    "effect",
+    [
+        {},
+        {"noise": 0.02},
+        {"flow_error_px": 0.3},
+        {"magnified": 0.1},
+        {"magnified": -0.1},
+        {"drift": 0.1},
+    ],
+)
+def test_other_differences_between_fast_and_slow_frames_are_no_blur(effect: dict) -> None:
+    decision = decided(clip(0.0, **effect))
+    assert decision["observable"]
+    assert not decision["needed"]
+    assert decision["shutter"] is None
+
+
+def test_blur_is_found_beside_them() -> None:
+    evidence = measured(clip(0.5, noise=0.01, flow_error_px=0.2, magnified=0.1, drift=0.1))
+    assert evidence["shutter"] == pytest.approx(0.5, abs=0.1)
+
+
+def test_what_is_slow_or_never_changes_its_speed_is_not_observable() -> None:
+    slow, even = decided(clip(0.9, (0.6, 0.5))), decided(clip(0.5, (5.0, 0.0)))
+    nearly = decided(clip(0.5, (5.0, 0.0), noise=0.01, flow_error_px=0.1))
+    reasons = ("nothing moves faster", *2 * ["nearly the same speed"])
+    for decision, reason in zip((slow, even, nearly), reasons, strict=True):
+        assert not decision["observable"]
+        assert not decision["needed"]
+        assert reason in decision["why"]
+
+
+def test_a_given_shutter_is_judged_and_used() -> None:
+    assert decided(clip(0.5), given=0.4)["shutter"] == 0.4
+    assert not decided(clip(0.0), given=0.4)["needed"]
+
+
+def test_the_user_has_blur_where_none_is_observable() -> None:
+    nothing = {"speed_px": 0.0}
+    assert blur_rules.decide_motion_blur(nothing, "yes", 0.3)["shutter"] == 0.3
+    assert blur_rules.decide_motion_blur(nothing, "yes", None)["shutter"] == blur_rules.USUAL_SHUTTER
+    assert blur_rules.decide_motion_blur(nothing, "no", 0.3)["shutter"] is None
