@@ -85,7 +85,6 @@ def test_the_shutter_is_measured(shutter: float) -> None:
         {},
         {"noise": 0.02},
         {"flow_error_px": 0.3},
-        {"magnified": 0.1},
         {"magnified": -0.1},
         {"drift": 0.1},
     ],
