@@ -23,13 +23,23 @@ from stages.render import __main__ as render_stage
 from stages.render import view
 from stages.render.options import RenderOptions, ViewOptions
 from stages.render.video import MAX_BYTES, write_gif
-from stages.shared.artifacts import read_json, read_metadata, read_model, read_table, write_model, write_table
+from stages.shared.artifacts import (
+    read_json,
+    read_metadata,
+    read_model,
+    read_table,
+    write_json,
+    write_model,
+    write_table,
+)
 from stages.shared.cameras import make_cameras, read_cameras, write_cameras
 from stages.shared.errors import InputError
-from stages.shared.images import read_rgb
+from stages.shared.images import read_rgb, to_uint8
 from stages.shared.split import SplitOptions
+from stages.splatting.model_files import read_scene
 from stages.splatting.ply import read_ply
 from stages.splatting.rasterize import rasterize
+from stages.splatting.shutter import Shutter, expose, instant, moments
 
 
 def test_the_video_fits_and_has_every_frame(tmp_path: Path) -> None:
@@ -150,6 +160,27 @@ def test_a_killed_script_leaves_no_result_and_goes_on_from_its_checkpoint(
     other = Checkpoint(killed["model"], list(inputs.values()), GaussiansOptions(steps=21))
     mine = Checkpoint(killed["model"], list(inputs.values()), options)
     assert other.origin != mine.origin  # another option: its checkpoint would not be used
+
+
+def test_frames_are_rendered_with_the_shutter_and_new_views_without(tmp_path: Path) -> None:
+    inputs, results = write_inputs(tmp_path), outputs(tmp_path / "out")
+    write_json(inputs["scene"], read_json(inputs["scene"]) | {"motion_blur": {"needed": True, "shutter": 0.9}})
+    gaussians_stage.main(**inputs, **results, options=GaussiansOptions(steps=2, stride_px=4))
+    assert read_metadata(results["model"])["shutter"] == 0.9
+    renders, video = tmp_path / "renders", tmp_path / "video.gif"
+    chosen = RenderOptions(novel_views=2, orbit_share=0)
+    render_stage.main(inputs["sequence"], inputs["poses"], results["model"], renders, video, chosen)
+    scene, Ks = read_scene(results["model"]), np.tile(truth.K, (truth.T, 1, 1))
+    size = (truth.WIDTH, truth.HEIGHT)
+    with torch.no_grad():
+        smeared = [expose(scene, moments(Shutter(0.9, truth.cameras(), Ks), k, 2), *size)[0] for k in (0, 4)]
+        sharp = expose(scene, instant(0.0, truth.cameras()[0], truth.K), *size)[0]
+    shown = [
+        read_rgb(renders / name) for name in ("train/frame_0001.png", "test/frame_0005.png", "novel/frame_0001.png")
+    ]
+    for image, expected in zip(shown, [*smeared, sharp], strict=True):
+        assert np.abs(image.astype(int) - to_uint8(expected.numpy()).astype(int)).max() <= 1
+    assert np.abs(shown[0].astype(int) - shown[2]).max() > 10
 
 
 def test_failed_poses_give_a_static_scene_that_says_so(tmp_path: Path) -> None:

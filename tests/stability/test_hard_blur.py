@@ -17,7 +17,7 @@ from stages.splatting.gaussian_model import GaussianScene
 from stages.splatting.shutter import Shutter
 
 OPEN_FOR, MIDDLE, FINE = 0.9, 4, 16
-STEPS = 80
+STEPS = 60
 
 
 def blurred() -> tuple[TrainingFrames, Shutter]:
@@ -70,10 +70,10 @@ def test_a_shutter_before_what_rests_changes_nothing() -> None:
     closed = Shutter(1.0, seen.cam_from_world, seen.Ks)
     images = []
     for camera in (closed, None):
-        cloud = initial_cloud(seen, None, MIDDLE, stride_px=2, K=4, sh_degree=0)
+        cloud = initial_cloud(seen, None, MIDDLE, stride_px=4, K=4, sh_degree=0)
         scene = GaussianScene(cloud, None, torch.zeros(3), near_plane_of(seen), neighbours=4)
         trained_on = seen if camera is None else with_smear(seen, scene, camera)
-        trainer = Trainer(scene, trained_on, GaussiansOptions(steps=8), arap_weight=0.01)
+        trainer = Trainer(scene, trained_on, GaussiansOptions(steps=3), arap_weight=0.01)
         trainer.run(lambda _: None)
         images.append(scene.means.detach())
     assert torch.equal(*images)
