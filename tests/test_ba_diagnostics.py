@@ -10,7 +10,7 @@ import pytest
 from stages.ba import diagnostics, rounds
 from stages.ba.classify import Statistics
 from stages.ba.dba import State
-from stages.ba.initialise import Candidate
+from stages.ba.initialise import Candidate, roughness
 from stages.shared import lie
 
 TWISTS = np.arange(8)[:, None] * np.array([0.1, 0, 0.02, 0, 0.01, 0])
@@ -151,3 +151,13 @@ def test_only_a_continued_round_without_the_warning_has_converged(
 ) -> None:
     monkeypatch.setattr(rounds, "read_metadata", lambda _: about)
     assert rounds.has_converged(rounds.complete(*[Path("x")] * 4)) == converged
+
+
+def test_dropped_frames_do_not_make_a_path_rough() -> None:
+    """A camera on an arc at constant speed, seen at the times that a phone has kept."""
+    kept = np.delete(np.arange(40), [9, 10, 22, 31, 33])
+    poses = np.tile(np.eye(4), (len(kept), 1, 1))
+    poses[:, :3, 3] = np.stack([np.sin(kept / 60), np.cos(kept / 60), np.zeros(len(kept))], axis=-1)
+    assert roughness(poses) > 0.2
+    assert roughness(poses, kept / 30) < 0.05
+    assert roughness(poses, np.arange(len(kept)) / 30) == pytest.approx(roughness(poses))

@@ -77,6 +77,8 @@ def main(
     known = given.known_cameras(frames, options, matches.scale)
     static, ignored = trusted_static_areas(areas)
     everything = with_texture(matches.graph(options.stride_px, known), _read_texture(frames, matches.size))
+    if frames.times_s is not None:
+        everything = replace(everything, times_s=np.array(frames.times_s))
     graph = mask_graph(everything, static)
     known, doubts = given.examine(known, graph, options.seed)
     previous = _previous(previous_poses, matches.scale)

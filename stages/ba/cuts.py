@@ -100,6 +100,7 @@ def cut_out(graph: FlowGraph, inside: slice) -> FlowGraph:
         matches=graph.matches[kept],
         weights=graph.weights[kept],
         texture=None if graph.texture is None else graph.texture[inside],
+        times_s=None if graph.times_s is None else graph.times_s[inside],
     )
 
 

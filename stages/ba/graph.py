@@ -37,6 +37,7 @@ class FlowGraph:
         width, height: of the flow grid.
         texture: [T, P] in 0..1, see `stages.ba.texture`; None: equal weights.
         aspect: fy / fx of the flow grid.
+        times_s: [T] of the frames; None: evenly spaced.
     """
 
     source: np.ndarray
@@ -51,6 +52,7 @@ class FlowGraph:
     stride: int
     texture: np.ndarray | None = None
     aspect: float = 1.0
+    times_s: np.ndarray | None = None
 
     @property
     def T(self) -> int:

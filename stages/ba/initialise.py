@@ -118,7 +118,7 @@ def adjust(
     """Adjust an initial state and measure its cost and roughness."""
     state, steps = dba.solve(graph, state, schedule, unknowns, prior, name)
     cost = dba.robust_cost(graph, dba.errors_px(graph, state), schedule[-1].sigma_px)
-    return Candidate(name, state, cost, roughness(state.cam_from_world), steps)
+    return Candidate(name, state, cost, roughness(state.cam_from_world, graph.times_s), steps)
 
 
 def choose(candidates: Sequence[Candidate]) -> Candidate:
@@ -128,11 +128,20 @@ def choose(candidates: Sequence[Candidate]) -> Candidate:
     return min(near, key=lambda candidate: candidate.roughness)
 
 
-def roughness(cam_from_world: np.ndarray) -> float:
-    """Mean acceleration over mean speed of the camera centres, per frame; 0 for a camera at rest."""
+def roughness(cam_from_world: np.ndarray, times_s: np.ndarray | None = None) -> float:
+    """Mean acceleration over mean speed of the camera centres, per mean frame interval; 0 for a camera at rest.
+
+    Args:
+        times_s: of the frames, where a phone may have dropped some; None: evenly spaced.
+    """
     velocity = np.diff(lie.inverse(cam_from_world)[:, :3, 3], axis=0)
+    change = np.diff(velocity, axis=0)
+    if times_s is not None:
+        steps = np.diff(times_s) / np.mean(np.diff(times_s))
+        velocity = velocity / steps[:, None]
+        change = np.diff(velocity, axis=0) / ((steps[1:] + steps[:-1]) / 2)[:, None]
     speed = float(np.linalg.norm(velocity, axis=1).mean())
-    return float(np.linalg.norm(np.diff(velocity, axis=0), axis=1).mean()) / speed if speed > 0 else 0.0
+    return float(np.linalg.norm(change, axis=1).mean()) / speed if speed > 0 else 0.0
 
 
 def _relative_scale(
