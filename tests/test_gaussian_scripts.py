@@ -217,8 +217,8 @@ def test_frames_with_a_bridged_pose_are_not_trained_on(tmp_path: Path, caplog: p
     with caplog.at_level("WARNING", logger="motionsplat"):
         seen = read_observations(**paths, split=SplitOptions())
     assert "frames [3] have no matches of their own and are left out" in caplog.text
-    assert everything.smeared is seen.smeared is None
-    arrays = [name for name in vars(seen) if name != "smeared"]
+    assert seen.smeared is everything.smeared is seen.scene is everything.scene is None
+    arrays = [name for name in vars(seen) if name not in ("smeared", "scene")]
     assert all(np.array_equal(np.delete(vars(everything)[name], 2, axis=0), vars(seen)[name]) for name in arrays)
     status[1:] = "unobserved"
     write_status(inputs["poses"], status, truth.cameras())
