@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 from synthetic import make_scene, observe, trajectory_error
 
-from stages.ba import dba, kernel, reduced
+from stages.ba import dba, distortion, kernel, reduced
 from stages.ba.dba import FocalPrior, Level, State, Unknowns
 from stages.ba.graph import FlowGraph
 from stages.shared import lie
@@ -109,3 +109,19 @@ def test_the_adjustment_finds_the_path_the_focal_length_and_both_coefficients() 
     assert trajectory_error(bent.cam_from_world, scene.cam_from_world) < 1e-3
     plain, _ = dba.solve(graph, start, levels, Unknowns(True), prior, "test")
     assert trajectory_error(plain.cam_from_world, scene.cam_from_world) > 0.005
+
+
+@pytest.mark.parametrize(
+    ("numbers", "decision"),
+    [
+        ((0.1, 0.02, -0.04, 0.005), "distorted"),
+        ((0.01, 0.001, -0.04, 0.005), "straight"),
+        ((0.1, 0.06, -0.04, 0.005), "straight"),
+        ((0.1, 0.02, -0.01, 0.005), "straight"),
+        ((0.1, 0.02, -0.04, 0.015), "not observable"),
+        ((0.1, 0.02, -0.2, 0.03), "not observable"),
+    ],
+    ids=["clear", "too little gain", "gain by chance", "within its error", "uncertain", "blind"],
+)
+def test_the_decision_follows_gain_and_shift_and_their_errors(numbers: tuple[float, ...], decision: str) -> None:
+    assert distortion.judge(*numbers)[0] == decision

@@ -7,13 +7,14 @@ import pytest
 from numpy.testing import assert_allclose
 from synthetic import Scene, exact_flow, flow_arrays, make_scene
 
+from stages.evaluate.score_lens import lens_rows
 from stages.lens.__main__ import main
 from stages.lens.carry import carried_sequence, carry_flow, carry_images
 from stages.lens.options import LensOptions
 from stages.lens.pinhole import Pinhole, largest_pinhole
 from stages.shared import sintel
 from stages.shared.artifacts import read_dense, read_json, read_metadata, write_dense, write_json
-from stages.shared.cameras import pixel_grid
+from stages.shared.cameras import make_cameras, pixel_grid
 from stages.shared.images import read_rgb, write_image
 from stages.shared.sequences import Sequence, sequence_to_json
 
@@ -131,3 +132,18 @@ def test_matches_that_leave_the_new_image_are_not_confident() -> None:
     assert scale == 56 / 112
     assert (confidence[0, :, -9:] == 0).all()
     assert (confidence[0, :, :40] == 1).all()
+
+
+def test_the_error_of_a_lens_is_told_at_a_corner_of_the_image(tmp_path: Path) -> None:
+    scene = make_scene(T=3, size=SIZE, lens=BARREL)
+    clip = write_clip(tmp_path, scene)
+    truth = tmp_path / "lens.json"
+    write_json(truth, {"k1": -0.15, "k2": 0.0})
+    clip.truth["distortion"] = dict.fromkeys(clip.numbers, truth)
+    cameras = make_cameras(scene.cam_from_world, scene.K, np.array(clip.numbers))
+    about = {"coefficients_px": [-0.12 / scene.focal_px**2, 0.0]}
+    rows = {row["quantity"]: row["value"] for row in lens_rows(clip, about, cameras)}
+    assert rows["radial distortion, k1"] == pytest.approx(-0.12)
+    radius_px = np.hypot(79.5, 47.5)
+    assert rows["error of the lens at a corner"] == pytest.approx(0.03 * radius_px**3 / scene.focal_px**2)
+    assert lens_rows(clip, {"coefficients_px": None}, cameras) == []

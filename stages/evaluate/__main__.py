@@ -15,6 +15,7 @@ from stages.evaluate import (
     pose_diagnostics,
     score_geometry,
     score_images,
+    score_lens,
     score_masks,
     score_models,
     score_poses,
@@ -24,7 +25,7 @@ from stages.evaluate.ground_truth import true_cameras, true_masks
 from stages.evaluate.options import EvaluateOptions
 from stages.evaluate.paths import path_rows
 from stages.shared import cli
-from stages.shared.artifacts import atomic, read_dense, read_metadata
+from stages.shared.artifacts import atomic, read_dense, read_json, read_metadata
 from stages.shared.cameras import read_cameras
 from stages.shared.charts import draw_trajectories
 from stages.shared.cli import In, Out
@@ -86,6 +87,7 @@ def main(
     frames_table: Annotated[Path, Out("image and mask scores of single frames")],
     figure: Annotated[Path, Out("picture of the trajectories")],
     options: EvaluateOptions,
+    lens: Annotated[Path | None, In("lens/lens.json")] = None,
 ) -> str:
     """Write one row per method and protocol; a row that cannot be scored gives the reason."""
     frames = read_sequence(sequence)
@@ -102,6 +104,8 @@ def main(
     write_rows(frames_table, [*image_frames, *mask_frames], FRAMES, {})
     checks = _score_geometry(frames, pairs, poses[-1], depth, own_masks[-1])
     checks += score_models.model_rows(frames.name, len(frames.frames), deformation, model, half)
+    if lens:
+        checks += score_lens.lens_rows(frames, read_json(lens), read_cameras(poses[-1]))
     _write_checks(checks, inputs, checks_table)
     return _result(poses_table, masks_table, images_table)
 

@@ -13,6 +13,7 @@ rule evaluate:
         half=artifact("gaussians", "gaussians/model_half.safetensors"),
         renders=artifact("render", "renders"),
         stage_stats=stage_stats,
+        lens=artifact("lens", "lens/lens.json"),
         masked_stats=masked_baseline("stats/colmap_masked.json"),
     output:
         poses="<results>/{dataset}/{seq}/{setting}eval/poses.parquet",
@@ -45,5 +46,5 @@ rule evaluate:
         " --renders {input.renders:q} --stage-stats {input.stage_stats:q} {input.masked_stats:q}"
         " --poses-table {output.poses:q} --images-table {output.images:q} --masks-table {output.masks:q}"
         " --checks-table {output.checks:q} --time-table {output.time:q} --trajectory-table {output.trajectory:q}"
-        " --frames-table {output.frames:q} --figure {output.figure:q} {params.flags}"
+        " --frames-table {output.frames:q} --figure {output.figure:q} --lens {input.lens:q} {params.flags}"
         " --log {log:q} --stats {output.stats:q}; }} 2>> {log:q}"
