@@ -91,6 +91,9 @@ def test_fog_is_told_from_exposure(extinction: float, level: float, drift_percen
     assert found["evidence"]["gain_range_percent"] == pytest.approx(drift_percent, abs=1 + 15 * extinction)
     assert found["interval"][0] < found["statistic"] < found["interval"][1]
     assert evidence.fitted.extinction == pytest.approx(extinction * foggy, abs=0.35 * extinction)
+    air = rules.decide_atmosphere(evidence, "auto")
+    assert air["needed"] == foggy
+    assert air["extinction"] == evidence.fitted.extinction
     if foggy:
         assert evidence.fitted.airlight == pytest.approx([level, level, 1.2 * level], abs=0.1)
 

@@ -17,6 +17,7 @@ from stages.deformation.motion_models import TableDeformation
 from stages.shared.artifacts import write_model
 from stages.shared.cameras import Cameras, make_cameras
 from stages.shared.sequences import read_sequence
+from stages.splatting.atmosphere import Atmosphere
 from stages.splatting.colours import ColourTable
 from stages.splatting.gains import Exposure
 from stages.splatting.gaussian_model import Cloud, GaussianScene
@@ -77,7 +78,7 @@ class Drawn:
 
 
 def with_every_effect() -> GaussianScene:
-    """The wall and the square, with colours by view and over time, gains, and corrected poses."""
+    """The wall and the square, with colours by view and over time, gains, corrected poses and fog."""
     scene, random = new_scene(truth.observations(TRAIN)), torch.manual_seed(0)
     cloud = scene.cloud()
     cloud.sh = torch.cat([cloud.sh[:, :1], 0.15 * torch.randn(len(cloud.sh), 15, 3, generator=random)], dim=1)
@@ -87,6 +88,7 @@ def with_every_effect() -> GaussianScene:
     scene.poses = PoseTable(times, length=3.0)
     scene.colours.table.data = 0.4 * torch.randn(len(times), 16, 3, generator=random)
     scene.exposure.log_gains.data = 0.2 * torch.randn(len(times), 3, generator=random)
+    scene.atmosphere = Atmosphere(0.7 / truth.WALL_Z, torch.tensor([0.6, 0.3, 0.9]))
     scene.poses.twists.data = 0.01 * torch.randn(len(times), 6, generator=random)
     return scene
 

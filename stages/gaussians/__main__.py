@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from stages.deformation.motion_models import Deformation
     from stages.gaussians.optimise import Trainer
     from stages.gaussians.training_frames import TrainingFrames
+    from stages.splatting.atmosphere import Atmosphere
     from stages.splatting.colours import ColourTable
     from stages.splatting.gains import Exposure
     from stages.splatting.gaussian_model import GaussianScene
@@ -161,22 +162,37 @@ def _new_scene(
     """The untrained scene with the effects that scene.json decides on."""
     import torch
 
+    from stages.gaussians.fog import cleared_of_fog
     from stages.gaussians.lifting import cloud_within, near_plane_of
     from stages.splatting.gaussian_model import GaussianScene
     from stages.splatting.rasterize import backend_name, choose_device
 
     device, neighbours = choose_device(options.device), options.neighbours
     degree, most = needs["view_dependent"]["sh_degree"], options.max_gaussians
-    every = options.movers_every
-    cloud, stride_px = cloud_within(seen, motion, canonical, options.stride_px, neighbours, degree, most, every)
+    air, every = _atmosphere(needs), options.movers_every
+    lifted = seen if air is None else cleared_of_fog(seen, air)
+    cloud, stride_px = cloud_within(lifted, motion, canonical, options.stride_px, neighbours, degree, most, every)
     if stride_px > options.stride_px:
         logger.warning("one Gaussian per %d px, not %d, to stay within max_gaussians", stride_px, options.stride_px)
     background = torch.as_tensor(seen.images.mean(axis=(0, 1, 2)))
     tables = _tables_over_time(seen, motion, needs, options)
-    scene = GaussianScene(cloud, motion, background, near_plane_of(seen), neighbours, *tables).to(device)
+    scene = GaussianScene(cloud, motion, background, near_plane_of(seen), neighbours, *tables, air).to(device)
     counts = (len(cloud.means), scene.n_static, len(cloud.means) - scene.n_static)
     logger.info("%s; %d Gaussians to start with: %d static, %d dynamic", backend_name(device), *counts)
     return scene
+
+
+def _atmosphere(needs: dict[str, Any]) -> "Atmosphere | None":
+    """The fog that scene.json measured; None where it is not modelled."""
+    import torch
+
+    from stages.splatting.atmosphere import Atmosphere
+
+    decision = needs["atmosphere"]
+    if not decision["needed"] or decision["extinction"] <= 0:
+        return None
+    logger.info("fog: extinction %.4g per scene unit, airlight %s", decision["extinction"], decision["airlight"])
+    return Atmosphere(decision["extinction"], torch.tensor(decision["airlight"]))
 
 
 def _tables_over_time(

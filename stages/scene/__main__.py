@@ -34,9 +34,9 @@ def main(
 ) -> str:
     """Decide from evidence which effects the reconstruction has to model, and write why.
 
-    Moving parts, a camera that only rotates, changes of exposure and white balance, view-dependent colour, non-rigid
-    movers and motion blur are modelled where that predicts samples of the training frames better that it was not fitted
-    to. An option can overrule each decision.
+    Moving parts, a camera that only rotates, changes of exposure and white balance, fog, view-dependent colour,
+    non-rigid movers and motion blur are modelled where that predicts samples of the training frames better that it was
+    not fitted to. An option can overrule each decision.
     """
     content = read_sequence(sequence)
     seen = _observe(content, flow, masks, poses, depth, options)
@@ -68,9 +68,10 @@ def _decide(seen: Observed, rotation_only_share: float, options: SceneOptions) -
     travel = travel_evidence(seen)
     turning = timed(rules.decide_rotation_only(travel, rotation_only_share, options.rotation_only))
     points = sight(seen)
-    light = photometry.light_evidence(points)
+    light = photometry.light_evidence(points, options.atmosphere == "yes")
     exposure = timed(rules.decide_exposure(light, options.exposure))
     white_balance = timed(rules.decide_white_balance(light, options.white_balance))
+    atmosphere = timed(rules.decide_atmosphere(light, options.atmosphere))
     view = photometry.view_evidence(points, light.fitted)
     view_dependent = timed(rules.decide_view_dependent(view, options.view_dependent))
     regions = geometry.moving_regions(seen)
@@ -83,6 +84,7 @@ def _decide(seen: Observed, rotation_only_share: float, options: SceneOptions) -
         "rotation_only": turning,
         "exposure": exposure,
         "white_balance": white_balance,
+        "atmosphere": atmosphere,
         "view_dependent": view_dependent,
         "non_rigid": non_rigid,
         "motion_blur": timed(blur_rules.decide_motion_blur(blur, options.motion_blur, given)),

@@ -18,6 +18,7 @@ class SceneOptions(SplitOptions):
     )
     exposure: Choice = Field("auto", description="brightness that changes over time: a gain per frame")
     white_balance: Choice = Field("auto", description="tint that changes over time: a gain per channel and frame")
+    atmosphere: Choice = Field("auto", description="fog and haze: extinction and airlight between camera and surfaces")
     view_dependent: Choice = Field("auto", description="colours that change with the view: spherical harmonics")
     non_rigid: Choice = Field("auto", description="non-rigid movers: more control points, weaker rigidity")
     motion_blur: Choice = Field("auto", description="frames that are averaged while the shutter is open")

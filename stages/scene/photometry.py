@@ -24,6 +24,7 @@ class LightEvidence(NamedTuple):
     Attributes:
         exposure: a gain per frame. white_balance: a gain per channel beside it. atmosphere: fog.
         model: the parts that buy enough. fitted: its parameters, from all points.
+        distance_change: median over the points of the range of their distances, over their distance.
     """
 
     exposure: Bought
@@ -31,13 +32,17 @@ class LightEvidence(NamedTuple):
     atmosphere: Bought
     model: Model
     fitted: Light
+    distance_change: float
 
 
-def light_evidence(seen: Sightings) -> LightEvidence:
+def light_evidence(seen: Sightings, foggy: bool = False) -> LightEvidence:
     """Gains, white balance and fog, each judged on cells of space that it was not fitted to.
 
     Parts are added while they buy enough, the one that saves most first: a part that only imitates another one then
     buys nothing.
+
+    Args:
+        foggy: `fitted` has fog whether that buys enough or not.
     """
 
     @cache
@@ -56,7 +61,8 @@ def light_evidence(seen: Sightings) -> LightEvidence:
         bought(Model(1, chosen.fog), Model(3, chosen.fog)),
         bought(Model(chosen.gains, False), Model(chosen.gains, True)),
         chosen,
-        _fit_all(seen, chosen),
+        _fit_all(seen, chosen._replace(fog=chosen.fog or foggy)),
+        _distance_change(seen),
     )
 
 
@@ -96,6 +102,14 @@ def _fit(seen: Sightings, model: Model, rows: np.ndarray) -> Light:
     if model.fog:
         start = light.fit(seen, model._replace(fog=False), rows, start)
     return light.fit(seen, model, rows, start)
+
+
+def _distance_change(seen: Sightings) -> float:
+    """`LightEvidence.distance_change`; 0 of no points."""
+    usable = seen.usable.any(axis=2)
+    farthest = np.where(usable, seen.distance, 0.0).max(axis=1)
+    nearest = np.where(usable, seen.distance, np.inf).min(axis=1)
+    return float(np.median((farthest - nearest) / farthest)) if len(farthest) else 0.0
 
 
 def _fit_all(seen: Sightings, model: Model) -> Light:

@@ -18,6 +18,8 @@ MIN_MOTION_PX, MIN_MOTION_SHARE = 0.15, 0.5
 """Masked pixels that fit the static scene about as well as a motion of their own are false positives."""
 MIN_TRAVEL_PX, MIN_TRAVEL_SHARE = 0.05, 0.2
 """Travel that explains less than the errors of the flow does not separate depths from infinity."""
+MIN_DISTANCE_CHANGE = 0.02
+"""Median relative range: with less, fog of any density changes hardly any colour."""
 MIN_VIEW_GREY, MIN_VIEW_SHARE = 2.55, 0.25
 """Harmonics make the model two or three times as large; a degree more must save another tenth of the change."""
 MIN_SECOND_DEGREE_SHARE = 0.1
@@ -93,6 +95,16 @@ def decide_white_balance(evidence: LightEvidence, choice: Choice) -> Decision:
     numbers = {"tint_range_percent": 100 * float(np.expm1(np.ptp(tint, axis=0).max()))}
     why = f"a gain per channel, beside one for all, {_saves(bought, 'grey levels')}"
     return _light_decision(bought, False, numbers, why, choice)
+
+
+def decide_atmosphere(evidence: LightEvidence, choice: Choice) -> Decision:
+    """Fog: distance predicts how static points change; with its extinction per scene unit and airlight, linear."""
+    bought, fitted, change = evidence.atmosphere, evidence.fitted, evidence.distance_change
+    why = f"fog, beside gains and vignetting, {_saves(bought, 'grey levels')}"
+    if not is_worth(bought, fog=True) and change < MIN_DISTANCE_CHANGE:
+        why = f"not observable: the distance of static points changes by {change:.1%} while they are seen; {why}"
+    decision = _light_decision(bought, True, {"distance_change_percent": 100 * change}, why, choice)
+    return decision | {"extinction": fitted.extinction, "airlight": [float(a) for a in fitted.airlight]}
 
 
 def decide_view_dependent(evidence: ViewEvidence, choice: Choice) -> Decision:

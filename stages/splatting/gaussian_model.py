@@ -8,6 +8,8 @@ from torch import Tensor
 from stages.deformation.lbs import blend, lbs_weights, neighbours
 from stages.deformation.motion_models import Deformation
 from stages.shared.torch_threads import one_torch_thread
+from stages.splatting import sh
+from stages.splatting.atmosphere import Atmosphere
 from stages.splatting.colours import ColourTable
 from stages.splatting.gains import Exposure
 from stages.splatting.life_spans import ALWAYS, REACH, presence, rows_of
@@ -73,6 +75,7 @@ class GaussianScene(torch.nn.Module):
         colours: ColourTable | None = None,
         exposure: Exposure | None = None,
         poses: PoseTable | None = None,
+        atmosphere: Atmosphere | None = None,
     ) -> None:
         """A scene of the Gaussians of `cloud`.
 
@@ -82,9 +85,11 @@ class GaussianScene(torch.nn.Module):
             neighbours: control points per dynamic Gaussian.
             colours: of the control points over time; None if colours are constant.
             exposure, poses: gains and pose corrections over time; None if there are none.
+            atmosphere: fog in front of the Gaussians; None if the air is clear.
         """
         super().__init__()
         self.deformation, self.colours, self.exposure, self.poses = deformation, colours, exposure, poses
+        self.atmosphere = atmosphere
         self.near_plane, self.neighbours = near_plane, neighbours
         self.register_buffer("background", background)
         self.set_cloud(cloud)
@@ -212,18 +217,19 @@ class GaussianScene(torch.nn.Module):
             scales = rows_of(self.gaussians["log_scales"], rows).exp()
         means, quats, sh_dc = self.at(time, detach, rows)
         rest = rows_of(self.gaussians["sh_rest"], rows)
-        sh = sh_dc if self.sh_degree == 0 else torch.cat([sh_dc, rest], dim=1)
+        coefficients = sh_dc if self.sh_degree == 0 else torch.cat([sh_dc, rest], dim=1)
+        colours, degree = self._through_air(coefficients, means, viewmat)
         rendering = rasterize(
             means,
             quats,
             scales,
             opacities,
-            sh,
+            colours,
             viewmat[None],
             K[None],
             width,
             height,
-            sh_degree=self.sh_degree,
+            sh_degree=degree,
             near_plane=self.near_plane,
             backgrounds=self.background[None],
         )
@@ -231,6 +237,15 @@ class GaussianScene(torch.nn.Module):
         if self.exposure is None:
             return rendering
         return rendering._replace(colour=rendering.colour * self.exposure(time))
+
+    def _through_air(self, coefficients: Tensor, means: Tensor, viewmat: Tensor) -> tuple[Tensor, int | None]:
+        """What the rasteriser is to draw: coefficients and their degree, or colours [N, 3] behind the fog."""
+        if self.atmosphere is None:
+            return coefficients, self.sh_degree
+        views = means - (-viewmat[:3, :3].T @ viewmat[:3, 3]).to(means.dtype)
+        with one_torch_thread():
+            colours = sh.sh_to_colour(coefficients, views, self.sh_degree)
+            return self.atmosphere(colours, views.norm(dim=-1)), None
 
     def skinning_weights(self, means: Tensor, index: Tensor) -> Tensor:
         """Skinning weights [N, K] of dynamic Gaussians at canonical means [N, 3], without gradient to the means.

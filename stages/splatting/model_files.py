@@ -10,6 +10,7 @@ import torch
 from stages.deformation.point_files import deformation_from_tensors, deformation_tensors
 from stages.shared.artifacts import read_metadata, read_model
 from stages.shared.errors import complete
+from stages.splatting.atmosphere import Atmosphere
 from stages.splatting.colours import ColourTable
 from stages.splatting.gains import Exposure
 from stages.splatting.gaussian_model import Cloud, GaussianScene
@@ -18,8 +19,8 @@ from stages.splatting.ply import write_ply
 from stages.splatting.pose_table import PoseTable
 from stages.splatting.spz import write_spz
 
-DEFORMATION, COLOURS, EXPOSURE, POSES = "deformation.", "colours.", "exposure.", "poses."
-"""Prefixes of the tensors of the motion, of the colours over time, of the gains and of the pose corrections."""
+DEFORMATION, COLOURS, EXPOSURE, POSES, AIR = "deformation.", "colours.", "exposure.", "poses.", "atmosphere."
+"""Prefixes of the tensors of the motion, the colours over time, the gains, the pose corrections and the fog."""
 LIFE_SPANS = ("births", "log_spans", "drifts")
 """Tensors of the life spans, which dynamic Gaussians alone have."""
 HALVED = ("means", "log_scales", "quats", "logits", "sh", *LIFE_SPANS, DEFORMATION + "table", COLOURS + "table")
@@ -29,9 +30,9 @@ HALVED = ("means", "log_scales", "quats", "logits", "sh", *LIFE_SPANS, DEFORMATI
 def scene_tensors(scene: GaussianScene) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """Tensors and metadata that rendering needs; footprints, which only training needs, are left out.
 
-    The tensors are those of `Cloud`, in its shapes, `background` [3], and those of motion, colours, gains and pose
-    corrections with their prefixes. Life spans and drifts [D, ...] are those of the dynamic Gaussians, and left out if
-    there are none.
+    The tensors are those of `Cloud`, in its shapes, `background` [3], and those of motion, colours, gains, pose
+    corrections and fog with their prefixes. Life spans and drifts [D, ...] are those of the dynamic Gaussians, and left
+    out if there are none.
     """
     cloud = scene.cloud()
     tensors = {name: value.cpu().numpy() for name, value in vars(cloud).items() if name != "footprints"}
@@ -42,7 +43,12 @@ def scene_tensors(scene: GaussianScene) -> tuple[dict[str, np.ndarray], dict[str
     tensors["background"] = scene.background.cpu().numpy()
     if scene.deformation is not None:
         tensors |= {DEFORMATION + name: value for name, value in deformation_tensors(scene.deformation).items()}
-    for prefix, module in ((COLOURS, scene.colours), (EXPOSURE, scene.exposure), (POSES, scene.poses)):
+    for prefix, module in (
+        (COLOURS, scene.colours),
+        (EXPOSURE, scene.exposure),
+        (POSES, scene.poses),
+        (AIR, scene.atmosphere),
+    ):
         state = {} if module is None else module.state_dict()
         tensors |= {prefix + name: value.cpu().numpy() for name, value in state.items()}
     settings = {"near_plane": scene.near_plane, "neighbours": scene.neighbours, "sh_degree": scene.sh_degree}
@@ -93,8 +99,11 @@ def scene_from_tensors(tensors: Mapping[str, np.ndarray], metadata: Mapping[str,
     if POSES + "knots" in values:
         poses = PoseTable(values[POSES + "knots"], float(values[POSES + "length"]))
         poses.load_state_dict({name: values[POSES + name] for name in ("knots", "length", "twists")})
+    air = (
+        Atmosphere(float(values[AIR + "extinction"]), values[AIR + "airlight"]) if AIR + "airlight" in values else None
+    )
     settings = (metadata["near_plane"], metadata["neighbours"])
-    return GaussianScene(cloud, deformation, values["background"], *settings, colours, exposure, poses)
+    return GaussianScene(cloud, deformation, values["background"], *settings, colours, exposure, poses, air)
 
 
 def read_scene(path: Path) -> GaussianScene:
@@ -109,7 +118,7 @@ def read_scene(path: Path) -> GaussianScene:
 
 @torch.no_grad()
 def write_splats(path: Path, scene: GaussianScene, time: float) -> None:
-    """Write the Gaussians that are there at `time` 0..1, as they are then, without exposure gains.
+    """Write the Gaussians that are there at `time` 0..1, as they are then, without gains and fog.
 
     The suffix says whether as .ply or .spz. Gaussians that are too transparent to be drawn at that time are left out.
     """

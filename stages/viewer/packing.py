@@ -81,6 +81,7 @@ def pack_scene(
         "background": scene.background.cpu().tolist(),
         "near": scene.near_plane / unit,
         "blur": BLUR,
+        **_fog(scene, unit),
         "static": n,
         "frames": cameras.numbers.tolist(),
     }
@@ -163,6 +164,14 @@ def _gains(scene: GaussianScene, times: np.ndarray) -> np.ndarray:
     if scene.exposure is None:
         return np.ones((len(times), 3), np.float32)
     return torch.stack([scene.exposure(float(time)) for time in times]).cpu().numpy().astype(np.float32)
+
+
+def _fog(scene: GaussianScene, unit: float) -> dict[str, Any]:
+    """Extinction per unit of the packed model, 0 in clear air, and linear airlight [3]."""
+    if scene.atmosphere is None:
+        return {"extinction": 0.0, "airlight": [0.0, 0.0, 0.0]}
+    air = scene.atmosphere
+    return {"extinction": float(air.extinction) * unit, "airlight": air.airlight.cpu().tolist()}
 
 
 def _packed_cameras(

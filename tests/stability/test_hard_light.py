@@ -1,5 +1,7 @@
 """Light that hides what it would be measured on: clipped and black frames, grey channels, fog that hides everything."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from test_scene_light import decided, drift, lit_room, tint
@@ -19,6 +21,7 @@ def test_gains_of_clipped_frames_are_not_observable(level: float) -> None:
     for decision in (
         rules.decide_exposure(evidence, "auto"),
         rules.decide_white_balance(evidence, "auto"),
+        rules.decide_atmosphere(evidence, "auto"),
         rules.decide_view_dependent(view, "auto"),
     ):
         assert not decision["needed"]
@@ -48,6 +51,21 @@ def test_grey_frames_have_no_white_balance() -> None:
     evidence = light_evidence(sight(lit_room(gains=drift(15.0), grey=True)))
     assert decided(evidence) == (True, False, False)
     assert abs(evidence.white_balance.size) < 0.1
+
+
+def test_fog_before_a_camera_that_only_turns_is_not_observable() -> None:
+    """No distance changes: any fog is part of the colours, and where it is asked for nothing drifts."""
+    seen = lit_room(extinction=0.4)
+    still = np.repeat(seen.cam_from_world[:1], len(seen.cam_from_world), axis=0)
+    same = replace(seen, rgb=np.repeat(seen.rgb[:1], len(seen.rgb), axis=0), cam_from_world=still)
+    same = replace(same, depth=np.repeat(seen.depth[:1], len(seen.depth), axis=0))
+    found = rules.decide_atmosphere(light_evidence(sight(same)), "auto")
+    assert not found["needed"]
+    assert "not observable" in found["why"]
+    assert found["extinction"] == 0
+    forced = rules.decide_atmosphere(light_evidence(sight(same), foggy=True), "yes")
+    assert forced["needed"]
+    assert np.isfinite([forced["extinction"], *forced["airlight"]]).all()
 
 
 def test_fog_that_hides_everything_is_no_gain_and_no_gloss() -> None:

@@ -17,6 +17,8 @@ uniform vec3 eye, right, down, ahead;  // centre of the camera, rows of its rota
 uniform vec4 lens;                     // fx fy cx cy in px, pixel centres at integers
 uniform vec2 size;
 uniform float blur, near, time;        // time in frames
+uniform float extinction;              // of the fog: 0 in clear air
+uniform vec3 airlight;                 // linear
 
 out vec4 splat_centre;  // x y f0 f1
 out vec4 splat_shape;   // f2, reach in standard deviations times sqrt(1/2), opacity, depth
@@ -83,6 +85,13 @@ vec3 harmonics(int i, vec3 constant, vec3 direction) {
   return max(c, 0.0);
 }
 
+// What shows through the fog (stages/splatting/atmosphere.py).
+vec3 veiled(vec3 colour, float distance) {
+  if (extinction <= 0.0) return colour;
+  vec3 linear = pow(max(colour, vec3(0.00534)), vec3(2.2));
+  return pow(max(mix(airlight, linear, exp(-extinction * distance)), vec3(1e-5)), vec3(1.0 / 2.2));
+}
+
 // A hue for each instance, neighbours far apart; grey where nothing moves.
 vec3 instance_colour(int i, vec3 colour) {
   float grey = dot(colour, vec3(0.3, 0.6, 0.1));
@@ -120,6 +129,6 @@ void main() {
   float f0 = sqrt(c / (2.0 * det)), limit = log(max(shape.w, 1e-12) / MIN_ALPHA);
   splat_centre = vec4(lens.xy * p.xy / p.z + lens.zw, f0, -b / c * f0);
   splat_shape = vec4(inversesqrt(2.0 * c), sqrt(max(limit, 0.0)), shape.w, p.z);
-  vec3 colour = harmonics(i, constant, normalize(from_eye));
+  vec3 colour = veiled(harmonics(i, constant, normalize(from_eye)), length(from_eye));
   splat_colour = vec4(mode == 1 ? vec3(1.0 / p.z) : mode == 2 ? instance_colour(i, colour) : colour, 1);
 }

@@ -57,6 +57,8 @@ class SplatRenderer {
     gl.uniform1i(uniforms.pairs, model.pairs);
     gl.uniform1i(uniforms.sh_degree, scene.sh_degree);
     gl.uniform1f(uniforms.near, scene.near);
+    gl.uniform1f(uniforms.extinction, scene.extinction);
+    gl.uniform3fv(uniforms.airlight, scene.airlight);
     const steps = new Float32Array(45);
     steps.set(scene.sh_steps);
     gl.uniform3fv(uniforms.sh_steps, steps);
