@@ -1,0 +1,149 @@
+"""Scenes that have one effect, or two that are easy to confuse, on top of base scenes that have none.
+
+The bases (benchmarks/effect_scenes) have a camera that moves past things at rest, and sensor noise. An effect that is
+added alone makes the scene a distractor for all other effects.
+"""
+
+import copy
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+REPO = Path(__file__).parents[1]
+BASES = sorted((REPO / "benchmarks/effect_scenes").glob("*.yaml"))
+MEDIUM = 2
+"""Index of the strength that must be decided rightly."""
+Content = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Effect:
+    """One effect: the key of its decision in scene.json, five strengths with their unit, and how a scene gets it."""
+
+    key: str
+    unit: str
+    strengths: tuple[float, float, float, float, float]
+    add: Callable[[Content, float], None]
+
+
+def _moving(scene: Content, distance: float) -> None:
+    path = scene["mover"]["path"][1]
+    path["move"] = (np.array(path["move"]) * distance / np.linalg.norm(path["move"])).tolist()
+    path["turn_deg"] = (np.array(path["turn_deg"]) * distance / 2).tolist()
+    scene["objects"].append(scene["mover"])
+
+
+def _bending(scene: Content, amplitude: float) -> None:
+    mover = {key: scene["mover"][key] for key in ("name", "position", "path", "texture")}
+    scene["objects"].append(mover | {"kind": "jelly", "radii": [0.6, 0.5, 0.55], "amplitude": amplitude, "hz": 1.5})
+
+
+def _turning(scene: Content, degrees: float) -> None:
+    eye = np.array(scene["camera"]["keys"][0]["eye"])
+    ahead = np.array(scene["camera"]["keys"][0]["target"]) - eye
+    for key in scene["camera"]["keys"]:
+        angle = np.radians(degrees) * (key["time"] - 0.5)
+        turn = np.array([[np.cos(angle), np.sin(angle), 0], [-np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
+        key["eye"], key["target"] = eye.tolist(), (eye + turn @ ahead).tolist()
+
+
+def _zooming(scene: Content, ratio: float) -> None:
+    for key in scene["camera"]["keys"]:
+        key["zoom"] = float(ratio ** key["time"])
+
+
+def _lens(scene: Content, k1: float) -> None:
+    scene["camera"]["distortion"] = {"k1": k1}
+
+
+def _rolling(scene: Content, readout: float) -> None:
+    scene["camera"]["handheld"] = {"position": 0.01, "rotation_deg": 0.8}
+    scene["effects"]["rolling_shutter"] = {"readout": readout}
+
+
+def _listed(effect: str, option: str, **others: Any) -> Callable[[Content, float], None]:
+    def add(scene: Content, strength: float) -> None:
+        scene["effects"].setdefault(effect, {}).update({option: strength, **others})
+
+    return add
+
+
+EFFECTS = {
+    "moving parts": Effect("dynamic", "m of its path", (0.03, 0.1, 0.4, 1.0, 2.0), _moving),
+    "bending movers": Effect("non_rigid", "strain", (0.02, 0.05, 0.2, 0.35, 0.5), _bending),
+    "turning camera": Effect("rotation_only", "degrees", (3, 6, 15, 30, 45), _turning),
+    "exposure": Effect("exposure", "stops", (0.03, 0.1, 0.3, 0.6, 1.0), _listed("exposure", "stops", white_balance=0)),
+    "white balance": Effect(
+        "white_balance", "gain", (0.01, 0.03, 0.1, 0.2, 0.3), _listed("exposure", "white_balance", stops=0)
+    ),
+    "view-dependent colour": Effect(
+        "view_dependent", "peak radiance", (0.05, 0.2, 0.8, 1.6, 3.0), _listed("specular", "strength", exponent=12)
+    ),
+    "fog": Effect(
+        "atmosphere", "1 / m", (0.005, 0.02, 0.06, 0.12, 0.2), _listed("fog", "density", colour=[0.6, 0.63, 0.66])
+    ),
+    "motion blur": Effect("motion_blur", "frames", (0.1, 0.25, 0.5, 0.75, 1.0), _listed("motion_blur", "shutter")),
+    "zoom": Effect("zoom", "focal length, last / first", (1.01, 1.03, 1.15, 1.3, 1.5), _zooming),
+    "lens distortion": Effect("distortion", "k1", (-0.005, -0.02, -0.08, -0.15, -0.25), _lens),
+    "rolling shutter": Effect("rolling_shutter", "share of the frame", (0.05, 0.15, 0.4, 0.6, 0.9), _rolling),
+}
+PAIRS = (
+    ("exposure", "fog"),
+    ("exposure", "white balance"),
+    ("view-dependent colour", "exposure"),
+    ("bending movers", "motion blur"),
+    ("moving parts", "fog"),
+    ("moving parts", "rolling shutter"),
+    ("zoom", "lens distortion"),
+    ("zoom", "moving parts"),
+    ("rolling shutter", "motion blur"),
+    ("turning camera", "exposure"),
+    ("turning camera", "lens distortion"),
+)
+"""Effects that appear together, both at medium strength."""
+IMPLIED = {"bending movers": {"moving parts"}}
+"""Other effects that a scene with this one has, too."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """One scene: the effects that it has, with their strengths, and which base it has them on."""
+
+    base: Path
+    strengths: dict[str, float]
+
+    @property
+    def name(self) -> str:
+        """The name of the scene's file and sequence."""
+        words = [f"{effect.replace(' ', '-')}_{value:g}" for effect, value in self.strengths.items()]
+        return "_".join([self.base.stem, *words])
+
+    @property
+    def effects(self) -> set[str]:
+        """All effects of the scene."""
+        return set(self.strengths).union(*(IMPLIED.get(name, set()) for name in self.strengths))
+
+    def scene(self) -> Content:
+        """The content of the scene file."""
+        content: Content = yaml.safe_load(self.base.read_text(encoding="utf-8"))
+        content["mover"] = next(thing for thing in content["objects"] if thing["name"] == "mover")
+        content["objects"] = [thing for thing in content["objects"] if thing["name"] != "mover"]
+        content = copy.deepcopy(content)
+        for name, strength in self.strengths.items():
+            EFFECTS[name].add(content, strength)
+        del content["mover"]
+        return content
+
+
+def cases() -> list[Case]:
+    """All scenes: no effect, each alone at its five strengths, pairs at medium strength."""
+    found = []
+    for base in BASES:
+        found.append(Case(base, {}))
+        found += [Case(base, {name: value}) for name, effect in EFFECTS.items() for value in effect.strengths]
+        found += [Case(base, {name: EFFECTS[name].strengths[MEDIUM] for name in pair}) for pair in PAIRS]
+    return found

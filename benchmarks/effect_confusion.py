@@ -1,0 +1,145 @@
+"""Which effects are found, and where none is: a confusion table over scenes with one effect at five strengths.
+
+    python -m benchmarks.effect_confusion /tmp/effects docs/effects.md
+
+The scenes (benchmarks/effect_cases.py) are rendered and solved by the pipeline itself, up to scene.json, with the
+preset fast; what is finished in the folder is not made again. The report is a page of Markdown.
+"""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from benchmarks.effect_cases import BASES, EFFECTS, MEDIUM, REPO, Case, Effect, cases
+from stages.report.provenance import about_run
+from stages.shared.artifacts import read_json
+
+RIGHT_SHARE = 0.95
+
+
+def solve(folder: Path, wanted: list[Case]) -> None:
+    """Render and solve the scenes in a folder, up to scene.json; those that fail are left out of the tables."""
+    (folder / "scenes").mkdir(parents=True, exist_ok=True)
+    for case in wanted:
+        path = folder / f"scenes/{case.name}.yaml"
+        text = yaml.safe_dump(case.scene(), sort_keys=False)
+        if not path.exists() or path.read_text(encoding="utf-8") != text:
+            path.write_text(text, encoding="utf-8")
+    (folder / "effects.yaml").write_text(
+        yaml.safe_dump({"scenes": [f"scenes/{case.name}.yaml" for case in wanted], "preset": "fast"}), encoding="utf-8"
+    )
+    targets = [f"results/simulated/{case.name}/scene.json" for case in wanted]
+    command = [sys.executable, "-m", "snakemake", *targets, "--snakefile", REPO / "Snakefile", "--directory", folder]
+    command += ["--configfile", folder / "effects.yaml", "--keep-going", "--quiet", "--rerun-triggers", "mtime"]
+    subprocess.run([*map(str, command), "--cores", "2"], check=False)
+
+
+def decisions(folder: Path, case: Case) -> dict[str, bool] | None:
+    """Whether each effect was found in a scene; None if it was not solved."""
+    path = folder / f"results/simulated/{case.name}/scene.json"
+    if not path.exists():
+        return None
+    content = read_json(path)
+    return {name: bool(content[effect.key]["needed"]) for name, effect in EFFECTS.items() if effect.key in content}
+
+
+Verdicts = list[tuple[Case, dict[str, bool]]]
+
+
+def strength_table(verdicts: Verdicts) -> list[str]:
+    """A row per effect: in how many of the scenes with it alone it was found, by strength, and where that flips."""
+    lines = ["| effect | unit | found at strength: scenes of all | found in all from |", "| --- | --- | --- | --- |"]
+    for name, effect in EFFECTS.items():
+        found = {s: [v[name] for case, v in verdicts if case.strengths == {name: s}] for s in effect.strengths}
+        words = ", ".join(f"{strength:g}: {sum(of)}/{len(of)}" for strength, of in found.items())
+        sure = [s for n, s in enumerate(effect.strengths) if all(map(all, list(found.values())[n:])) and found[s]]
+        lines.append(f"| {name} | {effect.unit} | {words} | {f'{sure[0]:g}' if sure else 'never'} |")
+    return lines
+
+
+def confusion_table(verdicts: Verdicts) -> list[str]:
+    """Rows: what a scene has, alone and at any strength. Columns: in how many of them each effect was found."""
+    lines = ["| scenes with | scenes | " + " | ".join(EFFECTS) + " |", "| --- |" + " ---: |" * (len(EFFECTS) + 1)]
+    for row in [None, *EFFECTS]:
+        of = [v for case, v in verdicts if list(case.strengths) == ([row] if row else [])]
+        cells = [
+            f"**{sum(v[name] for v in of)}**" if name == row else str(sum(v[name] for v in of)) for name in EFFECTS
+        ]
+        lines.append(f"| {row or 'none of them'} | {len(of)} | " + " | ".join(cells) + " |")
+    return lines
+
+
+def pair_table(verdicts: Verdicts) -> list[str]:
+    """A row per scene with two effects: what was found, and whether that is right."""
+    lines = ["| scene with | on | found | missed | false |", "| --- | --- | --- | --- | --- |"]
+    for case, verdict in verdicts:
+        if len(case.strengths) == 2:
+            found = {name for name, was in verdict.items() if was}
+            parts = (found & case.effects, case.effects - found, found - case.effects)
+            words = " | ".join(", ".join(sorted(part)) or "-" for part in parts)
+            lines.append(f"| {' and '.join(case.strengths)} | {case.base.stem} | {words} |")
+    return lines
+
+
+def right_table(verdicts: Verdicts) -> list[str]:
+    """A row per effect: how many decisions are right at medium strength and more, and where the effect is absent."""
+    lines = ["| effect | found where it is | not found where it is not | right |", "| --- | ---: | ---: | ---: |"]
+    for name, effect in EFFECTS.items():
+        there = [v[name] for case, v in verdicts if name in case.effects and _is_medium(case, name, effect)]
+        absent = [not v[name] for case, v in verdicts if name not in case.effects]
+        right = (np.mean(there) + np.mean(absent)) / 2 if there and absent else np.nan
+        goal = "" if right >= RIGHT_SHARE else f" (goal {RIGHT_SHARE:.0%})"
+        lines.append(f"| {name} | {sum(there)}/{len(there)} | {sum(absent)}/{len(absent)} | {right:.0%}{goal} |")
+    return lines
+
+
+def _is_medium(case: Case, name: str, effect: Effect) -> bool:
+    """Whether a scene has an effect at medium strength or more; where another effect implies it, it does."""
+    return name not in case.strengths or abs(case.strengths[name]) >= abs(effect.strengths[MEDIUM])
+
+
+def page(verdicts: Verdicts, unsolved: list[str], about: str) -> str:
+    """The page docs/effects.md."""
+    parts = {
+        "Right decisions": (
+            "Where an effect is, at medium strength or more, and where it is not. Right: the mean of both shares.",
+            right_table(verdicts),
+        ),
+        "Strengths": ("The third of each five strengths is the medium one.", strength_table(verdicts)),
+        "Confusion": (
+            "Scenes with one effect, at any of its strengths, and how often each effect was found in them. What stands"
+            " beside the diagonal is a false alarm, but for movers that bend, which move as well.",
+            confusion_table(verdicts),
+        ),
+        "Pairs": ("Two effects at once, both at medium strength.", pair_table(verdicts)),
+    }
+    lines = ["# Effects: found where they are, and only there", "", about]
+    for title, (words, table) in parts.items():
+        lines += ["", f"## {title}", "", words, "", *table]
+    if unsolved:
+        lines += ["", f"Not solved: {', '.join(unsolved)}."]
+    return "\n".join(lines) + "\n"
+
+
+def main(folder: Path, output: Path) -> None:
+    """Render, solve, judge, and write the page."""
+    wanted = cases()
+    solve(folder, wanted)
+    found = [(case, decisions(folder, case)) for case in wanted]
+    run = about_run()
+    about = (
+        "Written by `python -m benchmarks.effect_confusion`; not edited by hand."
+        f" {run['written']}, commit {run['commit']}, preset `fast`;"
+        f" {len(BASES)} base scenes of 20 frames of 384 x 216 px."
+    )
+    unsolved = [case.name for case, verdict in found if verdict is None]
+    text = page([(case, verdict) for case, verdict in found if verdict is not None], unsolved, about)
+    print(text)
+    output.write_text(text, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), Path(sys.argv[2]))
