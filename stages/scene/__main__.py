@@ -8,12 +8,13 @@ import cv2
 import numpy as np
 
 from stages.scene import blur_rules, geometry, photometry, rules, shutter
+from stages.scene.camera_effects import camera_decisions
 from stages.scene.observed import Observed, depth_on_grid
 from stages.scene.options import SceneOptions
 from stages.scene.sightings import sight
 from stages.scene.travel import travel_evidence
 from stages.shared import cli, images
-from stages.shared.artifacts import read_dense, read_metadata, write_json
+from stages.shared.artifacts import read_dense, read_json, read_metadata, write_json
 from stages.shared.cameras import read_cameras, scale_intrinsics
 from stages.shared.cli import In, Out
 from stages.shared.log import logger
@@ -31,12 +32,14 @@ def main(
     output: Annotated[Path, Out("scene.json: each effect with needed, statistic, threshold, interval, why")],
     figure: Annotated[Path, Out("picture for the report")],
     options: SceneOptions,
+    lens: Annotated[Path | None, In("lens.json, whose decision is told beside the others")] = None,
 ) -> str:
     """Decide from evidence which effects the reconstruction has to model, and write why.
 
     Moving parts, a camera that only rotates, changes of exposure and white balance, fog, view-dependent colour,
     non-rigid movers and motion blur are modelled where that predicts samples of the training frames better that it was
-    not fitted to. An option can overrule each decision.
+    not fitted to. An option can overrule each decision. Those about the camera - zoom, rolling shutter, distortion -
+    were made before, on the same terms, and stand beside them.
     """
     content = read_sequence(sequence)
     seen = _observe(content, flow, masks, poses, depth, options)
@@ -44,6 +47,7 @@ def main(
     turning = cameras.status[cameras.status != "unobserved"] == "rotation-only"
     decisions = _decide(seen, float(turning.mean()), options)
     decisions["dynamic"] |= rules.about_masks(decisions["dynamic"], cameras.masks_trusted, cameras.masks_used)
+    decisions |= camera_decisions(read_metadata(poses), read_json(lens) if lens else None)
     for name, decision in decisions.items():
         logger.info("%s: %s (%s): %s", name, decision["needed"], decision["source"], decision["why"])
     write_json(output, {"sequence": content.name, **decisions})

@@ -33,11 +33,12 @@ def decision_table(decisions: dict[str, dict[str, Any]]) -> np.ndarray:
         axes.text(20, y, name.replace("_", " "), fontsize=13, va="center", weight="bold")
         axes.text(200, y, "modelled" if decision["needed"] else "skipped", fontsize=13, va="center", color=colour)
         axes.text(305, y, f"by {decision['source']}", fontsize=11, va="center", color="#555555")
-        low, high = (_place(value / decision["threshold"]) for value in decision["interval"])
         axes.plot(SCALE_PX, (y, y), color="#cccccc", linewidth=1)
         axes.plot((_place(1.0),) * 2, (y - 18, y + 18), color="#b0552b", linewidth=1.5)
-        axes.plot((low, high), (y, y), color=colour, linewidth=5, solid_capstyle="butt", alpha=0.5)
-        axes.plot(_place(decision["statistic"] / decision["threshold"]), y, "o", color=colour, markersize=7)
+        if decision["statistic"] is not None:  # what was not tested has none
+            low, high = (_place(value / decision["threshold"]) for value in decision["interval"])
+            axes.plot((low, high), (y, y), color=colour, linewidth=5, solid_capstyle="butt", alpha=0.5)
+            axes.plot(_place(decision["statistic"] / decision["threshold"]), y, "o", color=colour, markersize=7)
         axes.text(660, y, textwrap.fill(decision["why"], 78), fontsize=8.5, va="center")
     canvas.draw()  # type: ignore[no-untyped-call]
     rgba = np.asarray(canvas.buffer_rgba())  # type: ignore[no-untyped-call]

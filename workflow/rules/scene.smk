@@ -5,6 +5,7 @@ rule scene:
         masks=artifact("segment", "masks"),
         poses=artifact("ba", "ba/poses.parquet"),
         depth=artifact("ba", "ba/depth.arrow"),
+        lens=artifact("lens", "lens/lens.json"),
     output:
         scene="<results>/{dataset}/{seq}/{setting}scene.json",
         figure="<results>/{dataset}/{seq}/{setting}figures/scene.png",
@@ -22,5 +23,5 @@ rule scene:
         flags=flags("scene"),
     shell:
         "{{ python -m stages.scene --sequence {input.sequence:q} --flow {input.flow:q} --masks {input.masks:q}"
-        " --poses {input.poses:q} --depth {input.depth:q} --output {output.scene:q} --figure {output.figure:q}"
-        " {params.flags} --log {log:q} --stats {output.stats:q}; }} 2>> {log:q}"
+        " --poses {input.poses:q} --depth {input.depth:q} --lens {input.lens:q}"
+        " --output {output.scene:q} --figure {output.figure:q} {params.flags} --log {log:q} --stats {output.stats:q}; }} 2>> {log:q}"
