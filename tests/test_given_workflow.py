@@ -86,3 +86,26 @@ def test_a_rewritten_camera_file_is_noticed(tmp_path: Path) -> None:
     cameras.write_text("1 PINHOLE 64 48 55 55 32 24 ")
     assert given_inputs.digest(config, "ba", one) != before
     assert given_inputs.digest(config, "flow", one) == ""
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        {"intrinsics": "1200"},
+        {"ba": {"intrinsics": "exif"}},
+        {"ba": {"poses_from": "a.tum"}},
+        {"ba": {"depth_from": "depth"}},
+        {"segment": {"source": "masks"}},
+        {"segment": {"evidence": "masks"}},
+    ],
+)
+def test_frames_are_not_undistorted_under_what_was_made_of_them(given: dict) -> None:
+    """Undistorted frames have another size and another K."""
+    assert configuration.load(given).lens.distortion == "no"
+    with pytest.raises(InputError, match="lens.distortion: expected no or auto where"):
+        configuration.load(given | {"lens": {"distortion": "yes"}})
+
+
+@pytest.mark.parametrize("given", [{}, {"intrinsics": "truth"}, {"flow": {"source": "flows"}}])
+def test_truth_and_flow_are_carried_over_to_undistorted_frames(given: dict) -> None:
+    assert configuration.load(given).lens.distortion == "auto"

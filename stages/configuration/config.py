@@ -14,7 +14,7 @@ from stages.evaluate.options import EvaluateOptions
 from stages.export.options import ExportOptions
 from stages.flow.options import FlowOptions
 from stages.gaussians.options import GaussiansOptions
-from stages.given.intrinsics import ESTIMATE, IntrinsicsOption
+from stages.given.intrinsics import ESTIMATE, TRUTH, IntrinsicsOption
 from stages.inspect.options import InspectOptions
 from stages.lens.options import LensOptions
 from stages.motion.options import MotionOptions
@@ -22,6 +22,7 @@ from stages.render.options import RenderOptions
 from stages.report.options import ReportOptions
 from stages.scene.options import SceneOptions
 from stages.segment.options import SegmentOptions
+from stages.shared.errors import InputError
 from stages.shared.options import Options, to_flags, validate
 from stages.simulate.options import SimulateOptions
 from stages.video.options import VideoOptions
@@ -104,6 +105,8 @@ def load(raw: Mapping[str, Any], mine: Mapping[str, Any] | None = None, where: s
         InputError: one line for the first wrong value.
     """
     config = validate(Config, raw, where)
+    if _hands_in_views(config):
+        raw = override(raw, {"lens.distortion": _no_lens(config, where)})
     values, defaults = config.model_dump(by_alias=True), Config().model_dump(by_alias=True)
     open_values = {
         name: value
@@ -111,6 +114,23 @@ def load(raw: Mapping[str, Any], mine: Mapping[str, Any] | None = None, where: s
         if value_of(mine or {}, name) is None and value_of(values, name) == value_of(defaults, name)
     }
     return validate(Config, override(raw, open_values), where)
+
+
+def _hands_in_views(config: Config) -> bool:
+    """Whether the user hands in cameras, masks or depth, which are of the frames as they are."""
+    adjustment = section(config, "ba")
+    assert isinstance(adjustment, BAOptions), "the section of ba"
+    taken = (adjustment.intrinsics, adjustment.poses_from, adjustment.depth_from)
+    masks = config.segment.given or config.segment.evidence
+    return bool(masks) or any(value not in (ESTIMATE, TRUTH) for value in taken)
+
+
+def _no_lens(config: Config, where: str) -> str:
+    if config.lens.distortion == "yes":
+        advice = "leave out what is given, or `lens: {distortion: yes}`"
+        expected = "no or auto where intrinsics, poses, masks or depth are given: they do not fit undistorted frames"
+        raise InputError(f"{where}: lens.distortion", expected, "'yes'", advice)
+    return "no"
 
 
 def section(config: Config, name: str) -> Options:

@@ -28,7 +28,8 @@ def camera_decisions(adjusted: Mapping[str, Any], lens: Mapping[str, Any] | None
     The statistic is the share of the cost of held-out pixels that the effect saves; None where it was not tested.
 
     Args:
-        adjusted: metadata of ba/poses.parquet; cameras from elsewhere have no decisions. lens: content of lens.json; None: frames are taken as they are.
+        adjusted: metadata of ba/poses.parquet; cameras from elsewhere have no decisions.
+        lens: content of lens.json; None: frames are taken as they are.
     """
     there = {effect: source for effect, source in ADJUSTED.items() if effect in adjusted}
     found = {effect: _decision(adjusted[effect], source, adjusted["options"]) for effect, source in there.items()}
