@@ -22,7 +22,7 @@ def test_poses_that_are_held_fixed_need_two_rounds_and_are_an_input(repo_copy: P
         (repo_copy / f"{name}.tum").touch()
     mine = "{dataset: clips, intrinsics: 1200, ba: {poses_from: '{sequence}.tum'}}"
     result = run_snakemake(repo_copy, "poses", "-p", *with_options(repo_copy, mine))
-    assert planned(result) == {"inspect", "flow", "motion", "segment", "ba", "poses"}
+    assert planned(result) == {"inspect", "flow", "lens", "motion", "segment", "ba", "poses"}
     counts = dict(re.findall(r"^(\w+) +(\d+)$", result.stdout, re.MULTILINE))
     assert {name: int(counts[name]) for name in ("motion", "segment", "ba")} == {"motion": 2, "segment": 2, "ba": 4}
     assert result.stdout.count("--intrinsics 1200 --zoom auto --poses-from '{sequence}.tum' --poses-as fixed") == 4
@@ -102,7 +102,7 @@ def test_a_rewritten_camera_file_is_noticed(tmp_path: Path) -> None:
 def test_frames_are_not_undistorted_under_what_was_made_of_them(given: dict) -> None:
     """Undistorted frames have another size and another K."""
     assert configuration.load(given).lens.distortion == "no"
-    with pytest.raises(InputError, match="lens.distortion: expected no or auto where"):
+    with pytest.raises(InputError, match=r"lens\.distortion: expected no or auto where"):
         configuration.load(given | {"lens": {"distortion": "yes"}})
 
 
