@@ -25,7 +25,7 @@ def test_poses_that_are_held_fixed_need_two_rounds_and_are_an_input(repo_copy: P
     assert planned(result) == {"inspect", "flow", "lens", "motion", "segment", "ba", "poses"}
     counts = dict(re.findall(r"^(\w+) +(\d+)$", result.stdout, re.MULTILINE))
     assert {name: int(counts[name]) for name in ("motion", "segment", "ba")} == {"motion": 2, "segment": 2, "ba": 4}
-    assert result.stdout.count("--intrinsics 1200 --zoom auto --poses-from '{sequence}.tum' --poses-as fixed") == 4
+    assert result.stdout.count("--rolling-shutter auto --poses-from '{sequence}.tum' --poses-as fixed") == 4
     (repo_copy / "two.tum").unlink()
     refused = run_snakemake(repo_copy, "poses", *with_options(repo_copy, mine))
     assert refused.returncode == 2
