@@ -16,7 +16,8 @@ from stages.shared import sintel
 from stages.shared.artifacts import read_dense, read_json, read_metadata, write_dense, write_json
 from stages.shared.cameras import make_cameras, pixel_grid
 from stages.shared.images import read_rgb, write_image
-from stages.shared.sequences import Sequence, sequence_to_json
+from stages.shared.masks import read_burnt_in
+from stages.shared.sequences import Sequence, read_sequence, sequence_to_json
 
 SIZE = (96, 160)
 BARREL, PINCUSHION = np.array([-0.15, 0.0]), np.array([0.15, 0.02])
@@ -111,6 +112,26 @@ def test_pictures_and_truth_are_those_of_a_pinhole(tmp_path: Path, k: np.ndarray
     K, _ = sintel.read_cam(Path(content["truth"]["camdata_left"]["1"]))
     assert_allclose(K[:2, 2], [(content["width"] - 1) / 2, (content["height"] - 1) / 2])
     assert K[0, 0] == scene.focal_px
+
+
+@pytest.mark.parametrize("k", [BARREL, PINCUSHION], ids=["barrel", "pincushion"])
+def test_what_is_burnt_in_is_marked_where_the_undistorted_frames_show_it(tmp_path: Path, k: np.ndarray) -> None:
+    """A logo in a corner, by far the brightest of the frame, lies at other pixels of the undistorted one."""
+    burnt_in = np.zeros(SIZE, bool)
+    burnt_in[8:20, 130:150] = True
+    for path, values in (("frame_0001.png", burnt_in[..., None].repeat(3, axis=2)), ("mask.png", burnt_in)):
+        write_image(tmp_path / path, 255 * values.astype(np.uint8))
+    clip = Sequence("clip", [tmp_path / "frame_0001.png"], [1], SIZE[1], SIZE[0], burnt_in=tmp_path / "mask.png")
+    pinhole = largest_pinhole(k / 150 ** np.array([2, 4]), clip)
+    (tmp_path / "images").mkdir()
+    carry_images(clip, pinhole, tmp_path / "images")
+    content = carried_sequence(sequence_to_json(clip), clip, pinhole, tmp_path / "images", "undistorted")
+    write_json(tmp_path / "sequence.json", content | {"frames_sha256": "0"})
+    carried = read_sequence(tmp_path / "sequence.json")
+    marked, shown = read_burnt_in(carried), read_rgb(carried.frames[0])[..., 0]
+    assert marked is not None
+    assert not (shown[~marked] > 25).any()
+    assert marked.sum() < 1.6 * (shown > 128).sum()
 
 
 def test_no_pixel_of_the_new_image_lies_outside_of_the_old_one_and_the_maps_are_inverse() -> None:

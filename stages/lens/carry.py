@@ -11,11 +11,13 @@ from stages.lens.pinhole import Pinhole, reduced
 from stages.shared import sintel
 from stages.shared.cameras import frame_from_grid, grid_from_frame, pixel_grid
 from stages.shared.images import read_mask, read_rgb, write_image
+from stages.shared.masks import read_burnt_in
 from stages.shared.sequences import Sequence
 from stages.shared.threads import threaded
 from stages.shared.warp import bilinear
 
-CARRIED = ("frames/*.png", "truth/*/*.png", "truth/*/*.flo", "truth/*/*.dpt", "truth/*/*.cam")
+BURNT_IN = "burnt_in.png"
+CARRIED = ("frames/*.png", BURNT_IN, "truth/*/*.png", "truth/*/*.flo", "truth/*/*.dpt", "truth/*/*.cam")
 """The files of the folder of undistorted images."""
 
 
@@ -79,6 +81,10 @@ def carry_images(frames: Sequence, pinhole: Pinhole, folder: Path) -> None:
     for kind in set(writers) & set(frames.truth):
         (folder / "truth" / kind).mkdir(parents=True)
     threaded(lambda path: write_image(frame_in(folder, path), picture(path)), frames.frames)
+    burnt_in = read_burnt_in(frames)
+    if burnt_in is not None:  # whatever touches it: the pictures are interpolated from neighbouring pixels
+        grown = cv2.dilate(burnt_in.astype(np.uint8), np.ones((3, 3), np.uint8))
+        write_image(folder / BURNT_IN, cv2.remap(grown, sources, None, cv2.INTER_NEAREST) > 0)
     for kind, files in frames.truth.items():
         if kind in writers:
             threaded(lambda path, kind=kind: writers[kind](path, truth_in(folder, kind, path)), files.values())
@@ -110,5 +116,6 @@ def carried_sequence(
         "height": pinhole.height,
         "frames": [str(frame_in(folder, path).resolve()) for path in frames.frames],
         "truth": truth,
+        "burnt_in": None if frames.burnt_in is None else str((folder / BURNT_IN).resolve()),
         "warnings": [*frames.warnings, told],
     }
