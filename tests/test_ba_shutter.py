@@ -1,5 +1,7 @@
 """A rolling shutter: found where held-out pixels call for it, taken out of the matches, and absent elsewhere."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -34,6 +36,29 @@ def test_matches_of_a_rolling_shutter_are_corrected_to_those_of_the_middle_row()
     assert np.median(corrected) < 0.06 * np.median(raw)
 
 
+def test_rows_are_those_of_the_image_where_pixels_are_not_square() -> None:
+    """The same flow as a lens of fy = 2 fx shows it, whose graph has half of every v."""
+    graph, depth = observe_rolled(SHAKY, 0.8, noise_px=0.0, T=4)
+    state = State(SHAKY(np.arange(4)), graph.resample(1 / depth, 1), FOCAL * graph.width)
+    tall = replace(graph, aspect=2.0, height=2 * graph.height - 1)
+    assert_allclose(shutter.shifts(tall, state, 0.8), shutter.shifts(graph, state, 0.8), atol=1e-6)
+
+
+def test_a_camera_moves_as_far_in_a_readout_whether_or_not_frames_were_dropped() -> None:
+    """The truth of a phone that dropped two frames: the path at the times of the frames that are left."""
+    graph, depth = observe_rolled(SHAKY, 0.8, noise_px=0.0)
+    kept = np.array([0, 1, 2, 4, 5, 6, 8, 9])
+    ends = np.isin(graph.source, kept) & np.isin(graph.target, kept)
+    source, target = (np.searchsorted(kept, side[ends]) for side in (graph.source, graph.target))
+    pointer = np.searchsorted(source, np.arange(len(kept) + 1))
+    thinned = replace(graph, source=source, target=target, pointer=pointer, matches=graph.matches[ends])
+    thinned = replace(thinned, weights=graph.weights[ends], times_s=100 + kept / 24)
+    state = State(SHAKY(kept), graph.resample(1 / depth, 1)[kept], FOCAL * graph.width)
+    sure = thinned.weights > MIN_WEIGHT
+    raw, corrected = (dba.errors_px(given, state)[sure] for given in (thinned, shutter.correct(thinned, state, 0.8)))
+    assert np.median(corrected) < 0.1 * np.median(raw)
+
+
 def test_small_motions_of_rows_are_those_of_the_exponential() -> None:
     rng = np.random.default_rng(1)
     points, d, twists = rng.normal((0, 0, 4), 1, (50, 3)), rng.uniform(0.1, 1, 50), rng.normal(0, 0.01, (50, 6))
@@ -46,7 +71,7 @@ def test_the_correction_by_the_readout_grows_as_finite_differences_of_the_path_s
     """Its derivative at no readout: the speed of the image at either end of a match, times its row."""
     graph = observe(make_scene(T=5), stride=8)
     state = State(SHAKY(np.arange(5.0)), np.full((5, len(graph.pixels)), 0.2), 80.0)
-    path, step = shutter.path_of(state.cam_from_world), 1e-4
+    path, step = shutter.path_of(state.cam_from_world, np.arange(5.0)), 1e-4
     derivative = (shutter.shifts(graph, state, step) - shutter.shifts(graph, state, -step)) / (2 * step)
 
     def projected(e: int, source_step: float, target_step: float) -> np.ndarray:

@@ -46,7 +46,8 @@ class Evidence:
         decision: "rolling", "global", "not observable" or "not tested"; reason: why, in words.
         gain: share of the cost of held-out pixels that a rolling shutter saves; gain_sigma: its standard error.
         threshold: the gain from which on the shutter rolls, if that is significant.
-        readout: time from the first row to the last, in frames; negative if the last row comes first; 0: not known.
+        readout: time from the first row to the last, in usual intervals of the frames; negative if the last row comes
+            first; 0: not known.
         readout_sigma: its predicted error.
         seconds: CPU time of the decision.
     """
@@ -64,32 +65,43 @@ class Evidence:
 NOT_TESTED = Evidence("not tested", "there are no poses, or the options exclude it")
 
 
-def path_of(cam_from_world: np.ndarray) -> CubicSpline:
-    """A curve [6] over time in frames: its change from frame k on is the left twist of the camera since that frame.
+def frame_times(graph: FlowGraph) -> np.ndarray:
+    """Times [T] of the frames, in units of their usual interval: a phone may have dropped some."""
+    if graph.times_s is None:
+        return np.arange(graph.T, dtype=float)
+    return np.asarray((graph.times_s - graph.times_s[0]) / np.median(np.diff(graph.times_s)))
+
+
+def path_of(cam_from_world: np.ndarray, times: np.ndarray) -> CubicSpline:
+    """A curve [6] over time: its change from the time of a frame on is the left twist of the camera since that frame.
 
     A cubic spline through the sum of the twists from frame to frame: the twists of neighbouring frames nearly commute.
+
+    Args:
+        times: [T] of the frames, as of `frame_times`.
     """
     steps = lie.log_se3(cam_from_world[1:] @ lie.inverse(cam_from_world[:-1]))
-    return CubicSpline(np.arange(len(cam_from_world)), np.append(np.zeros((1, 6)), np.cumsum(steps, axis=0), axis=0))
+    return CubicSpline(times, np.append(np.zeros((1, 6)), np.cumsum(steps, axis=0), axis=0))
 
 
 def row_times(graph: FlowGraph, v: np.ndarray) -> np.ndarray:
-    """Time of image rows v after the middle row, of any shape, in units of the readout."""
-    return np.asarray(v / (graph.height - 1) - 0.5)
+    """Time of v of the graph's pixels, of any shape, after the middle row of the image, in units of the readout."""
+    return np.asarray(v * graph.aspect / (graph.height - 1) - 0.5)
 
 
 def shifts(graph: FlowGraph, state: State, readout: float) -> np.ndarray:
     """How far [E, P, 2] px matches move because source pixel and match are exposed at the time of their rows."""
-    path, moved = path_of(state.cam_from_world), np.zeros(graph.matches.shape, np.float32)
+    times, moved = frame_times(graph), np.zeros(graph.matches.shape, np.float32)
+    path = path_of(state.cam_from_world, times)
     relative, focals_px = reduced.relative_motions(graph, state.cam_from_world), state.focals_px
     source_times = readout * row_times(graph, graph.pixels[:, 1])
     for e, (i, j) in enumerate(zip(graph.source, graph.target, strict=True)):
         R, d = relative[e, :3, :3], state.inverse_depth[i]
         rays = np.column_stack([(graph.pixels - graph.centre) / focals_px[i], np.ones(len(d))])
-        begun = _moved(rays, d, path(i) - path(i + source_times))
+        begun = _moved(rays, d, path(times[i]) - path(times[i] + source_times))
         at_once, begun = (points @ R.T + d[:, None] * relative[e, :3, 3] for points in (rays, begun))
         target_times = readout * row_times(graph, graph.matches[e, :, 1])
-        in_turn = _moved(begun, d, path(j + target_times) - path(j))
+        in_turn = _moved(begun, d, path(times[j] + target_times) - path(times[j]))
         before, after = _project(at_once, focals_px[j]), _project(in_turn, focals_px[j])
         ahead = np.minimum(at_once[:, 2], in_turn[:, 2]) > MIN_DEPTH_RATIO
         moved[e] = np.where(ahead[:, None], after - before, 0.0)
