@@ -1,5 +1,6 @@
 """Which changes of light are modelled: gains, white balance, fog and gloss, each beside the others, against truth."""
 
+from dataclasses import replace
 from functools import cache
 
 import finished_run as clip
@@ -8,7 +9,7 @@ import pytest
 from square_inputs import observe
 from synthetic import flow_arrays, make_scene
 
-from stages.scene import photometry, rules
+from stages.scene import light, photometry, rules
 from stages.scene.light import no_light
 from stages.scene.observed import Observed
 from stages.scene.photometry import LightEvidence, light_evidence, view_evidence
@@ -96,6 +97,16 @@ def test_fog_is_told_from_exposure(extinction: float, level: float, drift_percen
     assert air["extinction"] == evidence.fitted.extinction
     if foggy:
         assert evidence.fitted.airlight == pytest.approx([level, level, 1.2 * level], abs=0.1)
+
+
+def test_a_sky_behind_black_fog_has_errors_all_the_same() -> None:
+    """Nothing is left of its light: e^-1000. A search for fog may pass through an airlight of zero."""
+    seen = sight(lit_room())
+    far = seen._replace(distance=np.where(seen.cell[:, None] == 3, np.float32(2e4), seen.distance))
+    black = replace(no_light(seen.colours.shape[1]), extinction=0.05)
+    errors = light.residuals(far, black, np.ones(len(seen.cell), bool))
+    assert np.isfinite(errors).all()
+    assert np.isfinite(light.fit(far, light.Model(0, True), seen.odd, black).airlight).all()
 
 
 @pytest.mark.parametrize(("exposure", "white_balance"), [(15.0, 0.1), (15.0, 0.0), (0.0, 0.1)])

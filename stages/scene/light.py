@@ -173,10 +173,11 @@ def _fog(light: Light, distance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _linear(of: _Data, state: _State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Transmittance [n, F, 1], its integral [n, F, 1], and the linear radiance [n, F, 3] that is seen."""
+    """Transmittance [n, F, 1], its integral [n, F, 1], and the linear radiance [n, F, 3] > 0 that is seen."""
     clear, scattering = _fog(state.light, of.distance)
     surface = state.radiance[:, None].astype(np.float32) * clear
-    return clear, scattering, surface + state.light.scattered.astype(np.float32) * scattering
+    shown = surface + state.light.scattered.astype(np.float32) * scattering
+    return clear, scattering, np.maximum(shown, np.float32(LEAST_RADIANCE))  # the sky behind black fog is black
 
 
 def _errors(of: _Data, state: _State) -> np.ndarray:
