@@ -172,7 +172,9 @@ def _write_models(folder: Path) -> None:
 
 def stats_files(folder: Path) -> list[Path]:
     """The time files that the evaluation reads."""
-    once = [folder / f"stats/{name}.json" for name in ("inspect", "flow", "scene", "control", "gaussians", "render")]
+    once = [
+        folder / f"stats/{name}.json" for name in ("inspect", "flow", "lens", "scene", "control", "gaussians", "render")
+    ]
     once.append(folder / "stats/colmap.json")
     return once + [
         folder / part / f"stats/{name}.json" for part in ("round1", "") for name in ("motion", "segment", "ba")

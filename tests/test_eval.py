@@ -95,7 +95,7 @@ def test_evaluation_of_perfect_poses_finds_no_error(scored: Path) -> None:
     assert ours["status"] == "ok"
     assert (ours["registered"], ours["total"]) == (run.T, run.T)
     assert max(ours["ate"], ours["rpe_trans"], abs(ours["focal_error_percent"])) < 1e-9
-    assert ours["wall_s"] == pytest.approx(2.0 * 7)  # flow, and two rounds of three stages
+    assert ours["wall_s"] == pytest.approx(2.0 * 8)  # flow, lens, and two rounds of three stages
     assert _row(rows, method="ours, round 1")["wall_s"] == pytest.approx(2.0 * 4)
 
 
@@ -191,8 +191,8 @@ def test_a_stuck_fit_is_a_problem_and_a_still_scene_has_none(scored: Path, tmp_p
 
 def test_time_rows_follow_the_order_of_the_stages(scored: Path) -> None:
     rows = read_rows(scored / "eval/time.parquet")
-    assert [(row["stage"], row["round"]) for row in rows][:5] == [
-        *(("inspect", None), ("flow", None), ("motion", 1), ("segment", 1), ("ba", 1))
+    assert [(row["stage"], row["round"]) for row in rows][:6] == [
+        *(("inspect", None), ("flow", None), ("lens", None), ("motion", 1), ("segment", 1), ("ba", 1))
     ]
     assert rows[-1]["stage"] == "colmap"
 

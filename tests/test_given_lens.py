@@ -8,6 +8,8 @@ from synthetic import OFFSETS, flow_arrays, make_scene
 from stages.gaussians.lifting import lift
 from stages.gaussians.training_frames import TrainingFrames
 from stages.motion import resweep
+from stages.motion.flow_pairs import FlowPairs
+from stages.shared.artifacts import Dense
 from stages.shared.cameras import intrinsics, project
 
 OFF_CENTRE = intrinsics(86.4, 1.15 * 86.4, 47.5 + 0.12 * 96, 31.5 - 4)
@@ -17,7 +19,7 @@ def test_a_static_scene_fits_its_depth_exactly() -> None:
     """Taken as centred and square, the same flow would not."""
     scene = make_scene(T=4, K=OFF_CENTRE)
     source, target, flow, weights = flow_arrays(scene, OFFSETS)
-    pairs = {"source": source, "target": target, "flow": flow, "weights": weights}
+    pairs = FlowPairs(Dense({"source": source, "target": target, "flow": flow, "confidence": weights}))
     start = np.full(scene.depth.shape, 0.3, np.float32)
     worst = []
     for K in (scene.K, intrinsics(86.4, 86.4, 47.5, 31.5)):

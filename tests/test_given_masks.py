@@ -190,7 +190,7 @@ def test_masks_that_are_not_estimated_are_made_once_and_before_all_poses() -> No
     every = [settings.configured({}), given, other]
     assert list(plan.rounds_of(given, "motion")) == []
     assert list(plan.rounds_of(given, "segment")) == [3]
-    assert plan.steps(given, "scene")[1:6] == (("flow", 3), ("segment", 3), ("ba", 1), ("ba", 2), ("ba", 3))
+    assert plan.steps(given, "scene")[1:6] == (("flow", 3), ("lens", 3), ("segment", 3), ("ba", 1), ("ba", 2))
     assert (
         plan.find_home(every, given, "segment", 1) == plan.find_home(every, other, "segment", 3) == "settings/a-given/"
     )

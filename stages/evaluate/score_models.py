@@ -23,6 +23,8 @@ COMPUTED_PROTOCOL = (
 )
 MOTION_PREFIX = "deformation."
 MOTION_BYTES = 7 * 4
+MIN_ALPHA = 1 / 255
+"""Least opacity that is drawn (`stages.splatting.raster_bins`, which would bring torch and its memory along)."""
 
 
 def model_rows(name: str, frames: int, motion: Path, full: Path, half: Path) -> list[dict[str, Any]]:
@@ -72,14 +74,9 @@ def _sightings(tensors: Mapping[str, np.ndarray], dynamic: int, frames: int) -> 
     """Number of pairs of a dynamic Gaussian and a frame in which its opacity can be seen; all without life spans."""
     if "births" not in tensors:
         return dynamic * frames
-    import torch
-
-    from stages.splatting.life_spans import presence
-    from stages.splatting.raster_bins import MIN_ALPHA
-
-    births, log_spans = (torch.from_numpy(tensors[name]) for name in ("births", "log_spans"))
-    opacities = torch.from_numpy(tensors["logits"][-dynamic:]).sigmoid()
-    moments = [opacities * presence(births, log_spans, float(time)) for time in frame_times(frames)]
+    opacities = 1 / (1 + np.exp(-tensors["logits"][-dynamic:]))
+    spans = np.exp(tensors["log_spans"])
+    moments = [opacities * np.exp(-0.5 * ((time - tensors["births"]) / spans) ** 2) for time in frame_times(frames)]
     return sum(int((opacity > MIN_ALPHA).sum()) for opacity in moments)
 
 

@@ -12,6 +12,7 @@ from stages.evaluate.score_masks import PRIOR
 from stages.shared.artifacts import read_json
 from stages.shared.chain import STAGES
 from stages.shared.digest import code_digest
+from stages.shared.run_inputs import ESTIMATED_MASKS
 from stages.shared.tables import Row, decimal, read_rows
 
 OWN = "own"
@@ -46,17 +47,23 @@ def _split(name: str, promised: Mapping[str, Path], manifests: Path | None) -> s
 
 def score_row(folder: Path) -> Row:
     """Scores of a run on one sequence; for an unfinished run, `missing` is the first stage without results."""
-    ended = [stage for stage in STAGES if (folder / f"stats/{stage}.json").exists()]
-    if len(ended) < len(STAGES):
-        missing = next(stage for stage in STAGES if stage not in ended)
+    stages = [stage for stage in STAGES if stage != "motion" or _estimates_masks(folder / "stats/segment.json")]
+    missing = next((stage for stage in stages if not (folder / f"stats/{stage}.json").exists()), None)
+    if missing:
         return {"status": "failed", "missing": missing}
     tables = {kind: read_rows(folder / f"eval/{kind}.parquet") for kind in ("poses", "images", "masks", "time")}
     times = [row for row in tables["time"] if costs.is_ours(row)]
     row: Row = {"frames": len(read_json(folder / "sequence.json")["numbers"])}
     row |= _camera_scores(tables["poses"]) | _mask_scores(tables["masks"]) | _image_scores(tables["images"])
     row |= {key: sum(line[key] for line in times) for key in ("wall_s", "cpu_s")}
-    old = [stage for stage in STAGES if not _is_current(folder / f"stats/{stage}.json")]
+    old = [stage for stage in stages if not _is_current(folder / f"stats/{stage}.json")]
     return row | {"threads": max(line["threads"] for line in times), "old": ", ".join(old) or None}
+
+
+def _estimates_masks(stats: Path) -> bool:
+    """Whether masks come from the motion prior; without it, motion does not run."""
+    source = read_json(stats)["options"].get("source", "refined") if stats.exists() else "refined"
+    return source in ESTIMATED_MASKS[:2]
 
 
 def _is_current(stats: Path) -> bool:

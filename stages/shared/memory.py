@@ -58,7 +58,7 @@ NEEDS = {
     "video": Need(170, per_frame=30),
     "inspect": Need(135, per_frame=17),
     "flow": Need(150, per_edges=18.5),
-    "lens": Need(380, per_edges=26, per_frame=40),
+    "lens": Need(270, per_edges=26, per_frame=40),
     "motion": Need(420, per_edges=2.4),
     "segment": Need(230, per_edges=9.2),
     "ba": Need(380, per_edges=8.9),

@@ -59,9 +59,10 @@ def contents(path: Path) -> dict[str, object]:
     """Columns or tensors as bytes, and the metadata."""
     columns = read_table(path) if path.suffix == ".parquet" else read_model(path)
     found: dict[str, object] = {name: values.tolist() for name, values in columns.items()} | read_metadata(path)
-    if "zoom" in found:
-        found |= {f"zoom {name}": value for name, value in found.pop("zoom").items()}  # type: ignore[attr-defined]
-    return {name: value for name, value in found.items() if name not in ("seconds", "zoom seconds")}
+    for decision in ("zoom", "rolling_shutter"):
+        numbers = found.pop(decision, {})
+        found |= {f"{decision} {name}": value for name, value in numbers.items()}  # type: ignore[attr-defined]
+    return {name: value for name, value in found.items() if not name.endswith("seconds")}
 
 
 def test_motion_prior_from_flow_and_from_cameras(tmp_path: Path) -> None:
@@ -133,7 +134,12 @@ def test_image_of_more_gaussians_than_one_thread_takes() -> None:
 
     def image() -> list[torch.Tensor]:
         colour = scene.render(0.0, pose, K, square.WIDTH, square.HEIGHT).colour
-        return [colour, *torch.autograd.grad(colour.sum(), list(scene.gaussians.values())[:4])]
+        return [
+            colour,
+            *torch.autograd.grad(
+                colour.sum(), [scene.gaussians[name] for name in ("log_scales", "quats", "logits", "sh_dc")]
+            ),
+        ]
 
     one, *others = on_torch_threads(image)
     assert others == [one, one]
