@@ -99,6 +99,17 @@ def test_fog_is_told_from_exposure(extinction: float, level: float, drift_percen
         assert evidence.fitted.airlight == pytest.approx([level, level, 1.2 * level], abs=0.1)
 
 
+def test_what_is_burnt_in_is_no_point_of_the_scene() -> None:
+    room, scene = lit_room(), np.ones((96, 160), bool)
+    scene[10:50, 100:150] = False
+    logo = np.array([0.1, 0.9, 0.1])
+    shown = replace(room, rgb=np.where(scene[..., None], room.rgb, logo).astype(np.float32))
+    for known, found in ((None, True), (scene, False)):
+        seen = sight(replace(shown, scene=known))
+        green = seen.colours[..., 1] - seen.colours[..., 0] > 0.4
+        assert (green & seen.usable.all(axis=2)).any() == found
+
+
 def test_a_sky_behind_black_fog_has_errors_all_the_same() -> None:
     """Nothing is left of its light: e^-1000. A search for fog may pass through an airlight of zero."""
     seen = sight(lit_room())

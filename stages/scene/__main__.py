@@ -18,7 +18,7 @@ from stages.shared.artifacts import read_dense, read_json, read_metadata, write_
 from stages.shared.cameras import read_cameras, scale_intrinsics
 from stages.shared.cli import In, Out
 from stages.shared.log import logger
-from stages.shared.masks import read_instances, read_masks_on_grid
+from stages.shared.masks import read_instances, read_masks_on_grid, read_scene_on_grid
 from stages.shared.sequences import Sequence, read_sequence
 from stages.shared.split import held_out
 
@@ -119,6 +119,7 @@ def _observe(sequence: Sequence, flow: Path, masks: Path, poses: Path, depth: Pa
         flow=pairs["flow"][rows].astype(np.float32),
         confidence=pairs["confidence"][rows].astype(np.float32),
         offsets=ends[:, 1] - ends[:, 0],
+        scene=read_scene_on_grid(sequence, (w, h)),
     )
 
 

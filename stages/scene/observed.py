@@ -19,6 +19,7 @@ class Observed:
         cam_from_world: [F, 4, 4]. Ks: [F, 3, 3] in pixels of the flow grid.
         edges: [E, 2] positions in 0..F-1, source and target. flow: [E, h, w, 2] px. confidence: [E, h, w] 0..1.
         offsets: [E] frame distances of the edges, signed.
+        scene: [h, w] bool, false where something is burnt into all frames; None: nothing is.
     """
 
     rgb: np.ndarray
@@ -31,6 +32,7 @@ class Observed:
     flow: np.ndarray
     confidence: np.ndarray
     offsets: np.ndarray
+    scene: np.ndarray | None = None
 
 
 def depth_on_grid(inverse_depth: np.ndarray, stride_px: float, scale: float, height: int, width: int) -> np.ndarray:

@@ -21,7 +21,7 @@ GROUP_PX = 5
 """Side of the square of four points: beyond the smoothing, and mostly on the same surface."""
 GROUP = 4
 MARGIN_PX = 3
-"""Distance from movers within which smoothing mixes their colours in."""
+"""Distance from movers, and from what is burnt in, within which smoothing mixes their colours in."""
 MIN_SIGHTINGS = 4
 CELLS = (4, 6)
 """Rows and columns of the cells of space per image that are held out in turn."""
@@ -52,9 +52,10 @@ def sight(seen: Observed) -> Sightings:
     F = len(seen.rgb)
     smooth = np.stack([cv2.GaussianBlur(image, (0, 0), SMOOTH_PX) for image in seen.rgb])
     kernel = np.ones((2 * MARGIN_PX + 1, 2 * MARGIN_PX + 1), np.uint8)
-    moving = np.stack([cv2.dilate(mask.astype(np.uint8), kernel) for mask in seen.dynamic])
-    points = _points(seen, smooth, moving)
-    looked_up = [_look_up(seen, smooth[k], moving[k], k, points) for k in range(F)]
+    burnt_in = False if seen.scene is None else ~seen.scene  # rests in the image, not in the world
+    hidden = np.stack([cv2.dilate((mask | burnt_in).astype(np.uint8), kernel) for mask in seen.dynamic])
+    points = _points(seen, smooth, hidden)
+    looked_up = [_look_up(seen, smooth[k], hidden[k], k, points) for k in range(F)]
     colours, usable, off_axis = (np.stack(part, axis=1) for part in zip(*looked_up, strict=True))
     often = (usable.sum(axis=1) >= MIN_SIGHTINGS).any(axis=1)
     kept = np.repeat(often.reshape(-1, GROUP).all(axis=1), GROUP)
@@ -64,7 +65,7 @@ def sight(seen: Observed) -> Sightings:
     return Sightings(colours, usable, distance, off_axis, *_cells(seen, points, centres), points, centres)
 
 
-def _points(seen: Observed, smooth: np.ndarray, moving: np.ndarray) -> np.ndarray:
+def _points(seen: Observed, smooth: np.ndarray, hidden: np.ndarray) -> np.ndarray:
     """World points [n, 3] of groups of four flat static pixels of frames spread over the clip."""
     F, h, w = seen.depth.shape
     references = np.unique(np.linspace(0, F - 1, max(MIN_REFERENCES, F // FRAMES_PER_REFERENCE)).astype(int))
@@ -72,7 +73,7 @@ def _points(seen: Observed, smooth: np.ndarray, moving: np.ndarray) -> np.ndarra
     corners = np.array([[0, 0], [0, GROUP_PX], [GROUP_PX, 0], [GROUP_PX, GROUP_PX]])
     found = [np.zeros((0, 3))]
     for k in references:
-        flat = _is_flat(smooth[k], moving[k] > 0)
+        flat = _is_flat(smooth[k], hidden[k] > 0)
         whole = np.all([flat[v : h - GROUP_PX + v, u : w - GROUP_PX + u] for v, u in corners], axis=0)
         at = np.argwhere(whole)
         at = at[np.unique(np.linspace(0, len(at) - 1, min(groups, len(at))).astype(int))]
@@ -82,19 +83,19 @@ def _points(seen: Observed, smooth: np.ndarray, moving: np.ndarray) -> np.ndarra
     return np.concatenate(found)
 
 
-def _is_flat(image: np.ndarray, moving: np.ndarray) -> np.ndarray:
+def _is_flat(image: np.ndarray, hidden: np.ndarray) -> np.ndarray:
     """Static, well exposed pixels [h, w] of no more than the median contrast."""
     grey = image.mean(axis=-1)
     contrast = np.hypot(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1))
-    usable = ~moving & (grey > DARK) & (grey < BRIGHT)
+    usable = ~hidden & (grey > DARK) & (grey < BRIGHT)
     return np.asarray(usable & (contrast <= np.median(contrast[usable])) if usable.any() else usable)
 
 
 def _look_up(
-    seen: Observed, image: np.ndarray, moving: np.ndarray, k: int, points: np.ndarray
+    seen: Observed, image: np.ndarray, hidden: np.ndarray, k: int, points: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Colours [n, 3] of points in frame k, whether they are usable [n, 3], and `off_axis` [n]."""
-    h, w = moving.shape
+    h, w = hidden.shape
     z = points @ seen.cam_from_world[k, 2, :3] + seen.cam_from_world[k, 2, 3]
     front = z > 0
     uv = np.zeros((len(points), 2))
@@ -102,7 +103,7 @@ def _look_up(
     inside = front & ((uv >= 0) & (uv <= (w - 1, h - 1))).all(axis=1)
     uv[~inside] = 0.0
     near = np.abs(bilinear(seen.depth[k], uv) / np.where(inside, z, 1.0) - 1) < DEPTH_TOLERANCE
-    shown = inside & near & (bilinear(moving, uv) == 0)
+    shown = inside & near & (bilinear(hidden, uv) == 0)
     colours = bilinear(image, uv).astype(np.float32)
     usable = shown[:, None] & (colours > DARK) & (colours < BRIGHT)
     radius = (uv - seen.Ks[k, :2, 2]) / (0.5 * np.hypot(h, w))
