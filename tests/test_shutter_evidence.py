@@ -111,6 +111,24 @@ def test_what_is_slow_or_never_changes_its_speed_is_not_observable() -> None:
         assert reason in decision["why"]
 
 
+@pytest.mark.parametrize(
+    ("change", "needed"),
+    [
+        ({}, True),
+        ({"gain_percent": 0.2}, False),
+        ({"gain_sigma_percent": 2.5}, False),
+        ({"shutter": 0.15}, False),
+        ({"slope_sigma": 0.4}, False),
+        ({"speed_agreement": 0.4}, False),
+    ],
+    ids=["clear", "too little gain", "gain by chance", "smear below a pixel", "blind", "speeds of noise"],
+)
+def test_the_decision_follows_gain_and_smear_and_what_can_be_seen(change: dict[str, float], needed: bool) -> None:
+    clear = {"speed_px": 6.0, "speed_agreement": 0.9, "shutter": 0.5, "shutter_sigma": 0.05, "slope_sigma": 0.1}
+    evidence = clear | {"gain_percent": 4.0, "gain_sigma_percent": 0.1} | change
+    assert blur_rules.decide_motion_blur(evidence, "auto", None)["needed"] == needed
+
+
 def test_a_given_shutter_is_judged_and_used() -> None:
     assert decided(clip(0.5), given=0.4)["shutter"] == 0.4
     assert not decided(clip(0.0), given=0.4)["needed"]
