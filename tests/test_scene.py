@@ -1,6 +1,7 @@
 """Exact inputs of scene and control: the wall with a moving square, whole or with its held-out frame poisoned."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import finished_run as clip
@@ -14,6 +15,7 @@ from stages.scene import geometry, rules
 from stages.scene.observed import Observed, depth_on_grid
 from stages.scene.options import SceneOptions
 from stages.scene.travel import travel_evidence
+from stages.shared import lie
 from stages.shared.artifacts import read_dense, write_dense
 from stages.shared.cameras import make_cameras, write_cameras
 from stages.shared.cli import run
@@ -87,6 +89,16 @@ def test_a_pan_is_told_from_travel(spurious: float) -> None:
     turning = rules.decide_rotation_only(travel_evidence(panned("rotate", 0.1, spurious)), 0.0, "auto")
     assert turning["needed"]
     assert turning["interval"][1] < turning["threshold"]
+
+
+def test_a_pan_is_told_from_travel_where_pixels_are_not_square() -> None:
+    """Every fourth row of the frames, so that fy is a quarter of fx, and poses with an error about the view."""
+    seen, rows = panned("rotate", 0.1, 0.3), np.diag([1.0, 0.25, 1.0])
+    rolled = lie.exp_se3(np.linspace(-0.1, 0.1, len(seen.rgb))[:, None] * np.eye(6)[5]) @ seen.cam_from_world
+    flow = seen.flow[:, ::4] * np.array([1, 0.25], np.float32)
+    fewer = {name: getattr(seen, name)[:, ::4] for name in ("rgb", "dynamic", "instances", "depth", "confidence")}
+    tall = replace(seen, flow=flow, Ks=rows @ seen.Ks, cam_from_world=rolled, **fewer)
+    assert rules.decide_rotation_only(travel_evidence(tall), 0.0, "auto")["needed"]
 
 
 @pytest.mark.parametrize("motion", ["curve", "drift"])

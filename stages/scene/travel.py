@@ -79,13 +79,13 @@ def _turned_flow(
 ) -> np.ndarray:
     """Flow [n, 2] of a camera that turns, each half of the pixels by what fits the other half best (L1)."""
     start = _far_flow(uv, A)
-    x, y = ((uv - K[:2, 2]) / K[0, 0]).T
+    x, y = ((uv - K[:2, 2]) / K.diagonal()[:2]).T
     # The flow of a small rotation about x, y and z (Longuet-Higgins and Prazdny 1980), and of another focal length.
     turns = np.stack([np.stack([x * y, 1 + y * y], -1), np.stack([-(1 + x * x), -x * y], -1), np.stack([y, -x], -1)])
     longer = np.diag([1 + FOCAL_STEP, 1 + FOCAL_STEP, 1.0])
     rotation = np.linalg.inv(other_K) @ A @ K
     zoomed = _far_flow(uv, other_K @ longer @ rotation @ np.linalg.inv(K @ longer)) - start
-    basis = np.stack([*(other_K[0, 0] * turns), zoomed / FOCAL_STEP], axis=-1)
+    basis = np.stack([*(other_K.diagonal()[:2] * turns), zoomed / FOCAL_STEP], axis=-1)
     turned = start.copy()
     for half in (odd, ~odd):
         rows = np.flatnonzero(good & ~half)
