@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -198,6 +199,29 @@ def test_poses_to_start_from_are_adjusted_with_their_focal_length(tmp_path: Path
         InputError, match="intrinsics for poses that are held fixed, found none in this file; set `intr"
     ):
         solve(tmp_path / "none", centred, poses_from=file)
+
+
+def test_true_poses_without_intrinsics_are_not_doubted() -> None:
+    """Their focal length is found to less than the noise, not picked from a list."""
+    scene = make_scene(T=6, size=SIZE, disc_radius=0.6)
+    graph = observe(scene, noise_px=0.02)
+    focal_px = readings.best_focal(graph, scene.cam_from_world)
+    assert_allclose(focal_px, scene.focal_px, rtol=0.01)
+    assert readings.check(graph, "true.tum", scene.cam_from_world, np.full(6, focal_px), seed=0) == []
+
+
+@pytest.mark.parametrize("motion", ["curve", "rotate"])
+def test_intrinsics_of_frames_at_another_size_are_doubted(motion: str) -> None:
+    """Those of a video 1920 px wide, whose frames are reduced to 1024 px; right ones and 7 % off are not."""
+    scene = make_scene(T=6, size=SIZE, motion=motion)
+    graph = observe(scene, noise_px=0.02)
+    for factor in (0.93, 1.0, 1.07):
+        assert readings.doubts_about_lens(graph, factor * scene.focal_px, seed=0) == []
+    doubts = readings.doubts_about_lens(graph, 1.875 * scene.focal_px, seed=0)
+    assert len(doubts) == 1
+    assert doubts[0].startswith("the given focal length fits poorly")
+    moved = readings.doubts_about_lens(replace(graph, centre=graph.centre * 1.875), scene.focal_px, seed=0)
+    assert moved[0].startswith("the given principal point is 43% of the frame from its middle")
 
 
 def test_poses_held_fixed_keep_a_zoom(tmp_path: Path) -> None:

@@ -31,6 +31,7 @@ class Known:
         held: whether these are the focal lengths of the result, and not only where it starts.
         cam_from_world: [T, 4, 4]; None: unknown.
         fixed: whether these are the poses of the result. source: the user's file that they are from; "": the truth.
+        stated: whether the intrinsics are those of the user's `intrinsics:`.
     """
 
     centre: np.ndarray
@@ -40,6 +41,7 @@ class Known:
     cam_from_world: np.ndarray | None = None
     fixed: bool = False
     source: str = ""
+    stated: bool = False
 
     @property
     def focal_px(self) -> float | None:
@@ -88,16 +90,19 @@ def known_cameras(frames: Sequence, options: BAOptions, scale: float) -> Known:
         cam_from_world=poses,
         fixed=options.poses_fixed,
         source=source,
+        stated=options.intrinsics not in (ESTIMATE, TRUTH),
     )
 
 
 def examine(known: Known, graph: FlowGraph, seed: int) -> tuple[Known, list[str]]:
-    """What is known, with the focal length that suits the poses best if they came without, and warnings about them.
+    """What is known, with the focal length that suits the poses best if they came without, and warnings about it.
 
     Raises:
         InputError: if another reading of the user's poses explains the flow clearly better, or none does.
     """
     poses, focals_px = known.cam_from_world, known.focals_px
+    if poses is None and known.stated and known.focal_px is not None:
+        return known, readings.doubts_about_lens(graph, known.focal_px, seed)
     if poses is None or not known.source:
         return known, []
     if focals_px is None:

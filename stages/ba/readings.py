@@ -1,8 +1,9 @@
-"""Whether given poses explain the flow, or another reading of their file does: its direction, its axes."""
+"""Whether given cameras explain the flow, or another reading does: direction and axes of poses, focal length."""
 
 from collections.abc import Callable
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from stages.ba import classify, twoview
 from stages.ba.graph import MIN_MATCHES, FlowGraph
@@ -35,6 +36,17 @@ FITS_PX = 0.5
 """Another reading is named only if its residual is below this."""
 POOR = 4.0
 """From this many times the residual of the epipolar geometry fitted to each pair on, there is a warning."""
+FOCAL_TOLERANCE = 0.003
+"""Tolerance of the logarithm of the focal length that suits poses best."""
+FACTORS = (0.53, 0.73, 1.0, 1.37, 1.88)
+"""Factors on a given focal length that are compared: 1.88 is 1920 px over 1024 px, numbers of a video before it is
+reduced."""
+POOR_FOCAL = 1.8
+"""A given focal length is doubted if its residual is so many times that of another. (At 0.93 to 1.07 of the true one it
+is at most 1.3 times as large on 9 scenes; twice or half of it shows on scenes with enough parallax.)
+"""
+OFF_CENTRE = 0.25
+"""A principal point so far from the middle, in widths or heights of the frame, is doubted."""
 AHEAD = 0.1
 """A point nearer to the second camera than this share of its depth in the first counts as behind it."""
 
@@ -71,7 +83,37 @@ def best_focal(graph: FlowGraph, cam_from_world: np.ndarray) -> float:
     def left(focal_px: float) -> float:
         return min(residuals_px(graph, cam_from_world, np.full(graph.T, focal_px)).values())
 
-    return min((FOCALS * graph.width).tolist(), key=left)
+    focals_px = FOCALS * graph.width
+    best = int(np.argmin([left(focal_px) for focal_px in focals_px.tolist()]))
+    if not np.isfinite(left(float(focals_px[best]))):
+        return float(focals_px[best])
+    bounds = np.log([focals_px[max(best - 1, 0)], focals_px[min(best + 1, len(focals_px) - 1)]])
+    options = {"xatol": FOCAL_TOLERANCE}
+    found = minimize_scalar(lambda log: left(float(np.exp(log))), bounds=bounds, method="bounded", options=options)
+    return float(np.exp(found.x))
+
+
+def doubts_about_lens(graph: FlowGraph, focal_px: float, seed: int) -> list[str]:
+    """Warnings about a focal length, px, and a principal point, that of the graph, which the user states.
+
+    Numbers of frames at another size are the usual mistake. A focal length is compared with others by epipolar
+    geometry, or by a rotation if the camera only turns; where they fit alike nothing can be told.
+    """
+    size = np.array([graph.width, graph.height])
+    middle, centre = (size - 1) / 2, graph.centre * [1, graph.aspect]
+    off = float((np.abs(centre - middle) / size).max())
+    advice = "are the numbers those of another size?"
+    found = (
+        [f"the given principal point is {off:.0%} of the frame from its middle; {advice}"] if off > OFF_CENTRE else []
+    )
+    of_factor = {factor: classify.measure(graph, factor * focal_px, seed) for factor in FACTORS}
+    turns = any(of.camera == "rotating" for of in of_factor.values())
+    left_px = {factor: of.rotation_px if turns else of.sampson_px for factor, of in of_factor.items()}
+    best = min(left_px, key=lambda factor: left_px[factor])
+    if left_px[1.0] > POOR_FOCAL * left_px[best]:
+        told = f"{left_px[1.0]:.2g} px of residual between frames, {left_px[best]:.2g} px at {best:g} times of it"
+        found.append(f"the given focal length fits poorly: {told}; {advice}")
+    return found
 
 
 def residuals_px(graph: FlowGraph, cam_from_world: np.ndarray, focals_px: np.ndarray) -> dict[str, float]:
