@@ -41,6 +41,8 @@ def test_poses_that_are_held_fixed_need_two_rounds_and_are_an_input(repo_copy: P
         ({"preset": "accurate"}, 2, "none"),
         ({"rounds": 4, "first_masks": "flow"}, 4, "flow"),
         ({"ba": {"poses_as": "start"}}, 3, "flow"),
+        ({"segment": {"source": "masks"}}, 1, "flow"),
+        ({"segment": {"source": "masks"}, "ba": {"poses_as": "start"}}, 3, "flow"),
     ],
 )
 def test_rounds_under_given_poses(options: dict, rounds: int, first_masks: str) -> None:

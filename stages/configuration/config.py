@@ -8,7 +8,7 @@ from pydantic import Field, field_validator
 from stages.ba.options import BAOptions
 from stages.colmap.options import ColmapOptions
 from stages.configuration.comparison_options import ScalingOptions, SweepOptions
-from stages.configuration.presets import FIXED_POSES, PRESETS, Preset, override, value_of
+from stages.configuration.presets import FIXED_ALL, FIXED_POSES, PRESETS, Preset, override, value_of
 from stages.control.options import ControlOptions
 from stages.evaluate.options import EvaluateOptions
 from stages.export.options import ExportOptions
@@ -108,9 +108,10 @@ def load(raw: Mapping[str, Any], mine: Mapping[str, Any] | None = None, where: s
     if _hands_in_views(config):
         raw = override(raw, {"lens.distortion": _no_lens(config, where)})
     values, defaults = config.model_dump(by_alias=True), Config().model_dump(by_alias=True)
+    needless = (FIXED_POSES if config.segment.estimates else FIXED_ALL) if config.ba.poses_fixed else {}
     open_values = {
         name: value
-        for name, value in (PRESETS[config.preset] | (FIXED_POSES if config.ba.poses_fixed else {})).items()
+        for name, value in (PRESETS[config.preset] | needless).items()
         if value_of(mine or {}, name) is None and value_of(values, name) == value_of(defaults, name)
     }
     return validate(Config, override(raw, open_values), where)

@@ -43,6 +43,8 @@ FIXED_POSES: Overrides = {"rounds": 2, "first_masks": "none"}
 """Where poses are given and held fixed, the first round finds the depth, and the second the masks by poses and depth,
 and the depth with these masks: no further round would move a pose. They win over the preset.
 """
+FIXED_ALL: Overrides = {"rounds": 1}
+"""The same where masks are not estimated either: the first round finds the depth with these masks."""
 
 
 def override(raw: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
