@@ -19,8 +19,8 @@ from stages.shared.sequences import check_sequence
 def test_poses_that_are_held_fixed_need_two_rounds_and_are_an_input(repo_copy: Path) -> None:
     for name in ("one", "two"):
         write_frames(repo_copy / "clips" / name)
-        (repo_copy / f"{name}.tum").touch()
-    mine = "{dataset: clips, intrinsics: 1200, ba: {poses_from: '{sequence}.tum'}}"
+        (repo_copy / f"{name}.tum").write_text("".join(f"{k} 0 0 {k} 0 0 0 1\n" for k in range(1, 10)))
+    mine = "{dataset: clips, intrinsics: 100, ba: {poses_from: '{sequence}.tum'}}"
     result = run_snakemake(repo_copy, "poses", "-p", *with_options(repo_copy, mine))
     assert planned(result) == {"inspect", "flow", "lens", "motion", "segment", "ba", "poses"}
     counts = dict(re.findall(r"^(\w+) +(\d+)$", result.stdout, re.MULTILINE))
@@ -70,13 +70,41 @@ def test_what_a_run_was_given_is_named(tmp_path: Path, options: dict, named: str
 
 def test_one_file_for_several_sequences_is_refused(tmp_path: Path) -> None:
     cameras = tmp_path / "cameras.txt"
-    cameras.touch()
+    cameras.write_text("1 PINHOLE 64 48 50 50 32 24")
     one, two = (check_sequence(name, write_frames(tmp_path / name)) for name in ("one", "two"))
     config = configuration.load({"intrinsics": str(cameras)})
     given_inputs.check([(config, [one])])
     with pytest.raises(InputError, match=r"ba.intrinsics: expected \{sequence\} in the path.* names of 2 sequences"):
         given_inputs.check([(config, [one, two])])
-    given_inputs.check([(configuration.load({"intrinsics": "exif"}), [one, two])])
+    given_inputs.check([(configuration.load({"intrinsics": 60}), [one, two])])
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        ({"intrinsics": "exif"}, "expected EXIF data"),
+        ({"intrinsics": "5"}, "expected a focal length of"),
+        ({"ba": {"poses_from": "all.tum"}}, "expected intrinsics for poses that are held fixed"),
+        ({"intrinsics": "60", "ba": {"poses_from": "half.tum"}}, "expected a pose for each of the"),
+        ({"intrinsics": "60", "ba": {"poses_from": "all.tum"}}, None),
+        ({"ba": {"poses_from": "all.tum", "poses_as": "start"}}, None),
+    ],
+)
+def test_cameras_that_cannot_be_right_are_refused_before_any_job(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, options: dict, expected: str | None
+) -> None:
+    """And not after the flow of all frames."""
+    monkeypatch.chdir(tmp_path)
+    one = check_sequence("one", write_frames(tmp_path / "one"))
+    lines = [f"{number} 0 0 {number} 0 0 0 1\n" for number in one.numbers]
+    Path("all.tum").write_text("".join(lines))
+    Path("half.tum").write_text("".join(lines[::2]))
+    runs = [(configuration.load(options), [one])]
+    if expected is None:
+        given_inputs.check(runs)
+    else:
+        with pytest.raises(InputError, match=expected):
+            given_inputs.check(runs)
 
 
 def test_a_rewritten_camera_file_is_noticed(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from stages.ba.options import BAOptions
 from stages.ba.problem import Estimate
 from stages.ba.start import PoseGuess
 from stages.ba.uncertainty import median_residual
-from stages.given.cameras_files import read_intrinsics, read_poses
+from stages.given.cameras_files import read_intrinsics, read_poses, require_lens
 from stages.given.files import of_sequence
 from stages.given.intrinsics import ESTIMATE, TRUTH
 from stages.shared import sintel
@@ -77,9 +77,8 @@ def known_cameras(frames: Sequence, options: BAOptions, scale: float) -> Known:
     poses, Ks = _poses(frames, options)
     if options.intrinsics != ESTIMATE:
         Ks = np.broadcast_to(_intrinsics(frames, options.intrinsics), (len(frames.numbers), 3, 3))
-    if options.poses_fixed and Ks is None:
-        advice = "set `intrinsics:`, or `ba: {poses_as: start}` to estimate the focal length"
-        raise InputError(options.poses_from, "intrinsics for poses that are held fixed", "none in this file", advice)
+    if options.poses_fixed:
+        require_lens(options.poses_from, Ks)
     source = "" if options.poses_from in (ESTIMATE, TRUTH) else str(of_sequence(options.poses_from, frames.name))
     seen = scale_intrinsics(centred_intrinsics(1, frames.width, frames.height)[None] if Ks is None else Ks, scale)
     return Known(

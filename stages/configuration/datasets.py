@@ -154,8 +154,10 @@ def _decoded_folder(config: Config) -> Path:
 
 
 def _decoded(name: str, folder: Path, index: "Index") -> Sequence:
-    numbers = list(range(1, len(index.shots[name].pts) + 1))
-    return Sequence(name, [folder / f"frame_{n:04d}.png" for n in numbers], numbers, index.width, index.height)
+    times_s = index.shots[name].times_s
+    numbers = list(range(1, len(times_s) + 1))
+    frames = [folder / f"frame_{n:04d}.png" for n in numbers]
+    return Sequence(name, frames, numbers, index.width, index.height, times_s=times_s)
 
 
 def _promised(name: str, scene: Path) -> Sequence:

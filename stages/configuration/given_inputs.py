@@ -1,4 +1,4 @@
-"""What the user hands in for the sequences of a run: checked for existence and number while the rules are read."""
+"""What the user hands in for the sequences of a run, checked while the rules are read: files are there, cameras fit."""
 
 import difflib
 from collections.abc import Callable, Iterable, Mapping
@@ -6,12 +6,13 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+from stages.ba.options import BAOptions
 from stages.configuration.config import Config
 from stages.configuration.config import section as section_of
 from stages.given import depth, flow, masks
-from stages.given.cameras_files import find_cameras
+from stages.given.cameras_files import find_cameras, read_intrinsics, read_poses, require_lens
 from stages.given.files import PLACEHOLDER, of_sequence
-from stages.given.intrinsics import parse
+from stages.given.intrinsics import ESTIMATE, EXIF, TRUTH, parse
 from stages.shared.errors import InputError
 from stages.shared.options import allowed_words
 from stages.shared.sequences import Sequence, frames_digest
@@ -38,15 +39,20 @@ def given(config: Config, section: str = "") -> dict[str, str]:
 
 
 def check(runs: Iterable[tuple[Config, Iterable[Sequence]]]) -> None:
-    """Find the files that the user hands in for the sequences of every configuration, without reading them.
+    """Find the files that the user hands in for the sequences of every configuration, and read those of cameras.
 
     Raises:
-        InputError: for a path that does not exist, one path for several sequences, or a frame without its file.
+        InputError: for a path that does not exist, one path for several sequences, a frame without its file or pose,
+            and cameras that cannot be right.
     """
     asked: dict[tuple[str, str], tuple[Config, dict[str, Sequence]]] = {}
+    seen: dict[tuple[str, ...], tuple[Config, dict[str, Sequence]]] = {}
     for config, sequences in runs:
+        named = {sequence.name: sequence for sequence in sequences}
         for found in given(config).items():
-            asked.setdefault(found, (config, {}))[1].update({sequence.name: sequence for sequence in sequences})
+            asked.setdefault(found, (config, {}))[1].update(named)
+        cameras = _adjustment(config)
+        seen.setdefault((cameras.intrinsics, cameras.poses_from, cameras.poses_as), (config, {}))[1].update(named)
     for (option, path), (config, of_name) in asked.items():
         where, allowed = f"config.yaml: {option}", _words(config, option)
         if PLACEHOLDER not in path and not Path(path).exists():
@@ -58,7 +64,10 @@ def check(runs: Iterable[tuple[Config, Iterable[Sequence]]]) -> None:
             advice = f"write it where the names differ, as in folder/{PLACEHOLDER}, or choose one of `sequences:`"
             raise InputError(where, expected, f"'{path}'", advice)
         for sequence in of_name.values():
-            _find(config, option, path, sequence)
+            FINDERS[option](of_sequence(path, sequence.name), _used(config, sequence))
+    for config, of_name in seen.values():
+        for sequence in of_name.values():
+            _check_cameras(config, _used(config, sequence))
 
 
 def added_edges(config: Config, sequence: Sequence) -> int:
@@ -76,11 +85,29 @@ def digest(config: Config, section: str, sequence: Sequence) -> str:
     return frames_digest(found) if found else ""
 
 
-def _find(config: Config, option: str, path: str, sequence: Sequence) -> list[Path]:
-    limit = config.inspect.max_frames
-    used = None if limit == "all" else limit
-    part = replace(sequence, frames=sequence.frames[:used], numbers=sequence.numbers[:used])
-    return FINDERS[option](of_sequence(path, sequence.name), part)
+def _used(config: Config, sequence: Sequence) -> Sequence:
+    """The part of a sequence that is used."""
+    limit = None if config.inspect.max_frames == "all" else config.inspect.max_frames
+    times_s = sequence.times_s and sequence.times_s[:limit]
+    return replace(sequence, frames=sequence.frames[:limit], numbers=sequence.numbers[:limit], times_s=times_s)
+
+
+def _check_cameras(config: Config, frames: Sequence) -> None:
+    """Read the cameras that the user states for the frames; of EXIF data those of the first, if it is there."""
+    options = _adjustment(config)
+    seen = options.intrinsics != EXIF or frames.times_s is not None or frames.frames[0].is_file()
+    if options.intrinsics not in (ESTIMATE, TRUTH) and seen:
+        read_intrinsics(options.intrinsics, replace(frames, frames=frames.frames[:1]))
+    if _path_in(config, "ba.poses_from"):
+        _, Ks = read_poses(options.poses_from, frames, lenses=options.intrinsics == ESTIMATE)
+        if options.poses_fixed and options.intrinsics == ESTIMATE:
+            require_lens(options.poses_from, Ks)
+
+
+def _adjustment(config: Config) -> BAOptions:
+    options = section_of(config, "ba")
+    assert isinstance(options, BAOptions), "the section of ba"
+    return options
 
 
 def _path_in(config: Config, option: str) -> str | None:

@@ -56,6 +56,17 @@ def read_poses(text: str, frames: Sequence, lenses: bool = True) -> tuple[np.nda
     return found.cam_from_world[index], Ks
 
 
+def require_lens(source: str, Ks: np.ndarray | None) -> None:
+    """Refuse poses of `source` that are held fixed without intrinsics Ks [T, 3, 3].
+
+    Raises:
+        InputError: if there are none.
+    """
+    if Ks is None:
+        advice = "set `intrinsics:`, or `ba: {poses_as: start}` to estimate the focal length"
+        raise InputError(source, "intrinsics for poses that are held fixed", "none in this file", advice)
+
+
 def find_cameras(path: Path) -> list[Path]:
     """The files that are read of a given path: those of a COLMAP model, else itself.
 
