@@ -10,8 +10,9 @@ import torch
 from gaussian_training import CANONICAL, TRAIN, image_at, new_scene, psnr
 
 from stages.gaussians import checkpoint
+from stages.gaussians.births import birth_frames
 from stages.gaussians.densify import densify
-from stages.gaussians.lifting import birth_frames, cloud_within, initial_cloud, near_plane_of
+from stages.gaussians.lifting import cloud_within, initial_cloud, near_plane_of
 from stages.gaussians.optimise import Trainer
 from stages.gaussians.options import GaussiansOptions
 from stages.gaussians.training_frames import TrainingFrames
@@ -147,6 +148,21 @@ def test_movers_are_lifted_from_even_frames_within_the_cap() -> None:
     fitting, _ = cloud_within(seen, motion, CANONICAL, 2, 4, 0, most, EVERY)
     assert len(fitting.means) <= most
     assert fitting.log_spans[fitting.dynamic].max() < ALWAYS
+
+
+def test_a_mover_that_only_frames_between_show_is_lifted_from_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The square passes by in the third frame alone, and movers are lifted from the first, the fourth and so on."""
+    where = truth.square_centre
+    monkeypatch.setattr(truth, "square_centre", lambda t: where(t) + 100 * (abs(t - truth.TIMES[TRAIN[2]]) > 1e-6))
+    seen = truth.observations(TRAIN)
+    assert seen.masks.any(axis=(1, 2)).tolist() == [f == 2 for f in range(len(TRAIN))]
+    monkeypatch.undo()
+    arguments = (seen, truth.true_motion(), CANONICAL, 2, 4, 0)
+    cloud = initial_cloud(*arguments, movers_every=EVERY)
+    assert cloud.dynamic.sum() == pytest.approx(seen.masks[2, 1::2, 1::2].sum(), rel=0.1)
+    assert (cloud.births[cloud.dynamic] - seen.times[2]).abs().max() < 1e-6
+    full = initial_cloud(*arguments, movers_every=EVERY, max_gaussians=len(cloud.means) - 1)
+    assert not full.dynamic.any()  # nor is the scene lifted more coarsely for it
 
 
 def test_halves_inherit_life_spans_and_what_hardly_lives_is_pruned() -> None:

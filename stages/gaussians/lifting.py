@@ -1,20 +1,22 @@
 """Initialisation of the Gaussians: pixels of several training frames lifted by depth, labelled static or dynamic."""
 
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 import torch
 
 from stages.deformation.motion_models import Deformation
+from stages.gaussians.births import birth_frames, with_life_spans
 from stages.gaussians.skinning import skin, to_canonical
 from stages.gaussians.training_frames import TrainingFrames
 from stages.gaussians.votes import DEPTH_TOLERANCE, dynamic_share, pixels_of, static_share
 from stages.shared.cameras import unproject
 from stages.splatting import sh
 from stages.splatting.gaussian_model import Cloud
-from stages.splatting.life_spans import ALWAYS
+from stages.splatting.life_spans import presence
+from stages.splatting.raster_bins import MIN_ALPHA
 from stages.splatting.rasterize import rasterize
 
 LIFTED_FRAMES = 8
@@ -22,8 +24,6 @@ LIFTED_FRAMES = 8
 SCALE_SHARE = 0.5
 """Initial standard deviation as a share of the distance between neighbouring Gaussians."""
 OPACITY = 0.8
-SPAN_SHARE = 0.75
-"""Initial life span as a share of the time between two frames that movers are lifted from."""
 OUTLINE = 0.006
 """Width of the uncertain band along a mask's outline, as a share of the frame's width: 3 of 512 px. With a narrower one
 static Gaussians keep the colours of the movers' rim, which lowers held-out PSNR."""
@@ -94,21 +94,32 @@ def _covered(seen: TrainingFrames, f: int, positions: np.ndarray, stride_px: int
 
 
 def lift_dynamic(
-    seen: TrainingFrames, order: list[int], stride_px: int, deformation: Deformation, K: int, everywhere: bool = False
+    seen: TrainingFrames,
+    order: list[int],
+    stride_px: int,
+    deformation: Deformation,
+    K: int,
+    births: list[int],
+    most: int = sys.maxsize,
 ) -> tuple[Points, np.ndarray]:
     """Lifted points of masked pixels that no dynamic point covers yet, and their canonical positions [n, 3].
 
     Args:
         order: indices of the frames. stride_px: distance between lifted pixels, px. K: control points per Gaussian.
-        everywhere: lift all masked pixels of these frames, covered or not.
+        births: frames whose masked pixels are all lifted, covered or not; points then have life spans.
+        most: frames other than `births` add none beyond this many points.
     """
     parts: list[Points] = []
     canonical: list[np.ndarray] = []
     for f in order:
-        need = seen.masks[f]
-        if parts and not everywhere:
-            need = need & (_dynamic_alpha(seen, f, join(parts), np.concatenate(canonical), deformation, K) < 0.5)
+        need, adds = seen.masks[f], bool(parts) and f not in births
+        if adds:
+            need = need & (
+                _dynamic_alpha(seen, f, join(parts), np.concatenate(canonical), deformation, K, births) < 0.5
+            )
         points = lift(seen, f, need, stride_px)
+        if adds and sum(map(len, canonical)) + len(points.frames) > most:
+            continue
         positions, found = to_canonical(points.positions, seen.times[points.frames], deformation, K)
         parts.append(points[found])
         canonical.append(positions[found])
@@ -117,16 +128,24 @@ def lift_dynamic(
 
 @torch.no_grad()
 def _dynamic_alpha(
-    seen: TrainingFrames, f: int, points: Points, canonical: np.ndarray, deformation: Deformation, K: int
+    seen: TrainingFrames,
+    f: int,
+    points: Points,
+    canonical: np.ndarray,
+    deformation: Deformation,
+    K: int,
+    births: list[int],
 ) -> np.ndarray:
     """Rendered alpha [H, W] of the dynamic points alone in frame f."""
     height, width = seen.depths.shape[1:]
     cloud = make_cloud(points, canonical, np.ones(len(canonical), bool), sh_degree=0)
-    means = skin(cloud.means, float(seen.times[f]), deformation, K)
-    viewmat, camera = torch.tensor(seen.cam_from_world[f][None]), torch.tensor(seen.Ks[f][None])
-    scales, opacities = cloud.log_scales.exp(), cloud.logits.sigmoid()
-    near_plane = near_plane_of(seen)
-    rendered = rasterize(means, cloud.quats, scales, opacities, cloud.sh, viewmat, camera, width, height, 0, near_plane)
+    cloud = with_life_spans(cloud, points.frames, seen.times, births)
+    opacities = cloud.logits.sigmoid() * presence(cloud.births, cloud.log_spans, float(seen.times[f]))
+    there = opacities > MIN_ALPHA
+    means = skin(cloud.means[there], float(seen.times[f]), deformation, K)
+    shapes = (cloud.quats[there], cloud.log_scales[there].exp(), opacities[there], cloud.sh[there])
+    cameras = torch.tensor(seen.cam_from_world[f][None]), torch.tensor(seen.Ks[f][None])
+    rendered = rasterize(means, *shapes, *cameras, width, height, 0, near_plane_of(seen))
     return rendered.alpha[0].numpy()
 
 
@@ -198,8 +217,8 @@ def initial_cloud(
     Args:
         canonical: index (into the F training frames) of the canonical frame.
         stride_px: distance between lifted pixels, px. K: control points per Gaussian.
-        movers_every: dynamic Gaussians have life spans, and are lifted from one frame in this many; 0: they are there
-            at all times, and each frame adds only what those before do not show.
+        movers_every: dynamic Gaussians have life spans, and are lifted from one frame in this many, from the others
+            where none of them is; 0: they are there at all times, and each frame adds what those before do not show.
         max_gaussians: to stay within, movers are lifted from fewer frames, but from no less than half as many.
     """
     order = frame_order(len(seen.images), canonical)
@@ -216,7 +235,11 @@ def initial_cloud(
     recovered, found = to_canonical(static.positions[claimed], claimed_times, deformation, K)
     room = stride_px**2 * (max_gaussians - len(static.frames))
     births = birth_frames(seen.masks.sum(axis=(1, 2)), movers_every, room) if movers_every else []
-    dynamic, means = lift_dynamic(seen, births or order, stride_px, deformation, K, everywhere=bool(births))
+    most = sys.maxsize
+    if births:  # a mover that passes by may show between these frames only
+        order = births + [f for f in range(len(seen.images)) if f not in births and seen.masks[f].any()]
+        most = max_gaussians - len(static.frames)
+    dynamic, means = lift_dynamic(seen, order, stride_px, deformation, K, births, most)
     rest = torch.as_tensor(means, dtype=torch.float32)
 
     def moved(f: int) -> np.ndarray:
@@ -231,31 +254,3 @@ def initial_cloud(
     labels = np.concatenate([np.zeros((~claimed).sum(), bool), np.ones(found.sum(), bool), moves])
     cloud = make_cloud(points, positions, labels, sh_degree)
     return with_life_spans(cloud, points.frames[np.argsort(labels, kind="stable")], seen.times, births)
-
-
-def birth_frames(masked: np.ndarray, every: int, room: int) -> list[int]:
-    """Indices of the frames that movers are lifted from: about one in `every` of F, evenly spread, with both ends.
-
-    As long as these have more masked pixels [F] than there is `room` for, one in more is taken, up to twice `every`:
-    of movers lifted half as often less is lost than of a whole scene that is lifted more coarsely.
-    """
-    F = len(masked)
-    for gap in range(every, 2 * every + 1):
-        chosen = np.unique(np.linspace(0, F - 1, 1 + max(1, round((F - 1) / gap))).round().astype(int))
-        if masked[chosen].sum() <= room:
-            break
-    return [int(f) for f in chosen]
-
-
-def with_life_spans(cloud: Cloud, frames: np.ndarray, times: np.ndarray, births: list[int]) -> Cloud:
-    """The cloud with life spans of its dynamic Gaussians, around the frames [N] that they were lifted from.
-
-    Args:
-        times: [F] of the frames. births: indices of the frames that movers are lifted from; none: no life spans.
-    """
-    if not births:
-        return cloud
-    gap = float(np.mean(np.diff(times[births])))
-    spans = torch.full_like(cloud.logits, float(np.log(SPAN_SHARE * gap)))
-    log_spans = torch.where(cloud.dynamic, spans, torch.full_like(spans, ALWAYS))
-    return replace(cloud, births=torch.as_tensor(times[frames], dtype=torch.float32), log_spans=log_spans)

@@ -1,0 +1,40 @@
+"""Frames that movers are lifted from, and the life spans of their Gaussians around these frames."""
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+
+from stages.splatting.gaussian_model import Cloud
+from stages.splatting.life_spans import ALWAYS
+
+SPAN_SHARE = 0.75
+"""Initial life span as a share of the time between two frames that movers are lifted from."""
+
+
+def birth_frames(masked: np.ndarray, every: int, room: int) -> list[int]:
+    """Indices of the frames that movers are lifted from: about one in `every` of F, evenly spread, with both ends.
+
+    As long as these have more masked pixels [F] than there is `room` for, one in more is taken, up to twice `every`:
+    of movers lifted half as often less is lost than of a whole scene that is lifted more coarsely.
+    """
+    F = len(masked)
+    for gap in range(every, 2 * every + 1):
+        chosen = np.unique(np.linspace(0, F - 1, 1 + max(1, round((F - 1) / gap))).round().astype(int))
+        if masked[chosen].sum() <= room:
+            break
+    return [int(f) for f in chosen]
+
+
+def with_life_spans(cloud: Cloud, frames: np.ndarray, times: np.ndarray, births: list[int]) -> Cloud:
+    """The cloud with life spans of its dynamic Gaussians, around the frames [N] that they were lifted from.
+
+    Args:
+        times: [F] of the frames. births: indices of the frames that movers are lifted from; none: no life spans.
+    """
+    if not births:
+        return cloud
+    gap = float(np.mean(np.diff(times[births])))
+    spans = torch.full_like(cloud.logits, float(np.log(SPAN_SHARE * gap)))
+    log_spans = torch.where(cloud.dynamic, spans, torch.full_like(spans, ALWAYS))
+    return replace(cloud, births=torch.as_tensor(times[frames], dtype=torch.float32), log_spans=log_spans)
