@@ -141,6 +141,18 @@ def test_wrong_masks_are_refused_in_one_line(tmp_path: Path, frames: Sequence, w
         taken(write(tmp_path / "masks", images), frames)
 
 
+def test_inverted_masks_of_large_movers_are_told(
+    tmp_path: Path, frames: Sequence, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Movers over 30 % of the view: inverted, their masks pass the limit."""
+    marked = np.zeros((H, W), np.uint8)
+    marked[: round(0.3 * H)] = 255
+    taken(write(tmp_path / "right", [Image.fromarray(marked)] * T), frames)
+    assert not caplog.messages
+    taken(write(tmp_path / "inverted", [Image.fromarray(255 - marked)] * T), frames)
+    assert "of the pixels as moving: invert them" in caplog.messages[0]
+
+
 def test_two_files_for_a_frame_and_no_folder_are_refused(tmp_path: Path, frames: Sequence) -> None:
     for name in ("a{}.png", "b{}.png"):
         write(tmp_path / "masks", [binary(m > 0) for m in labels()], name)

@@ -10,6 +10,7 @@ from PIL import Image, UnidentifiedImageError
 from stages.given import files
 from stages.given.arrays import check_size
 from stages.shared.errors import InputError
+from stages.shared.log import logger
 from stages.shared.sequences import Sequence
 from stages.shared.threads import threaded
 
@@ -24,6 +25,8 @@ MOST_INSTANCES = 64
 """More values than this in 8 bits are shades of grey and no numbers."""
 MOST_DYNAMIC = 0.85
 """Masks over a larger share of the clip leave too little static area for the poses."""
+USUAL_DYNAMIC = 0.5
+"""Above this share a warning says so: masks may be inverted."""
 
 
 @dataclass(frozen=True)
@@ -76,6 +79,9 @@ def read(paths: Listed[Path], frames: Sequence) -> GivenMasks:
         expected = f"masks that mark what moves, at most {MOST_DYNAMIC:.0%} of all pixels"
         how = " by black, as in COLMAP's masks," if inverted else ""
         raise InputError(folder, expected, f"{share:.0%} marked{how}", "invert them if they mark what is static")
+    if share > USUAL_DYNAMIC:
+        told = "%s: the given masks mark %.0f %% of the pixels as moving: invert them if they mark what is static"
+        logger.warning(told, frames.name, 100 * share)
     return GivenMasks(paths, size, kind, threshold, share)
 
 
