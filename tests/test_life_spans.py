@@ -197,8 +197,11 @@ def test_files_hold_the_life_spans(tmp_path: Path) -> None:
         assert np.array_equal(image_at(scene, k), image_at(again, k))
         assert psnr(image_at(small, k), image_at(scene, k), np.ones((truth.HEIGHT, truth.WIDTH), bool)) > 40
     time = float(truth.TIMES[4])
+    with torch.no_grad():
+        scene.gaussians["logits"][0] = 30.0  # in single precision its opacity is 1
     write_splats(tmp_path / "splats.ply", scene, time)
     written = read_ply(tmp_path / "splats.ply")
+    assert np.isfinite(written[3]).all()
     with torch.no_grad():
         opacities, rows = scene.opacities_at(time)
         means = scene.at(time)[0][rows]

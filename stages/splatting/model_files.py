@@ -125,7 +125,7 @@ def write_splats(path: Path, scene: GaussianScene, time: float) -> None:
     opacities, rows = scene.opacities_at(time)
     means, quats, sh_dc = scene.at(time, rows=rows)
     values = scene.gaussians
-    logits = values["logits"] if rows is None else opacities.logit()
+    logits = values["logits"] if rows is None else opacities.logit(eps=1e-6)  # of an opacity of 1 it is infinite
     sh = torch.cat([sh_dc, rows_of(values["sh_rest"], rows)], dim=1)
     write = write_spz if path.suffix == ".spz" else write_ply
     write(path, *(x.cpu().numpy() for x in (means, quats, rows_of(values["log_scales"], rows), logits, sh)))

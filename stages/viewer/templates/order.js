@@ -1,5 +1,5 @@
-// The order of drawing: all Gaussians in front of the camera that are there at the time, nearest first. No worker does this: two passes of
-// counting take 1 to 2 ms for 50 000 Gaussians, and so the order is always that of the picture.
+// The order of drawing: all Gaussians in front of the camera that are there at the time, nearest first. No worker does
+// this: two passes of counting take 1 to 2 ms for 50 000 Gaussians, and so the order is always that of the picture.
 
 // Largest (time from the birth / span)^2 / 2 at which a Gaussian may be drawn: exp(-GONE) is the least alpha, 1/255.
 const GONE = Math.log(255);
