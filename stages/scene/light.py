@@ -263,7 +263,7 @@ def _solve(
     F, K = error.shape[1], len(extras)
     weighted = weight * slope
     scatter = (weighted * slope).sum(axis=1)
-    inverse = np.divide(1.0, scatter, out=np.zeros_like(scatter), where=scatter > 0)
+    inverse = np.divide(1.0, scatter, out=np.zeros_like(scatter), where=scatter > np.finfo(scatter.dtype).tiny)
 
     def clear_of_radiance(values: np.ndarray) -> np.ndarray:
         return np.asarray(weight * (values - slope * ((weighted * values).sum(axis=1) * inverse)[:, None]))
