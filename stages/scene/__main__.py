@@ -37,8 +37,8 @@ def main(
     """Decide from evidence which effects the reconstruction has to model, and write why.
 
     Moving parts, a camera that only rotates, changes of exposure and white balance, fog, view-dependent colour,
-    non-rigid movers and motion blur are modelled where that predicts samples of the training frames, to which it was not
-    fitted, better. An option can overrule each decision. Those about the camera - zoom, rolling shutter, distortion -
+    non-rigid movers and motion blur are modelled where that predicts samples of the training frames better to which it
+    was not fitted. An option can overrule each decision. Those about the camera - zoom, rolling shutter, distortion -
     were made before, on the same terms, and stand beside them.
     """
     content = read_sequence(sequence)
