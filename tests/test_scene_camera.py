@@ -13,13 +13,13 @@ from stages.scene.figure import decision_table
 
 def adjusted(option: str = "auto") -> dict[str, Any]:
     """Metadata of poses: a zoom that was found, and a shutter that was not tested."""
-    found = zoom.Evidence("changing", "it saves much", 0.25, 0.03, 0.04, 0.3, 0.01, 2.5)
+    found = zoom.Evidence("changing", "it saves much", 0.25, 0.03, 0.04, 2.5, 0.3, 0.01)
     options = {"zoom": option, "rolling_shutter": "auto"}
     return {"zoom": asdict(found), "rolling_shutter": asdict(shutter.NOT_TESTED), "options": options}
 
 
 def test_what_was_decided_before_is_told_on_the_same_terms() -> None:
-    lens = asdict(distortion.Evidence("straight", "it saves nothing", -0.001, 0.002, 0.02, 0.0004, 0.001, 1.0))
+    lens = asdict(distortion.Evidence("straight", "it saves nothing", -0.001, 0.002, 0.02, 1.0, 0.0004, 0.001))
     found = camera_decisions(adjusted(), lens | {"options": {"distortion": "auto"}})
     assert {name: decision["needed"] for name, decision in found.items()} == {
         "zoom": True,

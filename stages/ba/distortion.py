@@ -35,26 +35,16 @@ ITERATIONS = 15
 
 
 @dataclass(frozen=True)
-class Evidence:
-    """The decision about radial distortion and the numbers behind it.
+class Evidence(held_out.Verdict):
+    """The verdict on radial distortion: "distorted" or "straight", if it is observable.
 
     Attributes:
-        decision: "distorted", "straight", "not observable" or "not tested"; reason: why, in words.
-        gain: share of the cost of held-out pixels that the coefficients save; gain_sigma: its standard error.
-        threshold: the gain from which on the lens is distorted, if that is significant.
         shift: what the lens moves a corner of the image outwards by, as a share of its distance to the centre;
             shift_sigma: its predicted error.
-        seconds: CPU time of the decision.
     """
 
-    decision: str
-    reason: str
-    gain: float | None = None
-    gain_sigma: float | None = None
-    threshold: float | None = None
     shift: float | None = None
     shift_sigma: float | None = None
-    seconds: float = 0.0
 
 
 NOT_TESTED = Evidence("not tested", "the options exclude it")
@@ -139,7 +129,7 @@ def _weigh(observed: Observed, density: float) -> tuple[Evidence, Fit]:
         zoomed = fit(plain.state, replace(straight, zoom=True)), fit(best.state, replace(bent, zoom=True))
         if held_out.gain(graph, zoomed)[0] < MIN_GAIN:
             decision, reason = "straight", f"{reason}; a focal length that changes explains as much"
-    return Evidence(decision, reason, gain, gain_sigma, MIN_GAIN, shift, shift_sigma), best
+    return Evidence(decision, reason, gain, gain_sigma, MIN_GAIN, shift=shift, shift_sigma=shift_sigma), best
 
 
 def _unknowns(statistics: Statistics) -> Unknowns:

@@ -20,6 +20,25 @@ SHARP, SHARP_PX = 2.0, (0.05, 0.5)
 
 
 @dataclass(frozen=True)
+class Verdict:
+    """The decision about a richer model and the numbers behind it.
+
+    Attributes:
+        decision: a word of the model's own, "not observable" or "not tested"; reason: why, in words.
+        gain: share of the cost of held-out pixels that the model saves; gain_sigma: its standard error.
+        threshold: the gain from which on the model is taken, if that is significant.
+        seconds: CPU time of the decision.
+    """
+
+    decision: str
+    reason: str
+    gain: float | None = None
+    gain_sigma: float | None = None
+    threshold: float | None = None
+    seconds: float = 0.0
+
+
+@dataclass(frozen=True)
 class Fit:
     """Cameras fitted to half of the tiles: their cost there, and the errors in px of every match [E, P] of the rest."""
 

@@ -39,27 +39,16 @@ MAX_SIGMA = 0.15
 
 
 @dataclass(frozen=True)
-class Evidence:
-    """The decision about a rolling shutter and the numbers behind it.
+class Evidence(held_out.Verdict):
+    """The verdict on a rolling shutter: "rolling" or "global", if it is observable.
 
     Attributes:
-        decision: "rolling", "global", "not observable" or "not tested"; reason: why, in words.
-        gain: share of the cost of held-out pixels that a rolling shutter saves; gain_sigma: its standard error.
-        threshold: the gain from which on the shutter rolls, if that is significant.
-        readout: time from the first row to the last, in usual intervals of the frames; negative if the last row comes
-            first; 0: not known.
+        readout: time from the first row to the last, in frames; negative if the last row comes first; 0: not known.
         readout_sigma: its predicted error.
-        seconds: CPU time of the decision.
     """
 
-    decision: str
-    reason: str
-    gain: float | None = None
-    gain_sigma: float | None = None
-    threshold: float | None = None
     readout: float = 0.0
     readout_sigma: float | None = None
-    seconds: float = 0.0
 
 
 NOT_TESTED = Evidence("not tested", "there are no poses, or the options exclude it")
@@ -168,7 +157,7 @@ def weigh(graph: FlowGraph, state: State, unknowns: Unknowns, prior: FocalPrior,
     if assumed:
         decision, reason = "rolling", f"as the options say; {reason}"
     seconds = time.process_time() - began
-    return Evidence(decision, reason, gain, gain_sigma, MIN_GAIN, readout, sigma, seconds)
+    return Evidence(decision, reason, gain, gain_sigma, MIN_GAIN, seconds, readout, sigma)
 
 
 def _search(graph: FlowGraph, fit: Callable[[float, State], Fit], state: State) -> tuple[dict[float, Fit], float]:

@@ -26,25 +26,15 @@ ONE, PER_FRAME = Unknowns(focal=True), Unknowns(focal=True, zoom=True)
 
 
 @dataclass(frozen=True)
-class Evidence:
-    """The decision about a changing focal length and the numbers behind it.
+class Evidence(held_out.Verdict):
+    """The verdict on a changing focal length: "changing" or "constant", if it is observable.
 
     Attributes:
-        decision: "changing", "constant", "not observable" or "not tested"; reason: why, in words.
-        gain: share of the cost of held-out pixels that a focal length per frame saves; gain_sigma: its standard error.
-        threshold: the gain from which on the focal length changes, if that is significant.
         change: log of the largest over the smallest focal length, if it changes; change_sigma: its predicted error.
-        seconds: CPU time of the decision.
     """
 
-    decision: str
-    reason: str
-    gain: float | None = None
-    gain_sigma: float | None = None
-    threshold: float | None = None
     change: float | None = None
     change_sigma: float | None = None
-    seconds: float = 0.0
 
 
 NOT_TESTED = Evidence("not tested", "the camera does not move, its focal length is given, or the options exclude it")
@@ -84,7 +74,7 @@ def weigh(
     change, change_sigma = _change(graph, best.state), float(np.sqrt(density)) * _change_sigma(graph, best.state)
     decision, reason = judge(gain, gain_sigma, change, change_sigma)
     seconds = time.process_time() - began
-    return Evidence(decision, reason, gain, gain_sigma, MIN_GAIN, change, change_sigma, seconds), best.state
+    return Evidence(decision, reason, gain, gain_sigma, MIN_GAIN, seconds, change, change_sigma), best.state
 
 
 def of_turning(graph: FlowGraph, state: State, noise_px: float) -> Evidence:

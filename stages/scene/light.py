@@ -14,8 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 from stages.scene.sightings import Sightings
+from stages.shared.images import DISPLAY_GAMMA
 
-DISPLAY_GAMMA = 2.2
 ITERATIONS, FOG_ITERATIONS, EVALUATIONS = 5, 10, 3
 KERNEL = 3.0
 """Scale of the robust kernel in standard deviations of the noise, itself no less than LEAST_NOISE."""

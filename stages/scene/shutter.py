@@ -16,9 +16,9 @@ import cv2
 import numpy as np
 
 from stages.scene.geometry import MIN_CONFIDENCE
-from stages.scene.light import DISPLAY_GAMMA
 from stages.scene.observed import Observed
 from stages.scene.sightings import BRIGHT
+from stages.shared.images import DISPLAY_GAMMA
 from stages.shared.warp import is_inside, matches, warp
 
 TILES = (4, 6)

@@ -13,6 +13,8 @@ from stages.shared.errors import InputError
 from stages.shared.threads import threaded
 
 cv2.setNumThreads(int(os.environ["OMP_NUM_THREADS"]))
+DISPLAY_GAMMA = 2.2
+"""Power that stands for the curve of the display where fog is fitted and drawn, which must agree."""
 
 
 def read_rgb(path: Path) -> np.ndarray:

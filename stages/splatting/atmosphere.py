@@ -6,8 +6,8 @@ A surface of linear radiance J at distance r shows as J t + A (1 - t) with t = e
 import torch
 from torch import Tensor
 
-DISPLAY_GAMMA = 2.2
-"""Between gamma-encoded colours and linear radiance."""
+from stages.shared.images import DISPLAY_GAMMA
+
 LEAST_RADIANCE = 1e-5
 """Radiances are no less: the slope of the display gamma is infinite at black."""
 LEAST_SHOWN = 0.1
