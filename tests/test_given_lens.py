@@ -8,9 +8,9 @@ from synthetic import OFFSETS, flow_arrays, make_scene
 from stages.gaussians.lifting import lift
 from stages.gaussians.training_frames import TrainingFrames
 from stages.motion import resweep
-from stages.motion.flow_pairs import FlowPairs
 from stages.shared.artifacts import Dense
 from stages.shared.cameras import intrinsics, project
+from stages.shared.flow_pairs import FlowPairs
 
 OFF_CENTRE = intrinsics(86.4, 1.15 * 86.4, 47.5 + 0.12 * 96, 31.5 - 4)
 

@@ -12,11 +12,11 @@ from stages.motion import __main__ as motion_stage
 from stages.motion import epipolar, photometric, pooling, resweep
 from stages.motion import flow_pairs as flow_pairs_module
 from stages.motion.epipolar import Evidence
-from stages.motion.flow_pairs import FlowPairs
 from stages.shared import lie
 from stages.shared.artifacts import Dense, read_dense, read_metadata, write_dense, write_json
 from stages.shared.cameras import make_cameras, pixel_grid, projection, static_flow, write_cameras
 from stages.shared.errors import InputError
+from stages.shared.flow_pairs import FlowPairs
 from stages.shared.sequences import check_sequence, sequence_to_json
 
 

@@ -7,7 +7,6 @@ import numpy as np
 
 from stages.motion import epipolar, photometric, resweep
 from stages.motion.epipolar import Evidence
-from stages.motion.flow_pairs import FlowPairs
 from stages.motion.options import MotionOptions
 from stages.motion.pooling import pool
 from stages.shared import cli, drawing
@@ -15,6 +14,7 @@ from stages.shared.artifacts import read_dense, read_metadata, write_dense
 from stages.shared.cameras import Cameras, read_cameras, scale_intrinsics
 from stages.shared.cli import In, Out
 from stages.shared.errors import InputError
+from stages.shared.flow_pairs import FlowPairs
 from stages.shared.images import read_reduced, write_figure
 from stages.shared.log import logger
 from stages.shared.masks import read_scene_on_grid

@@ -7,7 +7,7 @@ import cv2
 import numba
 import numpy as np
 
-from stages.motion.flow_pairs import FlowPairs
+from stages.shared.flow_pairs import FlowPairs
 from stages.shared.sampson import sampson_distances
 from stages.shared.threads import threaded
 

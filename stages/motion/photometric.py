@@ -11,9 +11,9 @@ import cv2
 import numpy as np
 
 from stages.motion.epipolar import Evidence
-from stages.motion.flow_pairs import FlowPairs
 from stages.motion.pooling import PRIOR_WEIGHT
 from stages.motion.resweep import dense_static_flow
+from stages.shared.flow_pairs import FlowPairs
 from stages.shared.threads import threaded
 from stages.shared.warp import is_inside, warp
 

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 
 from stages.motion.epipolar import Evidence
-from stages.motion.flow_pairs import FlowPairs
+from stages.shared.flow_pairs import FlowPairs
 from stages.shared.threads import threaded
 from stages.shared.warp import warp
 

@@ -11,9 +11,9 @@ import numba
 import numpy as np
 
 from stages.motion.epipolar import Evidence
-from stages.motion.flow_pairs import FlowPairs
 from stages.shared.cameras import grid_from_frame, pixel_grid, projection, static_flow
 from stages.shared.finite import require_finite
+from stages.shared.flow_pairs import FlowPairs
 from stages.shared.threads import spread, threaded
 from stages.shared.warp import bilinear
 

@@ -12,13 +12,13 @@ from stages.flow.edges import edge_list
 from stages.motion import __main__ as motion_stage
 from stages.motion import epipolar, photometric, pooling, resweep
 from stages.motion.epipolar import Evidence
-from stages.motion.flow_pairs import FlowPairs
 from stages.segment.options import SegmentOptions
 from stages.segment.permanence import confidence_of, persistent
 from stages.segment.refinement import guarded_threshold, smooth_along_edges, to_mask
 from stages.segment.superpixels import superpixels
 from stages.shared import sintel
 from stages.shared.artifacts import Dense
+from stages.shared.flow_pairs import FlowPairs
 from stages.shared.images import read_mask, read_rgb
 
 

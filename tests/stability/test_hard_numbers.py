@@ -9,12 +9,12 @@ from synthetic import flow_arrays, make_scene
 
 from stages.ba.graph import build_graph
 from stages.motion import resweep
-from stages.motion.flow_pairs import FlowPairs
 from stages.scene import __main__ as scene_stage
 from stages.shared import cli
 from stages.shared.artifacts import Dense, read_dense, read_metadata, read_model, read_table, write_dense, write_model
 from stages.shared.artifacts import write_table as write_columns
 from stages.shared.errors import InputError
+from stages.shared.flow_pairs import FlowPairs
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
