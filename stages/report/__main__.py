@@ -9,7 +9,7 @@ import yaml
 
 from stages.comparisons import made_under
 from stages.evaluate import pose_diagnostics
-from stages.report import overview, provenance, tradeoff_report
+from stages.report import overview, paired_report, provenance, tradeoff_report
 from stages.report.effect_tables import decision_rows, simulation_rows
 from stages.report.options import ReportOptions
 from stages.report.overview import Group
@@ -112,6 +112,7 @@ def comparison_groups(settings: list[Row], growth: Path | None, poses: list[Row]
     groups = []
     if settings:
         sentence, figures, tables = tradeoff_report.sweep_part(settings, poses)
+        tables += paired_report.paired_tables(settings)
         more = tradeoff_report.sequence_tables(settings)
         groups.append(Group("tradeoff", "Accuracy against time", tables, more, figures, sentence))
     if growth:

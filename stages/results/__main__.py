@@ -12,7 +12,7 @@ from typing import Annotated
 from stages.comparisons import made_under, tradeoff
 from stages.evaluate import summaries
 from stages.evaluate.score_images import SPLITS
-from stages.report import provenance, tradeoff_report
+from stages.report import paired_report, provenance, tradeoff_report
 from stages.results import scene_tables
 from stages.results.options import ResultsOptions
 from stages.results.scene_tables import PARTS
@@ -132,7 +132,7 @@ def _sweep(results: Path) -> list[str]:
     costs = read_rows(table)
     names = ", ".join(dict.fromkeys(row["sequence"] for row in costs))
     chunks = [title, f"Means over {names}. {tradeoff_report.NOTE}"]
-    for part in tradeoff_report.group_tables(tradeoff.means(costs)):
+    for part in [*tradeoff_report.group_tables(tradeoff.means(costs)), *paired_report.paired_tables(costs)]:
         chunks += [f"### {part.title}", part.markdown()]
     return chunks
 
