@@ -10,7 +10,7 @@ import json
 import mmap
 import shutil
 import sys
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +18,11 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from stages.shared.columns import array_of, column_of, tensor_column_of
+from stages.shared.columns import array_of, column_of
 from stages.shared.digest import code_digest
 from stages.shared.errors import InputError
 from stages.shared.finite import is_finite
+from stages.shared.rows import Rows, column_in, field_of
 
 FORMAT_VERSION = 1
 ROWS_AT_ONCE = 64
@@ -100,16 +101,43 @@ def read_table(path: Path) -> dict[str, np.ndarray]:
     return {name: array_of(table[name]) for name in table.column_names}
 
 
-def write_dense(path: Path, columns: Mapping[str, np.ndarray], metadata: Mapping[str, Any] | None = None) -> None:
-    """Write arrays [n] and [n, ...] row by row as Arrow IPC with fixed-shape-tensor columns."""
-    arrays = {name: tensor_column_of(np.ascontiguousarray(values)) for name, values in columns.items()}
-    schema = pa.schema([(name, array.type) for name, array in arrays.items()]).with_metadata(_encode(metadata))
-    with atomic(path) as partial, pa.OSFile(str(partial), "wb") as sink, pa.ipc.new_file(sink, schema) as writer:
-        writer.write_batch(pa.record_batch(list(arrays.values()), schema=schema))
+DenseWriter = Callable[[Mapping[str, Any]], None]
+
+
+def write_dense(path: Path, columns: Mapping[str, Any], metadata: Mapping[str, Any] | None = None) -> None:
+    """Write arrays [n] and [n, ...], or `packing.Packed`, row by row as Arrow IPC with fixed-shape-tensor columns."""
+    with dense_writer(path, metadata) as write:
+        write(columns)
+
+
+@contextlib.contextmanager
+def dense_writer(
+    path: Path, metadata: Mapping[str, Any] | None = None
+) -> Iterator[Callable[[Mapping[str, Any]], None]]:
+    """A function that appends rows to a dense file, which gets its name when the block ends: one record batch per call.
+
+    Every call passes the same columns, as `write_dense` takes them; there must be one.
+    """
+    with contextlib.ExitStack() as stack:
+        sink = pa.OSFile(str(stack.enter_context(atomic(path))), "wb")
+        stack.enter_context(sink)
+        writers: list[pa.RecordBatchFileWriter] = []
+
+        def write(columns: Mapping[str, Any]) -> None:
+            fields, arrays = zip(*(field_of(name, values) for name, values in columns.items()), strict=True)
+            schema = pa.schema(fields).with_metadata(_encode(metadata))
+            if not writers:
+                writers.append(stack.enter_context(pa.ipc.new_file(sink, schema)))
+            writers[0].write_batch(pa.record_batch(list(arrays), schema=schema))
+
+        yield write
 
 
 class Dense(dict[str, np.ndarray]):
-    """The columns of a dense file, [n] and [n, ...], read-only, mapped from it where they come from one."""
+    """The columns of a dense file, [n] and [n, ...], read-only, mapped from it where they come from one.
+
+    Images that are packed, or stand in several record batches, are `Rows`: arrays as far as indexing goes.
+    """
 
     def __init__(self, columns: Mapping[str, np.ndarray], mapped: mmap.mmap | None = None) -> None:
         super().__init__(columns)
@@ -120,23 +148,32 @@ class Dense(dict[str, np.ndarray]):
 
         The pages of a mapped file count as memory of the process until then, and as used memory of its control group.
         """
+        self.give_back()
+        for values in self.values():
+            if isinstance(values, Rows):
+                values.forget()
+
+    def give_back(self) -> None:
+        """Like `release`, but rows that were unpacked a moment ago are kept."""
         if self._mapped is not None:
             self._mapped.madvise(mmap.MADV_DONTNEED)
 
 
 def read_dense(path: Path) -> Dense:
-    """Memory-map an Arrow IPC file: read-only arrays [n] and [n, ...] without a copy.
+    """Memory-map an Arrow IPC file: read-only arrays [n] and [n, ...] without a copy, or `Rows`, read one by one.
 
     Raises:
-        InputError: if it is not an Arrow IPC file, or holds NaN or infinity.
+        InputError: if it is not an Arrow IPC file, or holds NaN or infinity; of packed rows when they are read.
     """
     mapped = _checked(path, "an Arrow IPC file", lambda: _mapped(path))
     table = _checked(path, "an Arrow IPC file", lambda: pa.ipc.open_file(pa.py_buffer(mapped)).read_all())
-    columns = Dense({name: array_of(table[name]) for name in table.column_names}, mapped)
-    for name, values in columns.items():
-        for first in range(0, len(values), ROWS_AT_ONCE):
+    columns = Dense({}, mapped)
+    for name in table.column_names:
+        values = column_in(path, table.schema.field(name), table[name], columns.give_back)
+        for first in range(0, 0 if isinstance(values, Rows) and values.packed else len(values), ROWS_AT_ONCE):
             refuse_infinite(path, {name: values[first : first + ROWS_AT_ONCE]})
             columns.release()
+        columns[name] = values
     return columns
 
 
