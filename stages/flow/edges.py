@@ -1,6 +1,6 @@
 """Which pairs of frames are matched: near ones by their distance, far ones where enough of the view is shared."""
 
-from collections.abc import Container, Iterator, Mapping, Sequence
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -23,6 +23,12 @@ def edge_list(T: int, offsets: Sequence[int]) -> list[Edge]:
     return sorted((i, j) for i in range(T) for j in range(T) if abs(i - j) in offsets)
 
 
+def edges_ending(run: range, offsets: Sequence[int]) -> list[Edge]:
+    """Directed edges (i, j) with |i - j| in `offsets`, both ways, whose later frame is one of `run`, sorted."""
+    pairs = [(j - offset, j) for j in run for offset in offsets if j >= offset]
+    return sorted({edge for i, j in pairs for edge in ((i, j), (j, i))})
+
+
 def most_edges(T: int, offsets: Sequence[int], per_frame: int) -> int:
     """Largest possible number of directed edges of T frames: that of a sequence whose frames all share their view.
 
@@ -35,16 +41,21 @@ def most_edges(T: int, offsets: Sequence[int], per_frame: int) -> int:
     return 2 * (short + sum(min(per_frame, sum(i + rung < T for rung in rungs)) for i in range(T)))
 
 
-def long_edges(flow: Mapping[Edge, np.ndarray], T: int, per_frame: int) -> list[Edge]:
+def long_edges(
+    flow: Mapping[Edge, np.ndarray], T: int, per_frame: int, sources: Iterable[int] | None = None
+) -> list[Edge]:
     """Directed edges (i, j) longer than those of the known flow [h, w, 2] px, both ways, sorted.
 
     Each frame is connected to at most `per_frame` later ones: those at the largest distances in LADDER to which enough
     pixels can be tracked along the flow. The number of edges and the cost of choosing them are linear in T.
+
+    Args:
+        sources: earlier frames of the edges, of which flow is known as far as the edges may reach; None: all.
     """
     distances = sorted({j - i for i, j in flow if j > i}, reverse=True)
     rungs = [rung for rung in LADDER if rung > max(distances, default=0)]
     chosen = []
-    for i in range(T if per_frame else 0):
+    for i in (range(T) if sources is None else sources) if per_frame else ():
         seen = list(_covisible(flow, i, distances, rungs))[-per_frame:]
         chosen += [edge for j in seen for edge in ((i, j), (j, i))]
     return sorted(chosen)

@@ -14,6 +14,7 @@ import numpy as np
 from stages.flow.confidence import flow_confidence
 from stages.flow.dis import solve_pair
 from stages.flow.edges import Edge
+from stages.flow.frames import Images
 from stages.shared.warp import warp
 
 MAX_CONFIDENT_SHARE, LOST_SHARE = 0.5, 0.1
@@ -30,7 +31,11 @@ _ONE_AT_A_TIME = threading.Lock()
 
 
 def restarted_pair(
-    rgb: np.ndarray, grey: np.ndarray, flow: Mapping[Edge, np.ndarray], pair: Edge, finest_scale: int
+    rgb: np.ndarray | Images,
+    grey: np.ndarray | Images,
+    flow: Mapping[Edge, np.ndarray],
+    pair: Edge,
+    finest_scale: int,
 ) -> dict[Edge, np.ndarray]:
     """New flow [h, w, 2] px of both edges of a pair with large motion and low confidence; empty if the gate fails.
 

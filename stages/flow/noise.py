@@ -1,11 +1,12 @@
 """Image noise: how far it hides texture, and averaging of frames over time along their flow where it does."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 
 import cv2
 import numpy as np
 
 from stages.flow.edges import Edge
+from stages.flow.frames import Images
 from stages.shared.warp import is_inside, warp
 
 MIN_NOISE = 0.29
@@ -61,29 +62,30 @@ def flow_variance(image: np.ndarray, noise: float | np.ndarray | None = None) ->
     return np.asarray(2 * noise / (np.maximum(eigenvalue, 1e-9) * TEXTURE_WINDOW_PX**2))
 
 
-def hides_texture(grey: np.ndarray, variances: Sequence[np.ndarray]) -> bool:
+def hides_texture(grey: np.ndarray | Images, variances: Iterable[np.ndarray]) -> bool:
     """Whether noise beyond 8-bit rounding makes flow between frames [T, h, w] uint8 unreliable at the median pixel.
 
     Args:
-        variances: `flow_variance` [h, w] px^2 of every frame.
+        variances: `flow_variance` [h, w] px^2 of every frame; not asked for where the noise is no more than rounding.
     """
     loud = noise_variance(grey[len(grey) // 2]) > MIN_NOISE**2
     return bool(loud and typical_variance(variances) > HIDDEN_PX**2)
 
 
-def typical_variance(variances: Sequence[np.ndarray]) -> float:
+def typical_variance(variances: Iterable[np.ndarray]) -> float:
     """Median over frames and pixels of `flow_variance` [h, w], in px^2."""
     return float(np.median([np.median(variance[::4, ::4]) for variance in variances]))
 
 
-def quiet_grey(rgb: np.ndarray) -> np.ndarray:
-    """Grey frames [T, h, w] float32 of frames [T, h, w, 3] uint8: channels weighted by inverse noise variance."""
-    channels = rgb[len(rgb) // 2]
-    weights = np.array([1 / noise_variance(np.ascontiguousarray(channels[..., c])) for c in range(3)], np.float32)
-    return np.asarray(rgb @ (weights / weights.sum()))
+def quiet_weights(rgb: np.ndarray) -> np.ndarray:
+    """Weights [3] float32 of the channels of a frame [h, w, 3] uint8 in a quiet grey one: by inverse noise variance."""
+    weights = np.array([1 / noise_variance(np.ascontiguousarray(rgb[..., c])) for c in range(3)], np.float32)
+    return np.asarray(weights / weights.sum())
 
 
-def averaged(grey: np.ndarray, flow: Mapping[Edge, np.ndarray], i: int, noise: float) -> tuple[np.ndarray, np.ndarray]:
+def averaged(
+    grey: np.ndarray | Images, flow: Mapping[Edge, np.ndarray], i: int, noise: float
+) -> tuple[np.ndarray, np.ndarray]:
     """Frame i averaged with its neighbours along the flow, [h, w] uint8, and the variance [h, w] of the noise left.
 
     A neighbour counts where it differs from frame i by no more than noise; not at occlusions or where the flow is

@@ -74,6 +74,31 @@ def read_truth(frames: sequences.Sequence, width: int, height: int) -> Truth:
     return Truth(poses, Ks, depth, moving, steps)
 
 
+class TrueFlow:
+    """True flow between frames; its confidence is 1 where it is known, else 0 (a `passes.Matcher`)."""
+
+    others: frozenset[Edge] = frozenset()
+
+    def __init__(self, truth: Truth) -> None:
+        self.truth, self.seen = truth, dict[Edge, np.ndarray]()
+
+    def near(self, edges: list[Edge], near: Mapping[Edge, np.ndarray]) -> tuple[dict[Edge, np.ndarray], int]:
+        """True flow [h, w, 2] px of every edge."""
+        return self.far(edges, near, near), 0
+
+    def far(
+        self, edges: list[Edge], _near: Mapping[Edge, np.ndarray], _far: Mapping[Edge, np.ndarray]
+    ) -> dict[Edge, np.ndarray]:
+        """True flow [h, w, 2] px of every edge."""
+        found = {edge: true_flow(self.truth, edge) for edge in edges}
+        self.seen = {edge: known for edge, (_, known) in found.items()}
+        return {edge: flow for edge, (flow, _) in found.items()}
+
+    def confidence(self, edge: Edge, _flow: Mapping[Edge, np.ndarray]) -> np.ndarray:
+        """Where the flow of an edge found last is known, [h, w] bool."""
+        return self.seen[edge]
+
+
 def true_flow(truth: Truth, edge: Edge) -> Step:
     """Flow [h, w, 2] float32 px of an edge, and where it is known: the point is visible in both frames, [h, w] bool.
 

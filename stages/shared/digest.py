@@ -8,8 +8,11 @@ import ast
 import functools
 import hashlib
 import re
+from collections.abc import Iterable
 from pathlib import Path
 from types import CodeType
+
+from pydantic import BaseModel
 
 ROOT = Path(__file__).resolve().parents[2]
 IMPORT = re.compile(r"^[ \t]*((?:from|import) stages\b[^\n(]*(?:\([^)]*\))?)", re.MULTILINE)
@@ -26,6 +29,15 @@ def code_digest(module: str) -> str:
     for name in sorted(imported_modules(script if _path(script).exists() else module)):
         digest.update(name.encode() + _instructions(_path(name)).encode())
     return digest.hexdigest()[:12]
+
+
+def origin(module: str, inputs: Iterable[Path], options: BaseModel) -> str:
+    """A digest of what a result depends on: code, options, and the files `inputs`, with those in folders."""
+    digest = hashlib.sha256(options.model_dump_json().encode() + code_digest(module).encode())
+    for path in inputs:
+        for file in sorted(filter(Path.is_file, path.rglob("*"))) if path.is_dir() else [path]:
+            digest.update(file.name.encode() + file.read_bytes())
+    return digest.hexdigest()
 
 
 def imported_modules(module: str) -> set[str]:

@@ -14,6 +14,7 @@ from stages.flow.dis import estimate_flow
 from stages.flow.edges import edge_list, long_edges
 from stages.flow.noise import flow_variance
 from stages.flow.options import FlowOptions
+from stages.flow.passes import stored
 from stages.shared.artifacts import read_dense, write_json
 from stages.shared.sequences import check_sequence, sequence_to_json
 from stages.shared.warp import is_inside
@@ -104,7 +105,7 @@ def test_long_flow_is_stored_to_a_2048th_and_what_leaves_the_frame_still_leaves_
     rng = np.random.default_rng(0)
     flow = rng.uniform(-160, 160, (96, 160, 2)).astype(np.float32)
     flow[0, 0], flow[-1, -1] = (1e6, -1e9), (-3e5, 160)
-    kept = flow_stage.stored(flow).astype(np.float32)
+    kept = stored(flow).astype(np.float32)
     error = np.abs(kept - flow)[1:-1]
     assert (error <= np.maximum(np.abs(flow[1:-1]) / 2048, 1e-7)).all()
     assert abs(np.mean(kept[1:-1] - flow[1:-1])) < 1e-3  # no bias: of many pixels, nothing is left of the rounding

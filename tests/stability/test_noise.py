@@ -1,12 +1,16 @@
 """Hard cases of noise: texture that it hides, frames that must not be averaged, nothing but noise."""
 
+from pathlib import Path
+
 import cv2
 import numpy as np
 
-from stages.flow import __main__ as flow_stage
 from stages.flow import noise
+from stages.flow.averaging import to_match
 from stages.flow.dis import estimate_flow
-from stages.flow.edges import edge_list
+from stages.flow.edges import Edge, edge_list
+from stages.flow.estimate import Estimate
+from stages.flow.frames import Images
 from stages.flow.options import FlowOptions
 
 SIGMA, STEP_PX = 6.0, 1.5
@@ -25,20 +29,30 @@ def dim_frames(T: int, sigma: float, contrast: float = 3.0) -> np.ndarray:
     return np.clip(np.stack(frames), 0, 255).round().astype(np.uint8)
 
 
-def test_averaging_finds_flow_that_noise_hides() -> None:
+def matched(
+    folder: Path, rgb: np.ndarray, options: FlowOptions
+) -> tuple[dict[Edge, np.ndarray], dict[Edge, np.ndarray], bool]:
+    """Flow and confidence of the near edges of frames, and whether the frames were averaged."""
+    frames = to_match(Images(len(rgb), lambda k: rgb[k]), options.finest_scale, 1, folder)
+    matcher = Estimate(frames, options.offsets, {}, 1)
+    flow, _ = matcher.near(edge_list(len(rgb), options.offsets), {})
+    return flow, {edge: matcher.confidence(edge, flow) for edge in flow}, frames.averaged
+
+
+def test_averaging_finds_flow_that_noise_hides(tmp_path: Path) -> None:
     """Faint texture, twice as loud a noise: plain search errs by more, and its frames give little to trust."""
     rgb = dim_frames(7, SIGMA)
     options = FlowOptions(offsets=(1,), long_edges=0)
     grey = np.stack([cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY) for frame in rgb])
     plain = estimate_flow(grey, edge_list(7, (1,)), 0, 1)
-    found, confidence, facts = flow_stage._match(rgb, options, {})
+    found, confidence, averaged = matched(tmp_path, rgb, options)
 
     def error(flow: np.ndarray) -> np.ndarray:
         return np.linalg.norm(flow - (STEP_PX, 0), axis=-1)[8:-8, 8:-8]
 
     edges = [(k, k + 1) for k in range(6)]
     errors = [np.mean([error(flow[edge]) for edge in edges]) for flow in (plain, found)]
-    assert facts["frames_averaged"]
+    assert averaged
     assert errors[1] < 0.8 * errors[0]
     sure = np.stack([confidence[edge][8:-8, 8:-8] > 0.5 for edge in edges])
     right = np.stack([error(found[edge]) < 1 for edge in edges])
@@ -70,9 +84,9 @@ def test_what_is_hidden_in_the_neighbours_is_not_averaged_away() -> None:
     assert mean[background].std() ** 2 < 0.4 * 16
 
 
-def test_nothing_but_noise_is_nowhere_trusted() -> None:
+def test_nothing_but_noise_is_nowhere_trusted(tmp_path: Path) -> None:
     """Averaged frames share their noise, so that their flow agrees with itself both ways."""
     rgb = dim_frames(5, SIGMA, contrast=0.0)
-    _, confidence, facts = flow_stage._match(rgb, FlowOptions(offsets=(1, 2), long_edges=0), {})
-    assert facts["frames_averaged"]
+    _, confidence, averaged = matched(tmp_path, rgb, FlowOptions(offsets=(1, 2), long_edges=0))
+    assert averaged
     assert np.mean([values > 0.5 for values in confidence.values()]) < 0.01

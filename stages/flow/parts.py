@@ -1,0 +1,146 @@
+"""What a run of the flow stage has done so far, in files beside its output: a killed run goes on from there.
+
+Edges are matched in blocks of frames. A block leaves two files: its flow and confidence as pairs.arrow will hold them,
+and its flow at full precision, from which longer edges are chained, as long as they need it.
+"""
+
+import json
+import shutil
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+from stages.flow.edges import Edge
+from stages.shared.artifacts import Dense, dense_writer, read_dense, read_metadata, write_dense, write_json
+from stages.shared.log import logger
+from stages.shared.packing import Packed
+from stages.shared.rows import Rows
+
+ROWS = 64
+"""Edges that are copied together."""
+ORIGIN = "origin.json"
+
+
+class Window(Mapping[Edge, np.ndarray]):
+    """Flow [h, w, 2] px of the edges that end in the latest blocks, read from their files.
+
+    An edge ends at the later of its frames.
+    """
+
+    def __init__(self) -> None:
+        self._blocks: dict[int, tuple[Path, Dense]] = {}
+        self._rows: dict[Edge, tuple[int, int]] = {}
+
+    def add(self, run: range, path: Path) -> None:
+        """Take in the file of the edges that end in the frames `run`."""
+        self._blocks[run.stop] = path, (columns := read_dense(path))
+        for row, edge in enumerate(_edges(columns)):
+            self._rows[edge] = run.stop, row
+
+    def drop(self, before: int) -> None:
+        """Delete the files of the blocks that end before this frame."""
+        for stop in [stop for stop in self._blocks if stop <= before]:
+            self._blocks.pop(stop)[0].unlink()
+        self._rows = {edge: place for edge, place in self._rows.items() if place[0] > before}
+
+    def release(self) -> None:
+        """Give back the memory of what was read."""
+        for _, columns in self._blocks.values():
+            columns.release()
+
+    def __getitem__(self, edge: Edge) -> np.ndarray:
+        stop, row = self._rows[edge]
+        return self._blocks[stop][1]["flow"][row]
+
+    def __contains__(self, edge: object) -> bool:
+        return edge in self._rows
+
+    def __iter__(self) -> Iterator[Edge]:
+        return iter(self._rows)
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+
+class Parts:
+    """The files of a run beside its output. Only a run of the same origin goes on from them.
+
+    Attributes:
+        windows: by kind of edge, near or far.
+    """
+
+    def __init__(self, output: Path, origin: str) -> None:
+        self.folder = output.with_name(f".{output.name}.parts")
+        found = self.folder / ORIGIN
+        if self.folder.exists() and not (found.exists() and json.loads(found.read_text())["origin"] == origin):
+            logger.info("what an earlier run has left has other inputs, options or code: starting anew")
+            shutil.rmtree(self.folder)
+        self.folder.mkdir(parents=True, exist_ok=True)
+        write_json(found, {"origin": origin})
+        self.windows = {kind: Window() for kind in ("near", "far")}
+
+    def resume(self, kind: str, run: range) -> int | None:
+        """Take over a block of edges that an earlier run has finished; their number, None if there is none."""
+        done, exact = self._file(kind, run), self._exact(kind, run)
+        if not done.exists():
+            return None
+        if exact.exists():
+            self.windows[kind].add(run, exact)
+        return int(read_metadata(done)["edges"])
+
+    def add(
+        self, kind: str, run: range, edges: Mapping[Edge, np.ndarray], packed: Mapping[str, Packed], **facts: int
+    ) -> None:
+        """Keep a block of edges with their flow [h, w, 2] px, as it is and packed, and facts that add up."""
+        if edges:
+            write_dense(self._exact(kind, run), {**_ends(list(edges)), "flow": np.stack(list(edges.values()))})
+            self.windows[kind].add(run, self._exact(kind, run))
+        columns = {**_ends(list(edges)), **packed} if edges else {"source": np.zeros(0, np.int64)}
+        write_dense(self._file(kind, run), columns, {"edges": len(edges), **facts})
+
+    def totals(self) -> dict[str, Any]:
+        """The sums of the facts over all blocks."""
+        sums: dict[str, Any] = {}
+        for path in self._finished():
+            about = {key: n for key, n in read_metadata(path).items() if key not in ("format_version", "code")}
+            sums |= {key: sums.get(key, 0) + n for key, n in about.items()}
+        return sums
+
+    def join(self, output: Path, metadata: Mapping[str, Any]) -> None:
+        """Write the edges of all blocks to pairs.arrow, sorted by source and target."""
+        files = [file for file in map(read_dense, self._finished()) if "flow" in file]
+        rows = sorted((edge, k, row) for k, file in enumerate(files) for row, edge in enumerate(_edges(file)))
+        with dense_writer(output, metadata) as write:
+            for first in range(0, len(rows), ROWS):
+                some = rows[first : first + ROWS]
+                columns = _ends([edge for edge, _, _ in some])
+                for name in ("flow", "confidence"):
+                    of_files = [cast(Rows, file[name]) for file in files]
+                    columns[name] = Packed([of_files[k].packed[row] for _, k, row in some], of_files[0].shape[1:])
+                write(columns)
+                for k in {k for _, k, _ in some}:
+                    files[k].release()
+
+    def remove(self) -> None:
+        """Delete the files: the run is done."""
+        shutil.rmtree(self.folder)
+
+    def _finished(self) -> list[Path]:
+        return [path for kind in self.windows for path in sorted(self.folder.glob(f"{kind}_*.arrow"))]
+
+    def _file(self, kind: str, run: range) -> Path:
+        return self.folder / f"{kind}_{run.start:06d}.arrow"
+
+    def _exact(self, kind: str, run: range) -> Path:
+        return self.folder / f"exact_{kind}_{run.start:06d}.arrow"
+
+
+def _edges(columns: Mapping[str, np.ndarray]) -> list[Edge]:
+    return list(zip(columns["source"].tolist(), columns["target"].tolist(), strict=True))
+
+
+def _ends(edges: list[Edge]) -> dict[str, Any]:
+    source, target = np.array(edges, np.int64).reshape(-1, 2).T
+    return {"source": source, "target": target}

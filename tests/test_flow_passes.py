@@ -1,0 +1,109 @@
+"""Flow of a long clip in passes: the same as matching all edges at once, and resumed where a killed run has stopped."""
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from test_flow import shifted_frames
+
+from stages.flow import __main__ as flow_stage
+from stages.flow import edges, passes
+from stages.flow.dis import estimate_flow
+from stages.flow.options import FlowOptions
+from stages.flow.parts import Parts
+from stages.shared import digest
+from stages.shared.artifacts import read_dense, read_metadata, write_json
+from stages.shared.sequences import check_sequence, sequence_to_json
+
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+from stages.flow import __main__ as stage, parts
+add, added = parts.Parts.add, []
+def killing(self, *block, **facts):
+    add(self, *block, **facts)
+    added.append(block)
+    if len(added) == 4:
+        os.kill(os.getpid(), signal.SIGKILL)
+parts.Parts.add = killing
+folder = Path(sys.argv[1])
+stage.main(folder / "sequence.json", folder / "pairs.arrow", folder / "flow.png", stage.FlowOptions(offsets=(1, 2)))
+"""
+
+
+def write_clip(folder: Path, T: int) -> np.ndarray:
+    """Grey frames [T, h, w] of a texture that moves, as a sequence in the folder."""
+    grey = shifted_frames(T, (1, 0), (48, 96))
+    (folder / "clip").mkdir(parents=True)
+    for k, frame in enumerate(grey):
+        cv2.imwrite(str(folder / "clip" / f"frame_{k + 1:04d}.png"), frame)
+    write_json(folder / "sequence.json", sequence_to_json(check_sequence("clip", folder / "clip")))
+    return grey
+
+
+def run(folder: Path, options: FlowOptions) -> bytes:
+    """The content of pairs.arrow."""
+    flow_stage.main(folder / "sequence.json", folder / "pairs.arrow", folder / "flow.png", options)
+    return (folder / "pairs.arrow").read_bytes()
+
+
+def test_passes_find_what_matching_all_edges_at_once_finds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Bit for bit, and though flow is forgotten when no longer edge can start from it."""
+    monkeypatch.setattr(edges, "LADDER", (8, 12))
+    monkeypatch.setattr(passes, "LADDER", (8, 12))
+    held = []
+    resume = Parts.resume
+    monkeypatch.setattr(Parts, "resume", lambda *at: held.append(len(list(tmp_path.rglob("exact_*")))) or resume(*at))
+    grey, options = write_clip(tmp_path, 44), FlowOptions(offsets=(1, 3))
+    run(tmp_path, options)
+    near = estimate_flow(grey, edges.edge_list(44, (1, 3)), 0, 2)
+    far = edges.long_edges(near, 44, 2)
+    everything = near | estimate_flow(grey, far, 0, 2, near)
+    found = read_dense(tmp_path / "pairs.arrow")
+    ends = list(zip(found["source"].tolist(), found["target"].tolist(), strict=True))
+    assert ends == sorted(everything)
+    assert read_metadata(tmp_path / "pairs.arrow")["long_edges"] == len(far) / 2 > 50
+    for row, edge in enumerate(ends):
+        np.testing.assert_array_equal(found["flow"][row], passes.stored(everything[edge]), err_msg=str(edge))
+    assert max(held) <= 8  # of twelve blocks, or any number
+    assert not list(tmp_path.glob(".*"))
+
+
+def test_a_killed_run_resumes_with_the_same_result(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """SIGKILL after four of six blocks: two are left, and the file is that of a run in one go."""
+    options = FlowOptions(offsets=(1, 2))
+    write_clip(tmp_path / "whole", 20)
+    expected = run(tmp_path / "whole", options)
+    write_clip(tmp_path / "killed", 20)
+    killed = subprocess.run([sys.executable, "-c", KILLED, tmp_path / "killed"], check=False, env=os.environ)
+    assert killed.returncode == -signal.SIGKILL
+    assert not (tmp_path / "killed/pairs.arrow").exists()
+    added = []
+    add = Parts.add
+    monkeypatch.setattr(Parts, "add", lambda *block, **facts: added.append(block[1:3]) or add(*block, **facts))
+    assert run(tmp_path / "killed", options) == expected
+    assert added == [("far", range(8, 16)), ("far", range(16, 20))]
+    assert not list((tmp_path / "killed").glob(".*"))
+
+
+def test_only_the_same_run_resumes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Other options, frames or code start anew."""
+    frame, output = tmp_path / "frame_0001.png", tmp_path / "pairs.arrow"
+    frame.write_bytes(b"one")
+    origins = [digest.origin("stages.flow", [frame], FlowOptions())] * 2
+    origins.append(digest.origin("stages.flow", [frame], FlowOptions(finest_scale=1)))
+    frame.write_bytes(b"two")
+    origins.append(digest.origin("stages.flow", [frame], FlowOptions(finest_scale=1)))
+    monkeypatch.setattr(digest, "code_digest", lambda module: f"{module}, changed")
+    origins.append(digest.origin("stages.flow", [frame], FlowOptions(finest_scale=1)))
+    resumed = []
+    for origin in origins:
+        parts = Parts(output, origin)
+        resumed.append((parts.folder / "near_000000.arrow").exists())
+        (parts.folder / "near_000000.arrow").touch()
+    assert resumed == [False, True, False, False, False]
