@@ -1,7 +1,7 @@
 """Refine the motion prior to binary dynamic masks at full resolution, and number what moves."""
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -13,13 +13,13 @@ from stages.given.masks import GivenMasks
 from stages.segment.options import SegmentOptions
 from stages.segment.permanence import confidence_of, persistent
 from stages.segment.refinement import guarded_threshold, smooth_along_edges, to_instances, to_mask
-from stages.segment.superpixels import superpixels
+from stages.segment.superpixels import AT_ONCE, superpixels
 from stages.shared import cli, drawing
-from stages.shared.artifacts import atomic_folder, read_dense, write_json
+from stages.shared.artifacts import Dense, atomic_folder, read_dense, write_json
 from stages.shared.cli import In, Out
 from stages.shared.errors import InputError
 from stages.shared.images import enlarge, read_mask, read_rgb, reduce, write_figure, write_image
-from stages.shared.log import logger
+from stages.shared.log import logger, progress
 from stages.shared.masks import instances_path, mask_path, read_burnt_in
 from stages.shared.sequences import Sequence, read_sequence
 
@@ -62,7 +62,8 @@ def main(
     masks = _given(handed) if handed else _masks(options, frames, flow, prior)
     found, shown, overlays = _Facts(), set(drawing.spread(len(frames.numbers), 6).tolist()), []
     with atomic_folder(output, ("frame_*.png", "instances/frame_*.png", "masks.json")) as folder:
-        for k, (path, number) in enumerate(zip(frames.frames, frames.numbers, strict=True)):
+        for k, number in progress(list(enumerate(frames.numbers)), "masks"):
+            path = frames.frames[k]
             rgb = read_rgb(path)
             mask = masks(k, rgb) if burnt_in is None else _without(burnt_in, masks(k, rgb))
             write_image(mask_path(folder, number), mask.dynamic)
@@ -145,8 +146,8 @@ def _refined(options: SegmentOptions, frames: Sequence, flow: Path, prior: Path)
     stated = None
     if handed:
         marked = (reduce((handed.labels(k) > 0).astype(np.float32), size) for k in range(len(frames.frames)))
-        stated = pixels.means(np.stack(list(marked)))
-    probability, weight = (pixels.means(evidence[name]) for name in ("probability", "weight"))
+        stated = pixels.means(marked)
+    probability, weight = (pixels.means(_one_by_one(evidence, name)) for name in ("probability", "weight"))
     choice = options.permanence, options.threshold
     sure, instance = persistent(pixels, read_dense(flow), probability, confidence_of(weight), *choice, stated)
 
@@ -157,6 +158,14 @@ def _refined(options: SegmentOptions, frames: Sequence, flow: Path, prior: Path)
         return Mask(dynamic, to_instances(dynamic, pixels.paint(instance, k)), threshold > DYNAMIC)
 
     return mask
+
+
+def _one_by_one(columns: Dense, name: str) -> Iterator[np.ndarray]:
+    """The rows of a column, whose memory is given back now and then."""
+    for k in range(len(columns[name])):
+        yield columns[name][k]
+        if k % AT_ONCE == 0:
+            columns.release()
 
 
 def _true(frames: Sequence) -> Masks:

@@ -1,6 +1,6 @@
 """Superpixels of a clip, and what links them: shared borders within a frame, matches of the flow between frames."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import NamedTuple
 
 import cv2
@@ -8,6 +8,8 @@ import numpy as np
 from scipy import sparse
 
 from stages.segment.refinement import REFERENCE_WIDTH
+from stages.shared.artifacts import Dense
+from stages.shared.log import progress
 from stages.shared.threads import threaded
 
 SIZE_PX = 8.0
@@ -21,13 +23,15 @@ LINKED_OFFSETS = (1, 2, 3)
 SAMPLED_PX = 2
 """Every other pixel each way is enough to count matches."""
 MIN_CONFIDENCE = 0.05
+AT_ONCE = 64
+"""Frames, and edges, that are worked on before the memory of what was read for them is given back."""
 
 
 class Superpixels(NamedTuple):
     """Superpixels of T frames, numbered through the clip.
 
     Attributes:
-        labels: [T, h, w] int32, the superpixel of every pixel, counted from 0 in each frame.
+        labels: [T, h, w] uint16, the superpixel of every pixel, counted from 0 in each frame.
         first: [T + 1] int64; those of frame k are first[k]..first[k + 1].
         areas: [N] pixels; colours: [N, 3] mean CIELAB, 0..255.
     """
@@ -43,8 +47,8 @@ class Superpixels(NamedTuple):
         first = self.first[start : stop + 1] - self.first[start]
         return Superpixels(self.labels[start:stop], first, self.areas[nodes], self.colours[nodes])
 
-    def means(self, images: np.ndarray) -> np.ndarray:
-        """Means [N] over the superpixels of images [T, h, w]."""
+    def means(self, images: Iterable[np.ndarray]) -> np.ndarray:
+        """Means [N] over the superpixels of T images [h, w]."""
         counts = np.diff(self.first)
         sums = [
             np.bincount(labels.ravel(), image.ravel(), count)
@@ -63,7 +67,10 @@ def superpixels(T: int, picture: Callable[[int], np.ndarray]) -> Superpixels:
     Args:
         picture: gives frame k [h, w, 3] uint8, and is called on several threads; frames are not kept.
     """
-    labels, counts, colours = zip(*threaded(lambda k: _of_frame(picture(k)), range(T)), strict=True)
+    found = []
+    for start in progress(range(0, T, AT_ONCE), "superpixels"):
+        found += threaded(lambda k: _of_frame(picture(k)), range(start, min(start + AT_ONCE, T)))
+    labels, counts, colours = zip(*found, strict=True)
     areas = [np.bincount(of_frame.ravel(), minlength=n) for of_frame, n in zip(labels, counts, strict=True)]
     first = np.concatenate([[0], np.cumsum(counts)])
     return Superpixels(np.stack(labels), first, np.concatenate(areas).astype(float), np.concatenate(colours))
@@ -74,7 +81,7 @@ def _of_frame(rgb: np.ndarray) -> tuple[np.ndarray, int, np.ndarray]:
     lab = cv2.cvtColor(rgb, cv2.COLOR_RGB2LAB)
     size_px = max(MIN_SIZE_PX, round(SIZE_PX * rgb.shape[1] / REFERENCE_WIDTH))
     if min(lab.shape[:2]) < size_px:  # OpenCV crashes on less than half of one
-        return np.zeros(lab.shape[:2], np.int32), 1, lab.reshape(1, -1, 3).mean(axis=1)
+        return np.zeros(lab.shape[:2], np.uint16), 1, lab.reshape(1, -1, 3).mean(axis=1)
     slic = cv2.ximgproc.createSuperpixelSLIC(lab, cv2.ximgproc.SLIC, size_px, RULER)
     slic.iterate(ITERATIONS)
     slic.enforceLabelConnectivity(MIN_SIZE_PERCENT)
@@ -82,7 +89,7 @@ def _of_frame(rgb: np.ndarray) -> tuple[np.ndarray, int, np.ndarray]:
     count = int(labels.max()) + 1  # OpenCV's own count may be one short
     areas = np.bincount(labels.ravel(), minlength=count)
     colours = [np.bincount(labels.ravel(), lab[..., c].ravel(), count) / areas for c in range(3)]
-    return labels, count, np.stack(colours, axis=1)
+    return labels.astype(np.uint16), count, np.stack(colours, axis=1)
 
 
 def borders(pixels: Superpixels) -> sparse.csr_matrix:
@@ -104,12 +111,14 @@ def matches(pixels: Superpixels, pairs: Mapping[str, np.ndarray], start: int = 0
         pairs: source, target [E], flow [E, h, w, 2] px, confidence [E, h, w] of the whole clip.
     """
     T, h, w = pixels.labels.shape
-    o = SAMPLED_PX // 2
+    o, begin, end = SAMPLED_PX // 2, pairs["source"] - start, pairs["target"] - start
+    linked = np.isin(np.abs(begin - end), LINKED_OFFSETS) & (np.minimum(begin, end) >= 0) & (np.maximum(begin, end) < T)
     v, u = np.mgrid[o:h:SAMPLED_PX, o:w:SAMPLED_PX]
     rows, columns, weights = [], [], []
-    for e, (i, j) in enumerate(zip(pairs["source"] - start, pairs["target"] - start, strict=True)):
-        if abs(i - j) not in LINKED_OFFSETS or not (0 <= i < T and 0 <= j < T):
-            continue
+    for n, e in enumerate(np.flatnonzero(linked)):
+        i, j = begin[e], end[e]
+        if n % AT_ONCE == 0 and isinstance(pairs, Dense):
+            pairs.release()
         flow = pairs["flow"][e, o::SAMPLED_PX, o::SAMPLED_PX].astype(np.float32)
         confidence = pairs["confidence"][e, o::SAMPLED_PX, o::SAMPLED_PX].astype(np.float32)
         x, y = np.rint(u + flow[..., 0]).astype(int), np.rint(v + flow[..., 1]).astype(int)
