@@ -53,8 +53,8 @@ def main(
     needs, failed = read_json(scene), "failed" in read_cameras(poses).status
     if failed:
         logger.warning("gaussians: the poses failed: a static scene is trained before a camera at rest")
-    seen = read_observations(sequence, masks, poses, depth, options)
-    seen, motion, canonical = _with_motion(seen, needs, sequence, points, deformation)
+    seen = read_observations(sequence, masks, poses, depth, options, model.parent)
+    seen, motion, canonical = _with_motion(seen, needs, (sequence, points, deformation), model.parent)
     gaussians = _new_scene(seen, motion, canonical, needs, options)
     shutter = None if failed or not needs["motion_blur"]["needed"] else float(needs["motion_blur"]["shutter"])
     if shutter is not None:
@@ -97,8 +97,8 @@ def _write_models(
 
     model, half = paths
     tensors, settings = scene_tensors(scene)
-    height, width = seen.images.shape[1:3]
-    settings |= about | {"median_depth": float(np.median(seen.depths)), "width": width, "height": height}
+    height, width = seen.size
+    settings |= about | {"median_depth": seen.median_depth, "width": width, "height": height}
     _write_half(half, scene, seen, settings)
     write_model(model, tensors, settings)
 
@@ -118,22 +118,28 @@ def _write_half(path: Path, scene: "GaussianScene", seen: "TrainingFrames", sett
 
 
 def _with_motion(
-    seen: "TrainingFrames", needs: dict[str, Any], sequence: Path, points: Path, deformation: Path
+    seen: "TrainingFrames", needs: dict[str, Any], files: tuple[Path, Path, Path], scratch: Path
 ) -> tuple["TrainingFrames", "Deformation | None", int]:
-    """The training frames with depth of the movers, the motion (None: static), and the index of the canonical frame."""
+    """The training frames with depth of the movers, the motion (None: static), and the index of the canonical frame.
+
+    Args:
+        files: sequence, points and deformation. scratch: folder for temporary files.
+    """
     from stages.deformation.point_files import load_deformation
     from stages.gaussians.inputs import canonical_row
     from stages.gaussians.training_frames import with_movers
+    from stages.shared.frame_store import PackedMasks
 
+    sequence, points, deformation = files
     motion = load_deformation(deformation, points) if needs["dynamic"]["needed"] else None
     if motion is None:
         logger.info("no control points: every Gaussian is static, the masks are not used")
         return seen, None, len(seen.images) // 2
     if read_metadata(deformation)["region"] == "whole":
-        seen = replace(seen, masks=np.ones_like(seen.masks))
-    masked = seen.masks.sum()
-    seen = with_movers(seen, motion)
-    lost = masked - seen.masks.sum()
+        seen = replace(seen, masks=PackedMasks((f, np.ones(seen.size, bool)) for f in range(len(seen.masks))))
+    masked = seen.masked.sum()
+    seen = with_movers(seen, motion, scratch)
+    lost = masked - seen.masked.sum()
     logger.info("%d of %d masked pixels are out of reach of the control points: static", lost, masked)
     return seen, motion, canonical_row(seen, sequence, deformation)
 
@@ -174,7 +180,7 @@ def _new_scene(
     cloud, stride_px = cloud_within(lifted, motion, canonical, options.stride_px, neighbours, degree, most, every)
     if stride_px > options.stride_px:
         logger.warning("one Gaussian per %d px, not %d, to stay within max_gaussians", stride_px, options.stride_px)
-    background = torch.as_tensor(seen.images.mean(axis=(0, 1, 2)))
+    background = torch.as_tensor(seen.mean_colour)
     tables = _tables_over_time(seen, motion, needs, options)
     scene = GaussianScene(cloud, motion, background, near_plane_of(seen), neighbours, *tables, air).to(device)
     counts = (len(cloud.means), scene.n_static, len(cloud.means) - scene.n_static)
@@ -210,7 +216,7 @@ def _tables_over_time(
     return (
         ColourTable(times, len(motion.points)) if motion is not None and options.colour_table else None,
         Exposure(times, channels) if channels else None,
-        PoseTable(times, float(np.median(seen.depths))) if options.refine_poses else None,
+        PoseTable(times, seen.median_depth) if options.refine_poses else None,
     )
 
 

@@ -9,21 +9,30 @@ from stages.gaussians.training_frames import TrainingFrames
 from stages.shared.artifacts import read_dense, read_metadata
 from stages.shared.cameras import Cameras, read_cameras
 from stages.shared.dense_depth import dense_depth, nearest_on_frame
+from stages.shared.frame_store import Computed, PackedMasks, StoredFrames
 from stages.shared.images import read_rgb
-from stages.shared.log import logger
+from stages.shared.log import logger, progress
 from stages.shared.masks import read_burnt_in, read_mask
 from stages.shared.sequences import read_sequence
 from stages.shared.split import SplitOptions, frame_times, held_out
 
 REACH_PX = 3
+PICTURE_BYTES = 500_000_000
+"""Memory for decoded frames."""
 MIN_OBSERVED = 2
 """Least number of training frames: tables over time are interpolated between them."""
 
 
-def read_observations(sequence: Path, masks: Path, poses: Path, depth: Path, split: SplitOptions) -> TrainingFrames:
+def read_observations(
+    sequence: Path, masks: Path, poses: Path, depth: Path, split: SplitOptions, scratch: Path | None = None
+) -> TrainingFrames:
     """The training frames (`training_indices`) with masks, depth and cameras. Held-out images and masks stay unread.
 
-    Masks of frames where `Cameras.masks_used` is false are empty.
+    Masks of frames where `Cameras.masks_used` is false are empty. Images are read from their files when they are used,
+    and kept as far as PICTURE_BYTES go.
+
+    Args:
+        scratch: folder on whose disk the depth is kept; None: that of temporary files.
 
     Raises:
         InputError: if a mask is missing or has another size than the frames.
@@ -31,16 +40,20 @@ def read_observations(sequence: Path, masks: Path, poses: Path, depth: Path, spl
     content, cameras = read_sequence(sequence), read_cameras(poses)
     frames = training_indices(cameras, split).tolist()
     burnt_in = read_burnt_in(content)
-    pictures = (without(burnt_in, read_rgb(content.frames[k])) for k in frames)
-    images = np.stack(list(pictures)).astype(np.float32) / 255
+    size, F = (content.height, content.width), len(frames)
+    pictures = Computed(
+        F, lambda f: without(burnt_in, read_rgb(content.frames[frames[f]])), PICTURE_BYTES // (3 * size[0] * size[1])
+    )
+    images = Computed(F, lambda f: pictures[f].astype(np.float32) / 255)
     grid, stride_px = read_dense(depth), float(read_metadata(depth)["stride_px"])
-    dense = [dense_depth(grid["inverse_depth"][k], image, stride_px) for k, image in zip(frames, images, strict=True)]
-    guessed = nearest_on_frame(grid["filled"][frames] > 0, stride_px, content.height, content.width)
+    filled = grid["filled"][frames] > 0
+    moving = ((f, read_mask(masks, content, k) & cameras.masks_used[k]) for f, k in enumerate(frames))
+    dense = (dense_depth(grid["inverse_depth"][frames[f]], images[f], stride_px) for f in progress(range(F), "reading"))
     return TrainingFrames(
         images,
-        np.stack([read_mask(masks, content, k) for k in frames]) & cameras.masks_used[frames, None, None],
-        np.stack(dense),
-        guessed,
+        PackedMasks(moving),
+        StoredFrames(dense, scratch),
+        Computed(F, lambda f: nearest_on_frame(filled[f : f + 1], stride_px, *size)[0]),
         cameras.cam_from_world[frames],
         cameras.Ks[frames],
         frame_times(len(content.frames))[frames],

@@ -11,8 +11,9 @@ from stages.deformation.motion_models import Deformation
 from stages.gaussians.births import birth_frames, with_life_spans
 from stages.gaussians.skinning import skin, to_canonical
 from stages.gaussians.training_frames import TrainingFrames
-from stages.gaussians.votes import DEPTH_TOLERANCE, dynamic_share, pixels_of, static_share
+from stages.gaussians.votes import DEPTH_TOLERANCE, dynamic_share, inverse, pixels_of, static_share
 from stages.shared.cameras import unproject
+from stages.shared.frame_store import Computed, Frames, PackedMasks
 from stages.splatting import sh
 from stages.splatting.gaussian_model import Cloud
 from stages.splatting.life_spans import presence
@@ -58,10 +59,10 @@ def lift(seen: TrainingFrames, f: int, keep: np.ndarray, stride_px: int) -> Poin
     grid = np.zeros(keep.shape, bool)
     grid[stride_px // 2 :: stride_px, stride_px // 2 :: stride_px] = True
     v, u = np.nonzero(keep & grid if seen.scene is None else keep & grid & seen.scene)
-    depth = seen.depths[f, v, u].astype(float)
+    depth = seen.depths[f][v, u].astype(float)
     positions = unproject(np.stack([u, v], axis=-1), depth, seen.cam_from_world[f], seen.Ks[f])
     focal_px = np.sqrt(seen.Ks[f, 0, 0] * seen.Ks[f, 1, 1])
-    return Points(positions, seen.images[f, v, u], depth / focal_px * stride_px, np.full(len(u), f))
+    return Points(positions, seen.images[f][v, u], depth / focal_px * stride_px, np.full(len(u), f))
 
 
 def frame_order(F: int, first: int) -> list[int]:
@@ -71,8 +72,8 @@ def frame_order(F: int, first: int) -> list[int]:
     return list(dict.fromkeys([first, *ends_first]))
 
 
-def lift_static(seen: TrainingFrames, order: list[int], stride_px: int, static: np.ndarray) -> Points:
-    """Lifted points of several frames: each adds those of its `static` pixels [F, H, W] that no point covers yet.
+def lift_static(seen: TrainingFrames, order: list[int], stride_px: int, static: Frames[np.ndarray]) -> Points:
+    """Lifted points of several frames: each adds those of its `static` pixels [H, W] that no point covers yet.
 
     Args:
         order: indices of the frames, the first of which contributes all its static pixels.
@@ -87,7 +88,7 @@ def lift_static(seen: TrainingFrames, order: list[int], stride_px: int, static: 
 
 def _covered(seen: TrainingFrames, f: int, positions: np.ndarray, stride_px: int) -> np.ndarray:
     """Pixels [H, W] of frame f that have a point within the stride, at or in front of the surface there."""
-    height, width = seen.depths.shape[1:]
+    height, width = seen.size
     u, v, z, inside = pixels_of(seen, f, positions)
     nearest = np.full((height, width), np.inf, np.float32)
     np.minimum.at(nearest, (v[inside], u[inside]), z[inside].astype(np.float32))
@@ -139,7 +140,7 @@ def _dynamic_alpha(
     births: list[int],
 ) -> np.ndarray:
     """Rendered alpha [H, W] of the dynamic points alone in frame f."""
-    height, width = seen.depths.shape[1:]
+    height, width = seen.size
     cloud = make_cloud(points, canonical, np.ones(len(canonical), bool), sh_degree=0)
     cloud = with_life_spans(cloud, points.frames, seen.times, births)
     opacities = cloud.logits.sigmoid() * presence(cloud.births, cloud.log_spans, float(seen.times[f]))
@@ -153,7 +154,7 @@ def _dynamic_alpha(
 
 def near_plane_of(seen: TrainingFrames) -> float:
     """Near plane in scene units: a hundredth of the median depth."""
-    return 0.01 * float(np.median(seen.depths))
+    return 0.01 * seen.median_depth
 
 
 def make_cloud(points: Points, positions: np.ndarray, dynamic: np.ndarray, sh_degree: int) -> Cloud:
@@ -225,21 +226,22 @@ def initial_cloud(
     """
     order = frame_order(len(seen.images), canonical)
     if deformation is None:
-        points = lift_static(seen, order, stride_px, np.ones(seen.masks.shape, bool))
+        points = lift_static(seen, order, stride_px, Computed(len(seen.images), lambda _: np.ones(seen.size, bool)))
         return make_cloud(points, points.positions, np.zeros(len(points.frames), bool), sh_degree)
     # Pixels on the outline mix two colours, and masks and depth are inexact there: no static point starts from them.
-    size = 2 * max(1, round(OUTLINE * seen.masks.shape[2])) + 1
+    size = 2 * max(1, round(OUTLINE * seen.size[1])) + 1
     kernel = np.ones((size, size), np.uint8)
-    widened = np.stack([cv2.dilate(mask.astype(np.uint8), kernel) > 0 for mask in seen.masks])
-    static = lift_static(seen, order, stride_px, ~widened)
+    frames = range(len(seen.images))
+    widened = PackedMasks((f, cv2.dilate(seen.masks[f].astype(np.uint8), kernel) > 0) for f in frames)
+    static = lift_static(seen, order, stride_px, inverse(widened))
     claimed = dynamic_share(seen, lambda _: static.positions, seen.masks) > 0.5
     claimed_times = seen.times[static.frames[claimed]]
     recovered, found = to_canonical(static.positions[claimed], claimed_times, deformation, K)
     room = stride_px**2 * (max_gaussians - len(static.frames))
-    births = birth_frames(seen.masks.sum(axis=(1, 2)), movers_every, room) if movers_every else []
+    births = birth_frames(seen.masked, movers_every, room) if movers_every else []
     most = sys.maxsize
     if births:  # a mover that passes by may show between these frames only
-        order = births + [f for f in range(len(seen.images)) if f not in births and seen.masks[f].any()]
+        order = births + [f for f in frames if f not in births and seen.masked[f]]
         most = max_gaussians - len(static.frames)
     dynamic, means = lift_dynamic(seen, order, stride_px, deformation, K, births, most)
     rest = torch.as_tensor(means, dtype=torch.float32)

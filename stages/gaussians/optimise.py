@@ -13,6 +13,7 @@ from stages.gaussians.options import GaussiansOptions
 from stages.gaussians.ssim import Target, ssim
 from stages.gaussians.training_frames import TrainingFrames
 from stages.shared.drawing import spread
+from stages.shared.frame_store import Computed
 from stages.shared.log import progress
 from stages.shared.psnr import psnr_db
 from stages.splatting.gaussian_model import GaussianScene
@@ -51,6 +52,8 @@ DENSIFY_UNTIL = 0.6
 SMEARED_FROM = 0.5
 """Up to this share of the steps frames with motion blur are rendered at their own moment, from then on averaged over
 all their moments. At 0 the training of the library's fastest scene takes a third longer and ends 0.4 dB lower."""
+TARGET_BYTES, TARGET_PIXEL_BYTES = 1_500_000_000, 36
+"""Memory for the frames to compare with, and what a pixel of one takes: its colours and their blurred moments."""
 CHECKED_FRAMES = 4
 """Number of training frames over which `training_psnr` compares models."""
 
@@ -85,14 +88,22 @@ class Trainer:
         self.scene, self.options, self.arap_weight = scene, options, arap_weight
         self.motion = None if options.detach else scene.deformation
         self.device = scene.background.device
-        self.targets = [Target(torch.as_tensor(image, device=self.device)) for image in seen.images]
+        self.targets = self._targets(seen)
         self.pictures, self.times = [seen.picture(f) for f in range(len(seen.images))], seen.times
         self.sharp_pictures = [instant(*own) for own in zip(seen.times, seen.cam_from_world, seen.Ks, strict=True)]
-        self.height, self.width = seen.images.shape[1:3]
+        self.height, self.width = seen.size
         self.seen_pixels = None if seen.scene is None else torch.as_tensor(seen.scene, device=self.device)[..., None]
         self.optimiser = self.new_optimiser()
         self.record = GradientRecord.empty(len(scene.anchors), self.device)
         self.step, self.history = 0, History()
+
+    def _targets(self, seen: TrainingFrames) -> Computed[Target]:
+        """The frames to compare with, each made when it is first trained on; kept as far as there is room."""
+
+        def made(f: int) -> Target:
+            return Target(torch.as_tensor(seen.images[f], device=self.device))
+
+        return Computed(len(seen.images), made, TARGET_BYTES // (TARGET_PIXEL_BYTES * seen.size[0] * seen.size[1]))
 
     def run(self, after_step: Callable[["Trainer"], None]) -> None:
         """Train to the last step."""
@@ -199,7 +210,7 @@ def training_psnr(scene: GaussianScene, seen: TrainingFrames) -> float:
     """Mean PSNR (dB) over at most CHECKED_FRAMES training frames, to compare the model with a copy of itself."""
     values = []
     for f in spread(len(seen.images), CHECKED_FRAMES):
-        height, width = seen.images.shape[1:3]
+        height, width = seen.size
         image = expose(scene, seen.picture(f), width, height)[0].cpu().numpy()
         error = np.square(image.clip(0, 1) - seen.images[f])
         values.append(psnr_db(float(np.mean(error if seen.scene is None else error[seen.scene]))))

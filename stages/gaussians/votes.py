@@ -6,6 +6,7 @@ import numpy as np
 
 from stages.gaussians.training_frames import TrainingFrames
 from stages.shared.cameras import project
+from stages.shared.frame_store import Computed, Frames
 
 DEPTH_TOLERANCE = 0.06
 """Relative difference of depth up to which two points count as the same surface."""
@@ -20,7 +21,7 @@ def pixels_of(
 
     Pixels of what is burnt in do not count as inside.
     """
-    height, width = seen.depths.shape[1:]
+    height, width = seen.size
     xyz = positions @ seen.cam_from_world[f, :3, :3].T + seen.cam_from_world[f, :3, 3]
     front = xyz[:, 2] > 0
     uv = np.full((len(positions), 2), -1.0)
@@ -30,35 +31,40 @@ def pixels_of(
     return u, v, xyz[:, 2], inside if seen.scene is None else inside & seen.scene[v, u]
 
 
-def dynamic_share(seen: TrainingFrames, tracks: Tracks, masks: np.ndarray) -> np.ndarray:
+def dynamic_share(seen: TrainingFrames, tracks: Tracks, masks: Frames[np.ndarray]) -> np.ndarray:
     """Share [n] of the frames in which a point is visible whose mask covers it; 0 for points that are never visible.
 
     A point is visible if it projects into the image and is not behind the depth there.
 
     Args:
         tracks: the positions [n, 3] in a frame, by its index.
-        masks: [F, H, W] bool.
+        masks: F times [H, W] bool.
     """
     return _share(seen, tracks, masks, at_surface=False)
 
 
-def static_share(seen: TrainingFrames, positions: np.ndarray, masks: np.ndarray) -> np.ndarray:
+def static_share(seen: TrainingFrames, positions: np.ndarray, masks: Frames[np.ndarray]) -> np.ndarray:
     """Share [n] of the frames in which a point at rest [n, 3] is visible that show it unmasked and on the surface.
 
     The surface test excludes points of movers: left at rest, they would float in front of the surface that other frames
     show.
     """
-    return _share(seen, lambda _: positions, ~masks, at_surface=True)
+    return _share(seen, lambda _: positions, inverse(masks), at_surface=True)
 
 
-def _share(seen: TrainingFrames, tracks: Tracks, votes: np.ndarray, at_surface: bool) -> np.ndarray:
-    """Share [n] of the frames in which a point on its track is visible where votes [F, H, W] is true."""
+def inverse(masks: Frames[np.ndarray]) -> Computed[np.ndarray]:
+    """Masks that are true where `masks` are false."""
+    return Computed(len(masks), lambda f: ~masks[f])
+
+
+def _share(seen: TrainingFrames, tracks: Tracks, votes: Frames[np.ndarray], at_surface: bool) -> np.ndarray:
+    """Share [n] of the frames in which a point on its track is visible where votes, F times [H, W], are true."""
     n = len(tracks(0))
     count, views = np.zeros(n), np.zeros(n)
     for f in range(len(seen.depths)):
         u, v, z, inside = pixels_of(seen, f, tracks(f))
-        depth = seen.depths[f, v, u]
+        depth = seen.depths[f][v, u]
         visible = inside & (z < depth * (1 + DEPTH_TOLERANCE))
         views += visible
-        count += visible & votes[f, v, u] & ((depth < z * (1 + DEPTH_TOLERANCE)) | (not at_surface))
+        count += visible & votes[f][v, u] & ((depth < z * (1 + DEPTH_TOLERANCE)) | (not at_surface))
     return count / np.maximum(views, 1)

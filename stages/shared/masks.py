@@ -12,6 +12,7 @@ import numpy as np
 
 from stages.shared import images
 from stages.shared.errors import InputError
+from stages.shared.frame_store import PackedMasks
 from stages.shared.sequences import Sequence
 from stages.shared.warp import warp
 
@@ -51,9 +52,9 @@ def read_instances(folder: Path, frames: Sequence, k: int) -> np.ndarray:
     return images.read_numbers(path)
 
 
-def read_masks(folder: Path, frames: Sequence) -> dict[int, np.ndarray]:
+def read_masks(folder: Path, frames: Sequence) -> PackedMasks:
     """The masks [H, W] bool of all frames by frame number; raises as `read_mask`."""
-    return {number: read_mask(folder, frames, k) for k, number in enumerate(frames.numbers)}
+    return PackedMasks((number, read_mask(folder, frames, k)) for k, number in enumerate(frames.numbers))
 
 
 def read_masks_on_grid(folder: Path, frames: Sequence, chosen: Iterable[int], size: tuple[int, int]) -> np.ndarray:
