@@ -9,7 +9,7 @@ import numpy as np
 
 from stages.scene import blur_rules, geometry, photometry, rules, shutter
 from stages.scene.camera_effects import camera_decisions
-from stages.scene.observed import Observed, depth_on_grid
+from stages.scene.observed import Observed, depth_on_grid, read_edges
 from stages.scene.options import SceneOptions
 from stages.scene.sightings import sight
 from stages.scene.travel import travel_evidence
@@ -17,10 +17,14 @@ from stages.shared import cli, images
 from stages.shared.artifacts import read_dense, read_json, read_metadata, write_json
 from stages.shared.cameras import read_cameras, scale_intrinsics
 from stages.shared.cli import In, Out
+from stages.shared.frame_store import Computed
 from stages.shared.log import logger
 from stages.shared.masks import read_instances, read_masks_on_grid, read_scene_on_grid
 from stages.shared.sequences import Sequence, read_sequence
 from stages.shared.split import held_out
+
+HELD_BYTES = 400_000_000
+"""Memory for colours on the flow grid; a third of it for depth."""
 
 
 def main(
@@ -105,19 +109,26 @@ def _observe(sequence: Sequence, flow: Path, masks: Path, poses: Path, depth: Pa
     h, w = pairs["flow"].shape[1:3]
     rows = np.flatnonzero(is_training[pairs["source"]] & is_training[pairs["target"]])
     ends = np.stack([pairs["source"][rows], pairs["target"][rows]], axis=-1)
-    rgb = (images.read_rgb(sequence.frames[k]).astype(np.float32) for k in frames)
+    inverse_depth = dense["inverse_depth"][frames]
+
+    def picture(f: int) -> np.ndarray:
+        return images.reduce(images.read_rgb(sequence.frames[frames[f]]).astype(np.float32), (w, h)) / 255
+
+    def depth_of(f: int) -> np.ndarray:
+        return depth_on_grid(inverse_depth[f : f + 1], stride_px, scale, h, w)[0]
+
     return Observed(
-        rgb=np.stack([images.reduce(image, (w, h)) / 255 for image in rgb]),
+        rgb=Computed(len(frames), picture, HELD_BYTES // (12 * h * w)),
         dynamic=read_masks_on_grid(masks, sequence, frames, (w, h)) & cameras.masks_used[frames, None, None],
         instances=np.stack(
             [images.reduce(read_instances(masks, sequence, int(k)), (w, h), cv2.INTER_NEAREST_EXACT) for k in frames]
         ),
-        depth=depth_on_grid(dense["inverse_depth"][frames], stride_px, scale, h, w),
+        depth=Computed(len(frames), depth_of, HELD_BYTES // (12 * h * w)),
         cam_from_world=cameras.cam_from_world[frames],
         Ks=scale_intrinsics(cameras.Ks[frames], scale),
         edges=np.searchsorted(frames, ends),
-        flow=pairs["flow"][rows].astype(np.float32),
-        confidence=pairs["confidence"][rows].astype(np.float32),
+        flow=read_edges(pairs, "flow", rows),
+        confidence=read_edges(pairs, "confidence", rows),
         offsets=ends[:, 1] - ends[:, 0],
         scene=read_scene_on_grid(sequence, (w, h)),
     )

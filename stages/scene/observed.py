@@ -4,7 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from stages.shared.artifacts import Dense
 from stages.shared.cameras import grid_from_frame, pixel_grid, projection, static_flow
+from stages.shared.frame_store import Computed, Frames
 from stages.shared.warp import bilinear
 
 
@@ -12,27 +14,41 @@ from stages.shared.warp import bilinear
 class Observed:
     """F training frames on the flow grid [h, w] and the E flow edges between them. Held-out frames are not in here.
 
+    Colours, depth and flow are looked up frame by frame, and edge by edge: they need not be in memory.
+
     Attributes:
-        rgb: [F, h, w, 3] float32 in 0..1. dynamic: [F, h, w] bool, the masks.
+        rgb: F times [h, w, 3] float32 in 0..1. dynamic: [F, h, w] bool, the masks.
         instances: [F, h, w] what of them has one number through the clip; 0 where static.
-        depth: [F, h, w] z-depth in scene units; in dynamic pixels a guess from their border.
+        depth: F times [h, w] z-depth in scene units; in dynamic pixels a guess from their border.
         cam_from_world: [F, 4, 4]. Ks: [F, 3, 3] in pixels of the flow grid.
-        edges: [E, 2] positions in 0..F-1, source and target. flow: [E, h, w, 2] px. confidence: [E, h, w] 0..1.
+        edges: [E, 2] positions in 0..F-1, source and target. flow: E times [h, w, 2] px. confidence: E times [h, w],
+            0..1.
         offsets: [E] frame distances of the edges, signed.
         scene: [h, w] bool, false where something is burnt into all frames; None: nothing is.
     """
 
-    rgb: np.ndarray
+    rgb: Frames[np.ndarray]
     dynamic: np.ndarray
     instances: np.ndarray
-    depth: np.ndarray
+    depth: Frames[np.ndarray]
     cam_from_world: np.ndarray
     Ks: np.ndarray
     edges: np.ndarray
-    flow: np.ndarray
-    confidence: np.ndarray
+    flow: Frames[np.ndarray]
+    confidence: Frames[np.ndarray]
     offsets: np.ndarray
     scene: np.ndarray | None = None
+
+
+def read_edges(pairs: Dense, column: str, rows: np.ndarray) -> Computed[np.ndarray]:
+    """Float32 values of a column of flow/pairs.arrow at its `rows` [E], read when they are used, and given back."""
+
+    def read(e: int) -> np.ndarray:
+        values = np.asarray(pairs[column][rows[e]].astype(np.float32))
+        pairs.release()
+        return values
+
+    return Computed(len(rows), read)
 
 
 def depth_on_grid(inverse_depth: np.ndarray, stride_px: float, scale: float, height: int, width: int) -> np.ndarray:

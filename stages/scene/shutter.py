@@ -12,13 +12,19 @@ leave the product of a and b zero on average, since b changes its sign with the 
 scene is needed, but the same points at different speeds.
 """
 
+import functools
+from collections.abc import Callable
+from typing import NamedTuple
+
 import cv2
 import numpy as np
 
 from stages.scene.geometry import MIN_CONFIDENCE
 from stages.scene.observed import Observed
 from stages.scene.sightings import BRIGHT
+from stages.shared.frame_store import Computed, Frames
 from stages.shared.images import DISPLAY_GAMMA
+from stages.shared.log import progress
 from stages.shared.warp import is_inside, matches, warp
 
 TILES = (4, 6)
@@ -28,6 +34,8 @@ TESTED = 3
 """Index of the shutter at which the slope <a, b> / <b, b> shows how well it could be told from none: half a frame."""
 PAIRS = 12
 """Number of pairs of frames, those between which the speeds differ most."""
+HELD_FRAMES = 48
+"""Frames whose motion is kept for the next edge."""
 MAX_STRIDE = 2
 """Frames between the two of an edge from which the speed is taken."""
 SMOOTH_PX = 0.7
@@ -57,77 +65,105 @@ def shutter_evidence(seen: Observed, least_px: float, given: float | None = None
         predicts, and its standard error. slope_sigma: standard error of the slope at half a frame: 0 is no blur, 1 that
         of this shutter.
     """
-    sides, weights = _velocities(seen)
-    velocity = np.asarray((weights[..., None] * sides).sum(axis=0) / np.maximum(weights.sum(axis=0), 1e-6)[..., None])
-    trusted = weights.sum(axis=0) >= MIN_CONFIDENCE
-    speeds = np.linalg.norm(velocity, axis=-1)
-    fast = [np.quantile(speed[good], FAST_QUANTILE) for speed, good in zip(speeds, trusted, strict=True) if good.any()]
+    F = len(seen.dynamic)
+    motion = functools.lru_cache(HELD_FRAMES)(functools.partial(_motion, seen))
+    fast = []
+    for k in progress(range(F), "speeds"):
+        velocity, trusted = motion(k).velocity, motion(k).trusted
+        if trusted.any():
+            fast.append(np.quantile(np.linalg.norm(velocity, axis=-1)[trusted], FAST_QUANTILE))
     evidence = {"speed_px": float(max(fast, default=0.0))}
-    edges = _edges(seen, velocity, trusted)
+    edges = _edges(seen, motion)
     if evidence["speed_px"] < least_px or not edges:
         return evidence
-    evidence["speed_agreement"] = _agreement(seen, sides, weights >= MIN_CONFIDENCE, edges)
-    grey = [cv2.GaussianBlur((rgb**DISPLAY_GAMMA).mean(axis=-1), (0, 0), SMOOTH_PX) for rgb in seen.rgb]
-    sums = np.sum([_compare(seen, grey, velocity, trusted, edge) for edge in edges], axis=0)
+    evidence["speed_agreement"] = _agreement(seen, motion, edges)
+    grey = Computed(F, functools.partial(_grey, seen), HELD_FRAMES)
+    sums = np.sum([_compare(seen, grey, motion, edge) for edge in edges], axis=0)
     return evidence | _judge(sums, given)
 
 
-def _velocities(seen: Observed) -> tuple[np.ndarray, np.ndarray]:
-    """Motion [2, F, h, w, 2] in px per frame, by the nearest frame before and after, and its weight [2, F, h, w]."""
-    sides = np.zeros((2, *seen.depth.shape, 2), np.float32)
+class _Motion(NamedTuple):
+    """How a frame moves in px per frame.
+
+    Attributes:
+        sides: [2, h, w, 2] by the nearest frame before and after. weights: [2, h, w] of them.
+        velocity: [h, w, 2], their mean. trusted: [h, w] bool, where it is known.
+    """
+
+    sides: np.ndarray
+    weights: np.ndarray
+    velocity: np.ndarray
+    trusted: np.ndarray
+
+
+Motions = Callable[[int], _Motion]
+"""That of each frame, by its index."""
+
+
+def _motion(seen: Observed, k: int) -> _Motion:
+    sides = np.zeros((2, *seen.dynamic.shape[1:], 2), np.float32)
     weights = np.zeros(sides.shape[:-1], np.float32)
-    for k in range(len(seen.depth)):
-        for side, ahead in enumerate((-1, 1)):
-            near = (seen.edges[:, 0] == k) & (ahead * seen.offsets > 0) & (np.abs(seen.offsets) <= MAX_STRIDE)
-            rows = np.flatnonzero(near)
-            if len(rows):
-                row = rows[np.abs(seen.offsets[rows]).argmin()]
-                sides[side, k] = seen.flow[row] / seen.offsets[row]
-                weights[side, k] = seen.confidence[row]
-    return sides, weights
+    for side, ahead in enumerate((-1, 1)):
+        near = (seen.edges[:, 0] == k) & (ahead * seen.offsets > 0) & (np.abs(seen.offsets) <= MAX_STRIDE)
+        rows = np.flatnonzero(near)
+        if len(rows):
+            row = rows[np.abs(seen.offsets[rows]).argmin()]
+            sides[side] = seen.flow[row] / seen.offsets[row]
+            weights[side] = seen.confidence[row]
+    total = weights.sum(axis=0)
+    velocity = np.asarray((weights[..., None] * sides).sum(axis=0) / np.maximum(total, 1e-6)[..., None])
+    return _Motion(sides, weights, velocity, total >= MIN_CONFIDENCE)
 
 
-def _agreement(seen: Observed, sides: np.ndarray, known: np.ndarray, edges: list[int]) -> float:
+def _grey(seen: Observed, k: int) -> np.ndarray:
+    """The linear brightness [h, w] of a frame, a little smoothed."""
+    return cv2.GaussianBlur((seen.rgb[k] ** DISPLAY_GAMMA).mean(axis=-1), (0, 0), SMOOTH_PX)
+
+
+def _agreement(seen: Observed, motion: Motions, edges: list[int]) -> float:
     """Correlation of how the squared speeds differ between frames, by the frames before and by those after: 0 if noise.
 
     Args:
-        sides, known: of `_velocities`. edges: rows.
+        edges: rows.
     """
     products = np.zeros((2, 2))
     for edge in edges:
-        (i, j), flow, part = seen.edges[edge], seen.flow[edge], (slice(None, None, 4), slice(None, None, 4))
-        good = (seen.confidence[edge] >= MIN_CONFIDENCE) & is_inside(flow) & known[:, i].all(axis=0)
-        both_there = np.asarray(known[:, j].all(axis=0), np.float32)
+        flow, part = seen.flow[edge], (slice(None, None, 4), slice(None, None, 4))
+        here, there = (motion(int(k)) for k in seen.edges[edge])
+        known, known_there = ((ends.weights >= MIN_CONFIDENCE).all(axis=0) for ends in (here, there))
+        good = (seen.confidence[edge] >= MIN_CONFIDENCE) & is_inside(flow) & known
+        both_there = np.asarray(known_there, np.float32)
         good &= warp(both_there, flow) == 1
-        change = [(v[i] ** 2).sum(axis=-1) - (warp(np.asarray(v[j]), flow) ** 2).sum(axis=-1) for v in sides]
+        sides = zip(here.sides, there.sides, strict=True)
+        change = [(v**2).sum(axis=-1) - (warp(v_there, flow) ** 2).sum(axis=-1) for v, v_there in sides]
         values = np.stack([np.clip(c, -(STEEPEST_PX**2), STEEPEST_PX**2)[part][good[part]] for c in change])
         products += values @ values.T
     return float(products[0, 1] / max(np.sqrt(products[0, 0] * products[1, 1]), 1e-12))
 
 
-def _edges(seen: Observed, velocity: np.ndarray, trusted: np.ndarray) -> list[int]:
+def _edges(seen: Observed, motion: Motions) -> list[int]:
     """Rows of the edges between the PAIRS pairs of frames whose speeds differ most, both ways."""
     row_of = {tuple(edge): row for row, edge in enumerate(seen.edges.tolist())}
     contrast = {}
-    for (i, j), row in row_of.items():
+    for (i, j), row in progress(row_of.items(), "changes of speed", len(row_of)):
         if i < j and (j, i) in row_of:
             flow, part = seen.flow[row], (slice(None, None, 4), slice(None, None, 4))
-            change = (velocity[i] ** 2).sum(axis=-1) - (warp(velocity[j], flow) ** 2).sum(axis=-1)
-            good = (seen.confidence[row] >= MIN_CONFIDENCE) & trusted[i] & is_inside(flow)
+            here, there = motion(i), motion(j)
+            change = (here.velocity**2).sum(axis=-1) - (warp(there.velocity, flow) ** 2).sum(axis=-1)
+            good = (seen.confidence[row] >= MIN_CONFIDENCE) & here.trusted & is_inside(flow)
             contrast[i, j] = float((np.minimum(np.abs(change), STEEPEST_PX**2) ** 2 * good)[part].mean())
     best = sorted(contrast, key=lambda pair: -contrast[pair])[:PAIRS]
     return [row_of[way] for i, j in best for way in ((i, j), (j, i))]
 
 
-def _compare(
-    seen: Observed, grey: list[np.ndarray], velocity: np.ndarray, trusted: np.ndarray, edge: int
-) -> np.ndarray:
+def _compare(seen: Observed, grey: Frames[np.ndarray], motion: Motions, edge: int) -> np.ndarray:
     """Sums [3, SHUTTERS, tiles] of a a, a b and b b over the pixels of an edge, weighted by their precision."""
-    (i, j), flow = seen.edges[edge], seen.flow[edge]
+    (i, j), flow = seen.edges[edge].tolist(), seen.flow[edge]
+    (_, _, velocity, trusted), (_, _, velocity_there, trusted_there) = motion(i), motion(j)
     here, there = grey[i], cv2.remap(grey[j], *matches(flow), cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT_101)
     back, area = _inverse_jacobian(flow)
-    good = (seen.confidence[edge] >= MIN_CONFIDENCE) & is_inside(flow) & trusted[i]
-    good &= (warp(trusted[j].astype(np.float32), flow) == 1) & (np.abs(np.log(area)) < np.log(MAX_MAGNIFICATION))
+    good = (seen.confidence[edge] >= MIN_CONFIDENCE) & is_inside(flow) & trusted
+    good &= (warp(trusted_there.astype(np.float32), flow) == 1) & (np.abs(np.log(area)) < np.log(MAX_MAGNIFICATION))
     good &= np.maximum(here, there) < BRIGHT**DISPLAY_GAMMA
     tiles, n = _tiles(*here.shape).ravel(), TILES[0] * TILES[1]
     if good.sum() < LEAST_PIXELS:
@@ -135,10 +171,10 @@ def _compare(
     there = there * np.median(here[good] / np.maximum(there[good], 1e-3))
     difference, total = here - there - _footprint_change(here + there, back), here + there
     weight = _weights(difference, total, good).ravel()
-    there_velocity = np.einsum("hwab,hwb->hwa", back, warp(velocity[j], flow))
+    there_velocity = np.einsum("hwab,hwb->hwa", back, warp(velocity_there, flow))
     both = np.stack([difference, total], axis=-1)
     sums = []
-    for one, other in zip(_smeared(both, velocity[i]), _smeared(both, there_velocity), strict=True):
+    for one, other in zip(_smeared(both, velocity), _smeared(both, there_velocity), strict=True):
         a, b = (one + other)[..., 0].ravel() / 2, (one - other)[..., 1].ravel() / 2
         sums.append([np.bincount(tiles, weight * product, n) for product in (a * a, a * b, b * b)])
     return np.swapaxes(np.array(sums), 0, 1)

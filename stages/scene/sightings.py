@@ -8,6 +8,8 @@ import numpy as np
 from stages.scene.observed import Observed
 from stages.shared import lie
 from stages.shared.cameras import pixel_grid, project, unproject
+from stages.shared.frame_store import Computed, Frames
+from stages.shared.log import progress
 from stages.shared.warp import bilinear
 
 DARK, BRIGHT = 0.06, 0.94
@@ -22,6 +24,8 @@ GROUP_PX = 5
 GROUP = 4
 MARGIN_PX = 3
 """Distance from movers, and from what is burnt in, within which smoothing mixes their colours in."""
+HELD_BYTES = 400_000_000
+"""Memory for smoothed frames."""
 MIN_SIGHTINGS = 4
 CELLS = (4, 6)
 """Rows and columns of the cells of space per image that are held out in turn."""
@@ -50,12 +54,13 @@ class Sightings(NamedTuple):
 def sight(seen: Observed) -> Sightings:
     """Static points of low contrast, where a misplaced sample changes little, looked up by pose and depth."""
     F = len(seen.rgb)
-    smooth = np.stack([cv2.GaussianBlur(image, (0, 0), SMOOTH_PX) for image in seen.rgb])
+    most = HELD_BYTES // (13 * seen.dynamic[0].size)
+    smooth = Computed(F, lambda k: cv2.GaussianBlur(seen.rgb[k], (0, 0), SMOOTH_PX), most)
     kernel = np.ones((2 * MARGIN_PX + 1, 2 * MARGIN_PX + 1), np.uint8)
     burnt_in = False if seen.scene is None else ~seen.scene  # rests in the image, not in the world
-    hidden = np.stack([cv2.dilate((mask | burnt_in).astype(np.uint8), kernel) for mask in seen.dynamic])
+    hidden = Computed(F, lambda k: cv2.dilate((seen.dynamic[k] | burnt_in).astype(np.uint8), kernel), most)
     points = _points(seen, smooth, hidden)
-    looked_up = [_look_up(seen, smooth[k], hidden[k], k, points) for k in range(F)]
+    looked_up = [_look_up(seen, smooth[k], hidden[k], k, points) for k in progress(range(F), "static points")]
     colours, usable, off_axis = (np.stack(part, axis=1) for part in zip(*looked_up, strict=True))
     often = (usable.sum(axis=1) >= MIN_SIGHTINGS).any(axis=1)
     kept = np.repeat(often.reshape(-1, GROUP).all(axis=1), GROUP)
@@ -65,9 +70,9 @@ def sight(seen: Observed) -> Sightings:
     return Sightings(colours, usable, distance, off_axis, *_cells(seen, points, centres), points, centres)
 
 
-def _points(seen: Observed, smooth: np.ndarray, hidden: np.ndarray) -> np.ndarray:
+def _points(seen: Observed, smooth: Frames[np.ndarray], hidden: Frames[np.ndarray]) -> np.ndarray:
     """World points [n, 3] of groups of four flat static pixels of frames spread over the clip."""
-    F, h, w = seen.depth.shape
+    F, h, w = seen.dynamic.shape
     references = np.unique(np.linspace(0, F - 1, max(MIN_REFERENCES, F // FRAMES_PER_REFERENCE)).astype(int))
     groups = min(SAMPLES, MAX_SIGHTINGS // F) // GROUP // len(references)
     corners = np.array([[0, 0], [0, GROUP_PX], [GROUP_PX, 0], [GROUP_PX, GROUP_PX]])
@@ -112,7 +117,7 @@ def _look_up(
 
 def _cells(seen: Observed, points: np.ndarray, centres: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Number [n] and half [n] of the cell of each point: by its direction from the mean camera, in the middle view."""
-    F, h, w = seen.depth.shape
+    F, h, w = seen.dynamic.shape
     rays = (points - centres.mean(axis=0)) @ seen.cam_from_world[F // 2, :3, :3].T
     angles = np.stack([np.arctan2(rays[:, 1], np.hypot(rays[:, 0], rays[:, 2])), np.arctan2(rays[:, 0], rays[:, 2])])
     size = np.array([h / CELLS[0], w / CELLS[1]]) / seen.Ks[F // 2, 0, 0]

@@ -30,7 +30,7 @@ def travel_evidence(seen: Observed) -> Bought:
 
 def _errors_of_frame(seen: Observed, k: int) -> tuple[np.ndarray, np.ndarray]:
     """Errors [n] in px of the static flow from frame k: of a camera that turns, and of one that travels."""
-    h, w = seen.depth.shape[1:]
+    h, w = seen.dynamic.shape[1:]
     edges = np.flatnonzero(seen.edges[:, 0] == k)
     uv = pixel_grid(h, w)[::STRIDE_PX, ::STRIDE_PX].reshape(-1, 2)
     u, v = uv.astype(int).T
@@ -39,8 +39,8 @@ def _errors_of_frame(seen: Observed, k: int) -> tuple[np.ndarray, np.ndarray]:
     odd = (v * CELLS[0] // h + u * CELLS[1] // w) % 2 == 1
     cameras = [(seen.cam_from_world[j], seen.Ks[j]) for j in (k, *seen.edges[edges, 1])]
     maps = [projection(cameras[0], camera) for camera in cameras[1:]]
-    flows = seen.flow[edges][:, v, u].astype(float)
-    good = seen.confidence[edges][:, v, u] >= MIN_CONFIDENCE
+    flows = np.array([seen.flow[e][v, u] for e in edges], float).reshape(len(edges), len(uv), 2)
+    good = np.array([seen.confidence[e][v, u] for e in edges]).reshape(len(edges), len(uv)) >= MIN_CONFIDENCE
     sums = np.zeros((len(edges), len(uv), 2))
     for e, map_ in enumerate(maps):
         sums[e] = _triangulated(uv, flows[e], *map_) * good[e, :, None]
