@@ -21,13 +21,13 @@ from stages.evaluate.flow_error import MIN_CONFIDENCE, RIGHT_PX, SPEEDS_PX, Flow
 from stages.flow import __main__ as flow_stage
 from stages.flow.options import FlowOptions
 from stages.flow.true_flow import NEEDED, read_truth, true_flow
-from stages.shared.artifacts import read_dense, write_json
+from stages.shared.artifacts import Dense, read_dense, write_json
 from stages.shared.errors import InputError
 from stages.shared.options import validate
 from stages.shared.sequences import Sequence, check_sequence, sequence_to_json
 
 
-def measured(frames: Sequence, options: FlowOptions) -> tuple[dict[str, np.ndarray], float]:
+def measured(frames: Sequence, options: FlowOptions) -> tuple[Dense, float]:
     """Columns of pairs.arrow as the flow stage writes them, and its CPU seconds."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -35,7 +35,7 @@ def measured(frames: Sequence, options: FlowOptions) -> tuple[dict[str, np.ndarr
         began = time.process_time()
         flow_stage.main(folder / "sequence.json", folder / "pairs.arrow", folder / "flow.png", options)
         seconds = time.process_time() - began
-        return {key: np.array(values) for key, values in read_dense(folder / "pairs.arrow").items()}, seconds
+        return Dense({key: np.array(values) for key, values in read_dense(folder / "pairs.arrow").items()}), seconds
 
 
 def summary(found: FlowErrors) -> str:

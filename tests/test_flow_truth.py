@@ -18,7 +18,7 @@ from stages.flow.edges import Edge, edge_list
 from stages.flow.options import FlowOptions
 from stages.flow.true_flow import read_truth, true_flow
 from stages.shared import lie, sintel
-from stages.shared.artifacts import read_dense, read_metadata, write_json
+from stages.shared.artifacts import Dense, read_dense, read_metadata, write_json
 from stages.shared.errors import InputError
 from stages.shared.images import write_image
 from stages.shared.sequences import Sequence, check_sequence, sequence_to_json
@@ -88,7 +88,7 @@ def test_evaluation_finds_no_error_in_true_flow_and_a_known_one_in_shifted_flow(
     options = FlowOptions(source="truth", offsets=(1,))
     flow_stage.main(tmp_path / "sequence.json", tmp_path / "pairs.arrow", tmp_path / "flow.png", options)
     assert read_metadata(tmp_path / "pairs.arrow")["source"] == "truth"
-    pairs = {name: np.array(values) for name, values in read_dense(tmp_path / "pairs.arrow").items()}
+    pairs = Dense({name: np.array(values) for name, values in read_dense(tmp_path / "pairs.arrow").items()})
     rows = {row["quantity"]: row for row in flow_rows(frames, pairs)}
     assert rows["flow right where confident"]["value"] == 100
     assert rows["flow end-point error, visible"]["value"] < 0.05

@@ -8,6 +8,7 @@ import pytest
 
 from stages.evaluate import image_baselines, image_metrics
 from stages.evaluate.image_baselines import BLEND, NEAREST, WARP
+from stages.shared.artifacts import Dense
 from stages.shared.images import write_image
 from stages.shared.sequences import Sequence
 from stages.shared.split import SplitOptions
@@ -30,11 +31,11 @@ def sequence(tmp_path: Path) -> Sequence:
     return Sequence("moving", paths, list(range(1, 6)), W, H)
 
 
-def _flow(scale: float) -> dict[str, np.ndarray]:
+def _flow(scale: float) -> Dense:
     """The motion between frames 1 and 3, both ways, on a grid of `scale` times the size."""
     fields = np.zeros((2, round(H * scale), round(W * scale), 2), np.float16)
     fields[0, ..., 0], fields[1, ..., 0] = -2 * STEP * scale, 2 * STEP * scale
-    return {"source": np.array([1, 3]), "target": np.array([3, 1]), "flow": fields}
+    return Dense({"source": np.array([1, 3]), "target": np.array([3, 1]), "flow": fields})
 
 
 @pytest.mark.parametrize("scale", [1.0, 0.5])

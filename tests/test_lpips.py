@@ -11,6 +11,7 @@ from stages.configuration import config as configuration
 from stages.evaluate.lpips import load_lpips
 from stages.evaluate.options import EvaluateOptions
 from stages.evaluate.score_images import score_images
+from stages.shared.artifacts import Dense
 from stages.shared.errors import InputError
 from stages.shared.images import write_image
 from stages.shared.sequences import Sequence
@@ -103,7 +104,7 @@ def test_image_rows_carry_lpips_of_all_regions_where_weights_are_given(tmp_path:
         write_image(path, image)
     write_image(tmp_path / "renders/test/frame_0002.png", images[0])
     sequence = Sequence("noise", paths, [1, 2, 3], 48, 40)
-    flow = {"source": np.zeros(0, int), "target": np.zeros(0, int), "flow": np.zeros((0, 40, 48, 2))}
+    flow = Dense({"source": np.zeros(0, int), "target": np.zeros(0, int), "flow": np.zeros((0, 40, 48, 2))})
     half = np.broadcast_to(np.arange(48) < 24, (40, 48))
     torch.save(_weights(), tmp_path / "alex.pth")
     pair = [images[0], images[1]]

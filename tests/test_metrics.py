@@ -152,9 +152,9 @@ def test_precision_and_recall_are_over_all_frames_together() -> None:
     moving, called = np.zeros((2, 10, 10), bool), np.zeros((2, 10, 10), bool)
     moving[0, :4], called[0, 2:4], called[1, 0] = True, True, True
     # 30 pixels are called, 20 of them move; 40 move.
-    assert mask_metrics.precision_recall(list(called), list(moving)) == (pytest.approx(2 / 3), 0.5)
-    assert mask_metrics.precision_recall(list(called), [np.zeros((10, 10), bool)] * 2) == (0, None)
-    assert mask_metrics.precision_recall([], []) == (None, None)
+    assert mask_metrics.precision_recall(zip(called, moving, strict=True)) == (pytest.approx(2 / 3), 0.5)
+    assert mask_metrics.precision_recall((mask, np.zeros((10, 10), bool)) for mask in called) == (0, None)
+    assert mask_metrics.precision_recall([]) == (None, None)
 
 
 def test_boundary_f_by_hand() -> None:

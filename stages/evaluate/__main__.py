@@ -25,7 +25,7 @@ from stages.evaluate.ground_truth import true_cameras, true_masks
 from stages.evaluate.options import EvaluateOptions
 from stages.evaluate.paths import path_rows
 from stages.shared import cli
-from stages.shared.artifacts import atomic, read_dense, read_json, read_metadata
+from stages.shared.artifacts import Dense, atomic, read_dense, read_json, read_metadata
 from stages.shared.cameras import read_cameras
 from stages.shared.charts import draw_trajectories
 from stages.shared.cli import In, Out
@@ -138,11 +138,12 @@ def _write_poses(
 
 
 def _write_masks(
-    frames: Sequence, by_round: tuple[Rows[Path], Rows[dict[int, np.ndarray]]], inputs: RunInputs, table: Path
+    frames: Sequence, by_round: tuple[Rows[Path], Rows[Mapping[int, np.ndarray]]], inputs: RunInputs, table: Path
 ) -> list[Row]:
     """Write scores of the priors and the masks of every round that has any; returns those of single frames."""
     size = frames.width, frames.height
     priors, own_masks = by_round
+    masks: dict[int, dict[str, Mapping[int, np.ndarray]]]
     masks = {k: {inputs.masks: own} for k, own in enumerate(own_masks, inputs.masked_from)}
     for k, prior in enumerate(priors, inputs.masked_from):
         masks[k] = {score_masks.PRIOR: score_masks.read_prior_masks(prior, *size)} | masks[k]
@@ -154,8 +155,8 @@ def _write_masks(
 def _write_images(
     frames: Sequence,
     renders: Path,
-    flow: Mapping[str, np.ndarray],
-    masks: tuple[dict[int, np.ndarray], RunInputs],
+    flow: Dense,
+    masks: tuple[Mapping[int, np.ndarray], RunInputs],
     table: Path,
     options: EvaluateOptions,
 ) -> list[Row]:
@@ -171,7 +172,7 @@ def _write_images(
 
 
 def _score_geometry(
-    frames: Sequence, flow: Mapping[str, np.ndarray], poses: Path, depth: Path, masks: Mapping[int, np.ndarray]
+    frames: Sequence, flow: Dense, poses: Path, depth: Path, masks: Mapping[int, np.ndarray]
 ) -> list[Row]:
     """Rows on flow and depth, of the last round."""
     grid = read_dense(depth), read_metadata(depth)["stride_px"]

@@ -4,6 +4,7 @@ import numpy as np
 
 from stages.shared import sintel
 from stages.shared.cameras import Cameras, Posed, make_cameras, pixel_grid, projection, static_flow
+from stages.shared.frame_store import PackedMasks
 from stages.shared.images import read_mask
 from stages.shared.sequences import Sequence
 
@@ -23,20 +24,20 @@ def has_derived_masks(sequence: Sequence) -> bool:
     return all(sequence.has_truth(kind) for kind in ("flow", "depth", "camdata_left"))
 
 
-def true_masks(sequence: Sequence) -> tuple[dict[int, np.ndarray], str]:
+def true_masks(sequence: Sequence) -> tuple[PackedMasks, str]:
     """True motion masks [H, W] bool by frame number, and where they come from; empty without truth."""
     if sequence.has_truth("motion_mask"):
         files = sequence.truth["motion_mask"]
-        return {number: read_mask(files[number]) for number in sequence.numbers}, "motion_mask files"
+        return PackedMasks((number, read_mask(files[number])) for number in sequence.numbers), "motion_mask files"
     cameras = true_cameras(sequence)
     if cameras is None or not has_derived_masks(sequence):
-        return {}, "none"
-    masks = {}
+        return PackedMasks(), "none"
+    masks = PackedMasks()
     for k, number in enumerate(sequence.numbers[:-1]):
         flow = sintel.read_flo(sequence.truth["flow"][number])
         depth = sintel.read_dpt(sequence.truth["depth"][number])
         source, target = ((cameras.cam_from_world[i], cameras.Ks[i]) for i in (k, k + 1))
-        masks[number] = moving_pixels(flow, depth, source, target)
+        masks.add(number, moving_pixels(flow, depth, source, target))
     return masks, f"true flow more than {MOVING_PX} px from the motion of true depth and cameras (no last frame)"
 
 

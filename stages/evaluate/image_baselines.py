@@ -1,11 +1,13 @@
 """Held-out frames interpolated from their neighbours without a scene model: baselines of the reconstruction."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
+from stages.shared.artifacts import Dense
 from stages.shared.images import enlarge, read_rgb
+from stages.shared.log import progress
 from stages.shared.sequences import Sequence
 from stages.shared.split import SplitOptions, held_out
 from stages.shared.warp import warp
@@ -28,7 +30,7 @@ class Made:
     images: dict[str, np.ndarray]
 
 
-def made_frames(sequence: Sequence, flow: Mapping[str, np.ndarray], options: SplitOptions) -> Iterator[Made]:
+def made_frames(sequence: Sequence, flow: Dense, options: SplitOptions) -> Iterator[Made]:
     """Every held-out frame with the predictions of the baselines.
 
     Args:
@@ -37,7 +39,7 @@ def made_frames(sequence: Sequence, flow: Mapping[str, np.ndarray], options: Spl
     test = held_out(len(sequence.frames), options)
     train = np.flatnonzero(~test)
     edges = {edge: e for e, edge in enumerate(zip(flow["source"].tolist(), flow["target"].tolist(), strict=True))}
-    for k in np.flatnonzero(test):
+    for k in progress(np.flatnonzero(test).tolist(), "baselines"):
         before, after = train[train < k][-1:], train[train > k][:1]
         ends = [int(end) for end in (*before, *after)]
         first, last = (read_rgb(sequence.frames[end]) for end in (ends[0], ends[-1]))
@@ -46,6 +48,7 @@ def made_frames(sequence: Sequence, flow: Mapping[str, np.ndarray], options: Spl
         there, back = edges.get((ends[0], ends[-1])), edges.get((ends[-1], ends[0]))
         if there is not None and back is not None:
             images[WARP] = between(first, last, flow["flow"][there], flow["flow"][back], share)
+            flow.release()
         yield Made(sequence.numbers[k], read_rgb(sequence.frames[k]), images)
 
 

@@ -1,6 +1,6 @@
 """Scores of binary masks: overlap and boundary accuracy, as in the DAVIS benchmark."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 
 import cv2
 import numpy as np
@@ -19,10 +19,14 @@ def iou(mask: np.ndarray, truth: np.ndarray) -> float:
     return float(np.count_nonzero(mask & truth) / union) if union else 1.0
 
 
-def precision_recall(masks: Sequence[np.ndarray], truths: Sequence[np.ndarray]) -> tuple[float | None, float | None]:
-    """Shares of the pixels called dynamic that move, and of those that move that are called so, over frames [H, W]."""
-    found = sum(np.count_nonzero(mask & truth) for mask, truth in zip(masks, truths, strict=True))
-    called, moving = (sum(map(np.count_nonzero, frames)) for frames in (masks, truths))
+def precision_recall(frames: Iterable[tuple[np.ndarray, np.ndarray]]) -> tuple[float | None, float | None]:
+    """Shares of the pixels called dynamic that move, and of those that move that are called so.
+
+    Args:
+        frames: mask and true mask [H, W] of each frame.
+    """
+    counts = [tuple(map(np.count_nonzero, (mask & truth, mask, truth))) for mask, truth in frames]
+    found, called, moving = np.sum(counts, axis=0, dtype=int).tolist() if counts else (0, 0, 0)
     return found / called if called else None, found / moving if moving else None
 
 

@@ -8,7 +8,9 @@ import numpy as np
 from stages.evaluate import flow_check
 from stages.evaluate.flow_error import flow_rows, has_some_true_flow
 from stages.shared import sintel
+from stages.shared.artifacts import Dense
 from stages.shared.cameras import Cameras, frame_from_grid, has_pose, pixel_grid
+from stages.shared.log import progress
 from stages.shared.sequences import Sequence
 
 FAR = 10.0  # true depths beyond this many medians (sky) are left out
@@ -20,7 +22,7 @@ DEPTH_PROTOCOL = (
 
 def score_geometry(
     sequence: Sequence,
-    flow: Mapping[str, np.ndarray],
+    flow: Dense,
     cameras: Cameras,
     depth: Mapping[str, np.ndarray],
     stride_px: float,
@@ -60,7 +62,7 @@ def static_pixels(sequence: Sequence, masks: Mapping[int, np.ndarray], uv: np.nd
 
 def edge_residuals(
     sequence: Sequence,
-    flow: Mapping[str, np.ndarray],
+    flow: Dense,
     cameras: Cameras,
     inverse_depth: np.ndarray,
     uv: np.ndarray,
@@ -69,11 +71,13 @@ def edge_residuals(
     """Flow residuals [n] in full-frame pixels over all edges, on confident pixels of `static` [T, h, w]."""
     scale = flow["flow"].shape[2] / sequence.width
     residuals = []
-    for e, (i, j) in enumerate(zip(flow["source"], flow["target"], strict=True)):
+    ends = list(zip(flow["source"].tolist(), flow["target"].tolist(), strict=True))
+    for e, (i, j) in enumerate(progress(ends, "residuals of flow")):
         used = static[i] & (flow_check.sample(flow["confidence"][e], uv, scale) > flow_check.MIN_CONFIDENCE)
         flow_px = flow_check.sample(flow["flow"][e], uv[used], scale).astype(float) / scale
         source, target = ((cameras.cam_from_world[k], cameras.Ks[k]) for k in (i, j))
         depths = inverse_depth[i][used].astype(float)
+        flow.release()
         residuals.append(flow_check.flow_residuals(uv[used], depths, flow_px, source, target))
     return np.concatenate(residuals)
 

@@ -1,6 +1,7 @@
 """Rows of the image table: renders against frames, whole and on static and dynamic pixels."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -10,7 +11,9 @@ import numpy as np
 from stages.evaluate import image_baselines, image_metrics
 from stages.evaluate.lpips import Distance, load_lpips
 from stages.evaluate.options import EvaluateOptions
+from stages.shared.artifacts import Dense
 from stages.shared.images import numbered_frames, read_rgb
+from stages.shared.log import progress
 from stages.shared.masks import read_burnt_in
 from stages.shared.sequences import Sequence
 
@@ -32,10 +35,38 @@ class Score(NamedTuple):
     lpips: float | None
 
 
+@dataclass
+class _Method:
+    """What one method scores on one split: by region, and frame by frame; the size of its images."""
+
+    about: dict[str, Any]
+    scores: dict[str, list[Score]] = field(default_factory=lambda: {region: [] for region in REGIONS})
+    frames: list[dict[str, Any]] = field(default_factory=list)
+    size: tuple[int, ...] = (0, 0)
+
+    def add(self, number: int, image: np.ndarray, of_regions: Mapping[str, Score]) -> None:
+        """The scores of a frame."""
+        self.size = self.size if self.frames else image.shape[:2]
+        for region, score in of_regions.items():
+            self.scores[region].append(score)
+        whole = of_regions["whole"]
+        self.frames.append({**self.about, "frame": number, "psnr_db": whole.psnr_db, "ssim": whole.ssim})
+
+    def rows(self, mask_source: str) -> list[dict[str, Any]]:
+        """A row per region."""
+        found = []
+        for region, values in self.scores.items():
+            if values:
+                row: dict[str, Any] = self.about | {"region": region} | _means(values)
+                row |= {"frames": len(values), "width": self.size[1], "height": self.size[0]}
+                found.append(row | {"mask_source": None if region == "whole" else mask_source})
+        return found
+
+
 def score_images(
     sequence: Sequence,
     renders: Path,
-    flow: Mapping[str, np.ndarray],
+    flow: Dense,
     regions: tuple[Mapping[int, np.ndarray], str],
     options: EvaluateOptions,
 ) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
@@ -48,57 +79,26 @@ def score_images(
     """
     burnt_in = read_burnt_in(sequence)
     distance = load_lpips(options.lpips_weights) if options.lpips_weights else None
-    table: list[dict[str, Any]] = []
-    frames: list[dict[str, Any]] = []
-    for method, split, protocol, pairs in _pairs(sequence, renders, flow, options):
-        about = {"sequence": sequence.name, "method": method, "split": split, "protocol": protocol}
+    methods = []
+    for split, protocol in SPLITS.items():
+        ours = _Method({"sequence": sequence.name, "method": "ours", "split": split, "protocol": protocol})
         masks = regions[0] if split != "right" else {}  # the masks belong to the left eye
         left_out = burnt_in if split != "right" else None
-        rows, per_frame = _score(about, pairs, masks, regions[1], distance, left_out)
-        table, frames = table + rows, frames + per_frame
-    return table, frames
-
-
-def _pairs(
-    sequence: Sequence, renders: Path, flow: Mapping[str, np.ndarray], options: EvaluateOptions
-) -> Iterator[tuple[str, str, str, dict[int, tuple[np.ndarray, np.ndarray]]]]:
-    """Method, split, protocol, and image and truth by frame number: our renders, then the baselines."""
-    for split, protocol in SPLITS.items():
-        found = numbered_frames(renders / split)
-        truth = true_images(sequence, split)
-        pairs = {number: (read_rgb(path), read_rgb(truth[number])) for number, path in found.items() if number in truth}
-        yield "ours", split, protocol, pairs
-    made = list(image_baselines.made_frames(sequence, flow, options))
-    for method, protocol in image_baselines.PROTOCOLS.items():
-        pairs = {frame.number: (frame.images[method], frame.truth) for frame in made if method in frame.images}
-        yield method, "test", f"{SPLITS['test']}; {protocol}", pairs
-
-
-def _score(
-    about: dict[str, Any],
-    pairs: Mapping[int, tuple[np.ndarray, np.ndarray]],
-    masks: Mapping[int, np.ndarray],
-    mask_source: str,
-    distance: Distance | None,
-    left_out: np.ndarray | None,
-) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """Rows per region and rows per frame of one method and split."""
-    scores: dict[str, list[Score]] = {region: [] for region in REGIONS}
-    frames = []
-    for number, (image, truth) in pairs.items():
-        of_regions = score_frame(image, truth, masks.get(number), left_out, distance)
-        for region, score in of_regions.items():
-            scores[region].append(score)
-        whole = of_regions["whole"]
-        frames.append({**about, "frame": number, "psnr_db": whole.psnr_db, "ssim": whole.ssim})
-    rows = []
-    for region, values in scores.items():
-        if values:
-            height, width = next(iter(pairs.values()))[0].shape[:2]
-            row: dict[str, Any] = about | {"region": region} | _means(values)
-            row |= {"frames": len(values), "width": width, "height": height}
-            rows.append(row | {"mask_source": None if region == "whole" else mask_source})
-    return rows, frames
+        found, true = numbered_frames(renders / split), true_images(sequence, split)
+        for number in progress(sorted(set(found) & set(true)), f"renders: {split}"):
+            image, truth = read_rgb(found[number]), read_rgb(true[number])
+            ours.add(number, image, score_frame(image, truth, masks.get(number), left_out, distance))
+        methods.append(ours)
+    made_by = {
+        method: _Method(ours.about | {"method": method, "split": "test", "protocol": f"{SPLITS['test']}; {protocol}"})
+        for method, protocol in image_baselines.PROTOCOLS.items()
+    }
+    for made in image_baselines.made_frames(sequence, flow, options):
+        for method, image in made.images.items():
+            scores = score_frame(image, made.truth, regions[0].get(made.number), burnt_in, distance)
+            made_by[method].add(made.number, image, scores)
+    methods += made_by.values()
+    return [row for one in methods for row in one.rows(regions[1])], [row for one in methods for row in one.frames]
 
 
 def _means(scores: list[Score]) -> dict[str, float | None]:

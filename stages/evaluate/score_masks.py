@@ -8,19 +8,21 @@ import numpy as np
 
 from stages.evaluate import mask_metrics
 from stages.shared.artifacts import read_dense
+from stages.shared.frame_store import PackedMasks
 from stages.shared.images import enlarge
+from stages.shared.log import progress
 
 PRIOR_THRESHOLD = 0.5
 PRIOR = "motion prior"
 """Name of the prior above one half; any other method of the table is the masks that the run used."""
 
 
-def read_prior_masks(path: Path, width: int, height: int) -> dict[int, np.ndarray]:
+def read_prior_masks(path: Path, width: int, height: int) -> PackedMasks:
     """The motion prior above one half, at full size [H, W], by frame number."""
     prior = read_dense(path)
     size = (width, height)
     enlarged = (enlarge(p.astype(np.float32), size) for p in prior["probability"])
-    return {int(n): p > PRIOR_THRESHOLD for n, p in zip(prior["frame"], enlarged, strict=True)}
+    return PackedMasks((int(n), p > PRIOR_THRESHOLD) for n, p in zip(prior["frame"], enlarged, strict=True))
 
 
 def score_masks(
@@ -39,11 +41,11 @@ def score_masks(
     table, frames, last = [], [], max(rounds)
     for k, methods in rounds.items():
         for method, masks in methods.items():
-            scored = {n: _score(mask, truth[n]) for n, mask in masks.items() if n in truth}
+            title = f"masks of round {k}: {method}"
+            scored = {n: _score(masks[n], truth[n]) for n in progress(list(masks), title) if n in truth}
             iou, boundary_f = np.mean(list(scored.values()), axis=0).tolist() if scored else (None, None)
             row = {"sequence": name, "method": method, "round": k, "iou": iou, "boundary_f": boundary_f}
-            shown = [mask for n, mask in masks.items() if n in truth], [truth[n] for n in scored]
-            row["precision"], row["recall"] = mask_metrics.precision_recall(*shown)
+            row["precision"], row["recall"] = mask_metrics.precision_recall((masks[n], truth[n]) for n in scored)
             shares = {
                 "dynamic_percent": 100 * float(np.mean([mask.mean() for mask in masks.values()])),
                 "true_percent": 100 * float(np.mean([truth[n].mean() for n in scored])) if scored else None,

@@ -15,7 +15,7 @@ from stages.flow.__main__ import main as estimate_flow
 from stages.flow.options import FlowOptions
 from stages.segment.refinement import smooth_along_edges
 from stages.shared import sintel
-from stages.shared.artifacts import read_dense, read_metadata, write_json
+from stages.shared.artifacts import Dense, read_dense, read_metadata, write_json
 from stages.shared.cameras import read_cameras
 from stages.shared.images import read_reduced, write_image
 from stages.shared.sequences import Sequence, check_sequence, sequence_to_json
@@ -83,7 +83,7 @@ def test_flow_is_held_against_the_truth_of_its_own_rows(flow: Path, tmp_path: Pa
     field = np.zeros((1, h, w, 2), np.float32)
     field[0, ..., 0] = SCALE * full_rows(h)[:, None]
     pairs = {"source": np.array([0]), "target": np.array([1]), "flow": field, "confidence": np.ones((1, h, w))}
-    errors_px = flow_errors(sequence, pairs).error_px.reshape(H, W)
+    errors_px = flow_errors(sequence, Dense(pairs)).error_px.reshape(H, W)
     assert errors_px[1:477].max() < 0.02
 
 
