@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 from scipy.spatial.transform import Rotation
+from track_tables import sightings
 
 from stages.control import adapt, fitting, stage1
 from stages.control.options import ControlOptions
@@ -31,7 +32,13 @@ def sightings_of(moved: np.ndarray, frames: np.ndarray, T: int, depth_error: np.
     depth = depth * depth_error
     lifted = unproject(uv, depth, np.eye(4), K)
     std = np.full(depth.shape, 0.02 if np.isscalar(depth_error) else 0.5)
-    return Sightings(frames, frames / (T - 1), uv, np.ones(depth.shape, bool), depth, std, lifted)
+    return sightings(frames, frames / (T - 1), np.ones(depth.shape, bool), uv, depth, std, lifted)
+
+
+def tracks_of(moved: np.ndarray, visible: np.ndarray) -> Sightings:
+    """Tracks [n, F, 3] in the world alone."""
+    F = np.arange(visible.shape[1])
+    return sightings(F, F / F[-1], visible, moved[..., :2], moved[..., 2], moved[..., 2], moved)
 
 
 def training(T: int) -> np.ndarray:
@@ -72,7 +79,7 @@ def test_the_table_follows_a_turning_body_and_the_frames_left_out() -> None:
     assert report["median_px"] < 0.3
     assert report["at_rest_px"] > 5
     K = centred_intrinsics(200.0, 256, 192)
-    rest = seen.moved[:, list(seen.frames).index(report["canonical_frame"] - 1)]
+    rest = seen.moved[seen.frame == list(seen.frames).index(report["canonical_frame"] - 1)]
     for frame in (4, 12):
         uv, _ = project(carried(model, rest, frame / 16), np.eye(4), K)
         truth, _ = project(moved[:, frame], np.eye(4), K)
@@ -165,7 +172,7 @@ def test_a_mover_that_enters_late_rests_at_its_own_moment() -> None:
     moved = np.concatenate([body, visitor])
     visible = np.ones(moved.shape[:2], bool)
     visible[400:, :6] = False
-    rest, own = stage1.rest_positions(moved, visible, 3, times)
+    rest, own = stage1.rest_positions(tracks_of(moved, visible), 3)
     assert own == 400
     np.testing.assert_allclose(rest[:400], body[:, 3], atol=1e-5)
     np.testing.assert_allclose(rest[400:], visitor[:, 6], atol=1e-5)
@@ -176,7 +183,7 @@ def test_a_part_hidden_in_the_canonical_frame_is_carried_there() -> None:
     moved, _ = turning_body(times)
     visible = np.ones(moved.shape[:2], bool)
     visible[:100, :6] = False
-    rest, own = stage1.rest_positions(moved, visible, 3, times)
+    rest, own = stage1.rest_positions(tracks_of(moved, visible), 3)
     assert own == 0
     error = np.linalg.norm(rest[:100] - moved[:100, 3], axis=1)
     travelled = np.linalg.norm(moved[:100, 6] - moved[:100, 3], axis=1)

@@ -81,7 +81,7 @@ def _sightings(
     T = len(sequence.frames)
     is_training = ~held_out(T, options)
     pairs, scale = read_dense(flow), float(read_metadata(flow)["scale"])
-    links = tracks.training_links(pairs["source"], pairs["target"], pairs["flow"], is_training)
+    links = tracks.training_links(pairs["source"], pairs["target"], pairs["flow"], is_training, pairs.release)
     if links.missing:
         logger.warning("no flow edge for %s: tracks end there; add the offset to flow.offsets", links.missing)
     h, w = pairs["flow"].shape[1:3]

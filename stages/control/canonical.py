@@ -6,17 +6,16 @@ from scipy.spatial import cKDTree
 MIN_RADIUS_SHARE = 0.1
 
 
-def choose_frames(visible: np.ndarray) -> tuple[int, int]:
+def choose_frames(worth: np.ndarray) -> tuple[int, int]:
     """The training frame in [0, F) whose visible tracks have the most observations in total, and the next best.
 
     A frame at the end of the clip misses the tracks that end before it: -4.3 dB on a turning mover. The next best is
     at least a quarter of the clip away, since a neighbour would see the same tracks.
 
     Args:
-        visible: [n, F] bool.
+        worth: [F] these numbers of observations.
     """
-    F = visible.shape[1]
-    worth = (visible * visible.sum(axis=1, keepdims=True)).sum(axis=0)
+    F = len(worth)
     best = int(worth.argmax())
     far = np.abs(np.arange(F) - best) >= F / 4
     return best, int(np.where(far, worth, -1).argmax())
@@ -52,10 +51,14 @@ def kernel_radii(points: np.ndarray) -> np.ndarray:
     return np.maximum(radii, MIN_RADIUS_SHARE * typical)
 
 
-def motion_importance(uv: np.ndarray, visible: np.ndarray) -> np.ndarray:
-    """Importance [n] in 1..2 of tracks uv [n, F, 2] px for placing control points: it grows with their speed."""
+def speeds(uv: np.ndarray, visible: np.ndarray) -> np.ndarray:
+    """Mean speed [n] of tracks uv [n, F, 2] px in px per frame, where they are visible [n, F] in both."""
     both = visible[:, 1:] & visible[:, :-1]
     steps = np.where(both, np.linalg.norm(np.diff(uv, axis=1), axis=-1), 0.0)
-    speed = steps.sum(axis=1) / np.maximum(both.sum(axis=1), 1)
+    return np.asarray(steps.sum(axis=1) / np.maximum(both.sum(axis=1), 1))
+
+
+def motion_importance(speed: np.ndarray) -> np.ndarray:
+    """Importance [n] in 1..2 of tracks for placing control points: it grows with their speed [n]."""
     fast = float(np.quantile(speed, 0.9))
     return 1 + np.clip(speed / fast, 0, 1) if fast > 0 else np.ones(len(speed))

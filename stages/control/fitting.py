@@ -23,6 +23,8 @@ BENDING_WEIGHT = 0.01
 back: held-out frames gain 0.2 dB on a walker and lose 0.5 on a soft body."""
 FRAMES_PER_STEP = 6
 OBSERVATIONS_PER_STEP = 6000
+MOST_AT_ONCE = 500_000
+"""Observations whose residuals are computed together."""
 STUCK_PX, STUCK_P90_PX = 0.5, 3.0
 NOISE_PX = 0.2
 """Noise of the tracks: a median residual below it is never called stuck."""
@@ -60,7 +62,8 @@ def fit(
     groups = [{"params": motion, "lr": learning_rate}, {"params": [deformation.log_radii], "lr": 1e-3}]
     optimiser = torch.optim.Adam(groups, fused=True)
     schedule = torch.optim.lr_scheduler.ExponentialLR(optimiser, 0.05 ** (1 / max(steps, 1)))
-    rows_of_frame = [torch.nonzero(seen.frame == f)[:, 0] for f in range(len(seen.times))]
+    counts = torch.bincount(seen.frame, minlength=len(seen.times)).tolist()
+    rows_of_frame = torch.split(torch.argsort(seen.frame, stable=True), counts)
     sighted = torch.tensor([f for f, rows in enumerate(rows_of_frame) if len(rows)])  # a mover may be seen briefly
     for _ in progress(range(steps), "stage 1"):
         frames = sighted[torch.randperm(len(sighted), generator=generator)[:FRAMES_PER_STEP]]
@@ -133,8 +136,8 @@ def _residuals(
 def _all_residuals(deformation: Deformation, motion: tuple[Tensor, Tensor], seen: TrackPositions) -> Tensor:
     """Reprojection error [M, 2] in pixels of every observation, for the `motion` at all training frames."""
     index, sq_dist = lbs.neighbours(deformation.points, seen.canonical, NEIGHBOURS)
-    frames, rows = torch.arange(len(seen.times)), torch.arange(len(seen.track))
-    return _residuals(deformation, motion, seen, frames, rows, index, sq_dist)[0]
+    frames, parts = torch.arange(len(seen.times)), torch.split(torch.arange(len(seen.track)), MOST_AT_ONCE)
+    return torch.cat([_residuals(deformation, motion, seen, frames, rows, index, sq_dist)[0] for rows in parts])
 
 
 def position_gradients(deformation: Deformation, seen: TrackPositions) -> Tensor:

@@ -1,38 +1,72 @@
 """Tracks lifted into the world: their depth, from the pose stage, smoothed over time."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg import solveh_banded
 
-from stages.control.tracks import Tracks
+from stages.control.tracks import Tracks, sightings_by_frame
 from stages.shared.cameras import Cameras, frame_from_grid, grid_from_frame, unproject
+from stages.shared.log import progress
 from stages.shared.warp import bilinear
 
 MIN_DEPTH_STD = 0.01
 DEPTH_ACCELERATION = 0.02
 """Expected second difference of log depth per frame^2 along a track."""
+BLOCK = 1024
+"""Tracks whose depth in all frames is held at the same time."""
 DEPTH_SPEED = 1.0
 """Expected first difference of log depth per frame; it is weak and only matters for tracks seen once or twice."""
 
 
 @dataclass(frozen=True)
 class Sightings:
-    """Tracks in full-frame pixels with their depth; n tracks, F training frames.
+    """M sightings of n tracks in F training frames, by track and then by frame, in full-frame pixels with their depth.
 
     Attributes:
-        frames: [F] 0-based frame indices. times: [F] in 0..1.
-        uv: [n, F, 2]. visible: [n, F]. depth: [n, F] smoothed z-depth. depth_std: [n, F], relative.
-        moved: [n, F, 3] positions in the world.
+        frames: [F] 0-based frame indices. times: [F] in 0..1. n: number of tracks.
+        track, frame: [M], which of the n tracks and of the F frames.
+        uv: [M, 2]. depth: [M] smoothed z-depth. depth_std: [M], relative. moved: [M, 3] positions in the world.
     """
 
     frames: np.ndarray
     times: np.ndarray
+    n: int
+    track: np.ndarray
+    frame: np.ndarray
     uv: np.ndarray
-    visible: np.ndarray
     depth: np.ndarray
     depth_std: np.ndarray
     moved: np.ndarray
+
+    @cached_property
+    def starts(self) -> np.ndarray:
+        """The first sighting [n + 1] of each track, and M."""
+        return np.searchsorted(self.track, np.arange(self.n + 1))
+
+    def spread(self, values: np.ndarray, tracks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Values [M, ...] of some tracks [m] as [m, F, ...], 0 where there is no sighting, and where there is one."""
+        table = np.zeros((len(tracks), len(self.frames), *values.shape[1:]), values.dtype)
+        visible = np.zeros(table.shape[:2], bool)
+        for row, track in enumerate(tracks.tolist()):
+            of_track = slice(self.starts[track], self.starts[track + 1])
+            table[row, self.frame[of_track]] = values[of_track]
+            visible[row, self.frame[of_track]] = True
+        return table, visible
+
+    def only(self, kept: np.ndarray) -> "Sightings":
+        """Those of the tracks that are kept, [n] bool, numbered anew."""
+        rows, numbers = kept[self.track], np.cumsum(kept) - 1
+        parts = (self.uv, self.depth, self.depth_std, self.moved)
+        sighted = (numbers[self.track[rows]], self.frame[rows], *(values[rows] for values in parts))
+        return Sightings(self.frames, self.times, int(kept.sum()), *sighted)
+
+    def blocks(self) -> Iterator[np.ndarray]:
+        """All tracks, BLOCK at a time."""
+        for first in range(0, self.n, BLOCK):
+            yield np.arange(first, min(first + BLOCK, self.n))
 
 
 def smooth_log_depth(log_depth: np.ndarray, std: np.ndarray, visible: np.ndarray) -> np.ndarray:
@@ -65,17 +99,15 @@ def smooth_log_depth(log_depth: np.ndarray, std: np.ndarray, visible: np.ndarray
 def sample_depth(
     uv: np.ndarray, inverse_depth: np.ndarray, variance: np.ndarray, stride_px: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Log z-depth [n, F] and its standard deviation at full-frame pixels uv [n, F, 2], from the solver's grid.
+    """Log z-depth [m] and its standard deviation at full-frame pixels uv [m, 2] of a frame, from the solver's grid.
 
     Args:
-        inverse_depth: [F, h, w] > 0. variance: [F, h, w] of it.
+        inverse_depth: [h, w] > 0. variance: [h, w] of it.
         stride_px: full-frame pixels per pixel of the grid, as in `frame_from_grid`.
     """
     grid_uv = grid_from_frame(uv, stride_px)
-    F = uv.shape[1]
-    log_depth = np.stack([-bilinear(np.log(inverse_depth[k]), grid_uv[:, k]) for k in range(F)], axis=1)
-    relative_std = np.sqrt(variance) / inverse_depth
-    std = np.stack([bilinear(relative_std[k], grid_uv[:, k]) for k in range(F)], axis=1)
+    log_depth = -bilinear(np.log(inverse_depth), grid_uv)
+    std = bilinear(np.sqrt(variance) / inverse_depth, grid_uv)
     return log_depth.astype(float), np.maximum(std, MIN_DEPTH_STD).astype(float)
 
 
@@ -95,10 +127,16 @@ def lift(
         frames: [F] training frames of T. scale: flow grid width / frame width.
         inverse_depth, variance: [F, h, w] of the training frames, as in `sample_depth`.
     """
-    uv = frame_from_grid(tracks.uv.astype(float), 1 / scale)
-    log_depth, std = sample_depth(uv, inverse_depth, variance, stride_px)
-    depth = np.exp(smooth_log_depth(log_depth, std, tracks.visible))
-    moved = np.zeros((*depth.shape, 3))
-    for k, frame in enumerate(frames):
-        moved[:, k] = unproject(uv[:, k], depth[:, k], cameras.cam_from_world[frame], cameras.Ks[frame])
-    return Sightings(frames, frames / (T - 1), uv, tracks.visible, depth, std, moved)
+    uv, M = frame_from_grid(tracks.uv.astype(float), 1 / scale), len(tracks.track)
+    log_depth, std, depth, moved = np.zeros(M), np.ones(M), np.zeros(M), np.zeros((M, 3))
+    by_frame = sightings_by_frame(tracks)
+    for k, rows in enumerate(by_frame):
+        log_depth[rows], std[rows] = sample_depth(uv[rows], inverse_depth[k], variance[k], stride_px)
+    found = Sightings(frames, frames / (T - 1), tracks.n, tracks.track, tracks.frame, uv, depth, std, moved)
+    for block in progress(list(found.blocks()), "depth of tracks"):
+        (logs, visible), (deviations, _) = (found.spread(values, block) for values in (log_depth, std))
+        smoothed = np.exp(smooth_log_depth(logs, np.where(visible, deviations, 1.0), visible))
+        depth[found.starts[block[0]] : found.starts[block[-1] + 1]] = smoothed[visible]
+    for frame, rows in zip(frames, by_frame, strict=True):
+        moved[rows] = unproject(uv[rows], depth[rows], cameras.cam_from_world[frame], cameras.Ks[frame])
+    return found

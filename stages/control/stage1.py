@@ -47,11 +47,11 @@ def fit_sightings(
     Returns:
         the model, and metadata with `status`: "fitted", "stuck" (the residual is too large) or the reason for no model.
     """
-    if len(sightings.uv) == 0:
+    if sightings.n == 0:
         return None, {"status": "no dynamic pixel could be tracked", "arap_weight": 0.0, "region": options.region}
     count = non_rigid["points"] if options.control_points == "auto" else options.control_points
     fits: list[tuple[Deformation, dict[str, Any]]] = []
-    for attempt in _attempts(sightings.visible, count, options):
+    for attempt in _attempts(sightings, count, options):
         fits.append(_fit(sightings, cameras, attempt, non_rigid["arap_weight"], options))
         if not fits[-1][1]["stuck"]:
             break
@@ -62,16 +62,18 @@ def fit_sightings(
         "kind": options.model,
         "region": options.region,
         "attempts": len(fits),
-        "tracks": len(sightings.uv),
+        "tracks": sightings.n,
         "training_frames": cameras.numbers[sightings.frames].tolist(),
         "options": options.model_dump(),
         **report,
     }
 
 
-def _attempts(visible: np.ndarray, count: int, options: ControlOptions) -> list[_Attempt]:
+def _attempts(sightings: Sightings, count: int, options: ControlOptions) -> list[_Attempt]:
     """The default fit, then retries if it is stuck: more points, or more steps if the user set the number of points."""
-    first, second = canonical.choose_frames(visible)
+    lengths = np.diff(sightings.starts)
+    worth = np.bincount(sightings.frame, lengths[sightings.track], len(sightings.frames))
+    first, second = canonical.choose_frames(worth)
     more = max(count, min(4 * count, MAX_POINTS)) if options.control_points == "auto" else count
     steps = options.steps if more > count else 2 * options.steps
     return [_Attempt(first, count, options.steps), _Attempt(first, more, steps), _Attempt(second, more, steps)]
@@ -82,7 +84,7 @@ def _fit(
 ) -> tuple[Deformation, dict[str, Any]]:
     """One attempt: the model and its report."""
     torch.manual_seed(options.seed)
-    rest, own = rest_positions(sightings.moved, sightings.visible, attempt.frame, sightings.times)
+    rest, own = rest_positions(sightings, attempt.frame)
     seen = _observations(rest, sightings, cameras)
     table, arap_weight = _fit_table(rest, sightings, seen, attempt, max_arap, options)
     model: Deformation = table
@@ -104,7 +106,7 @@ def _fit(
         "control_points": len(model.points),
         "arap_weight": arap_weight,
         "tracks_with_own_rest_moment": own,
-        "visible_in_canonical": float(sightings.visible[:, attempt.frame].mean()),
+        "visible_in_canonical": float((sightings.frame == attempt.frame).sum() / sightings.n),
         **report,
     }
 
@@ -149,63 +151,61 @@ def _with_more_points(table: TableDeformation, seen: TrackPositions, count: int)
 
 def _new_table(rest: np.ndarray, sightings: Sightings, count: int) -> TableDeformation:
     """Control points spread over the tracked points, denser where these move fast, with initial motion."""
-    importance = canonical.motion_importance(sightings.uv, sightings.visible)
+    speed = [canonical.speeds(*sightings.spread(sightings.uv, block)) for block in sightings.blocks()]
+    importance = canonical.motion_importance(np.concatenate(speed))
     points = rest[canonical.farthest_points(rest, importance, count)]
     log_radii = torch.from_numpy(np.log(canonical.kernel_radii(points))).float()
-    max_extent = MAX_EXTENT * float(np.median(sightings.depth[sightings.visible]))
+    max_extent = MAX_EXTENT * float(np.median(sightings.depth))
     table = TableDeformation(torch.from_numpy(points), log_radii, torch.from_numpy(sightings.times), max_extent)
-    seed_from_tracks(table, rest, sightings.moved, sightings.visible)
+    seed_from_tracks(table, rest, sightings)
     return table
 
 
 def _observations(rest: np.ndarray, sightings: Sightings, cameras: Cameras) -> TrackPositions:
-    track, frame = np.nonzero(sightings.visible)
-
     def tensor(values: np.ndarray) -> torch.Tensor:
         return torch.from_numpy(np.ascontiguousarray(values, np.float32))
 
     return TrackPositions(
         torch.from_numpy(rest),
-        torch.from_numpy(track),
-        torch.from_numpy(frame),
-        tensor(sightings.uv[track, frame]),
-        tensor(sightings.depth[track, frame]),
-        tensor(sightings.depth_std[track, frame]),
+        torch.from_numpy(sightings.track),
+        torch.from_numpy(sightings.frame),
+        tensor(sightings.uv),
+        tensor(sightings.depth),
+        tensor(sightings.depth_std),
         tensor(sightings.times),
         tensor(cameras.cam_from_world[sightings.frames]),
         tensor(cameras.Ks[sightings.frames]),
     )
 
 
-def rest_positions(moved: np.ndarray, visible: np.ndarray, frame: int, times: np.ndarray) -> tuple[np.ndarray, int]:
+def rest_positions(sightings: Sightings, frame: int) -> tuple[np.ndarray, int]:
     """Position of every track in the canonical frame.
 
     A track visible in `frame` has its position there. Any other is moved from its observation nearest in time by the
     inverse motion of the tracks around it. A track far from all others keeps the position of that observation.
 
     Args:
-        moved: [n, F, 3] positions in the world. visible: [n, F]. frame: in [0, F), seen by at least one track.
-        times: [F] ascending, in 0..1.
+        frame: in [0, F), seen by at least one track.
 
     Returns:
         positions float32 [n, 3], and the number of tracks that keep the position of another frame.
     """
-    anchored = visible[:, frame]
-    rest = moved[:, frame].astype(np.float32)
+    away = np.abs(sightings.frame - frame)
+    nearest = np.lexsort((sightings.frame, away, sightings.track))[sightings.starts[:-1]]
+    anchored = away[nearest] == 0
+    rest = sightings.moved[nearest].astype(np.float32)
     chosen = canonical.farthest_points(rest[anchored], np.ones(anchored.sum()), CARRIERS)
     points = rest[anchored][chosen]
     carriers = TableDeformation(
         torch.from_numpy(points),
         torch.from_numpy(np.log(canonical.kernel_radii(points))).float(),
-        torch.from_numpy(times),
+        torch.from_numpy(sightings.times),
     )
-    seed_from_tracks(carriers, rest[anchored], moved[anchored], visible[anchored])
-    away = np.abs(np.arange(visible.shape[1]) - frame)
-    sighting = np.where(visible, away, visible.shape[1]).argmin(axis=1)
+    seed_from_tracks(carriers, rest[anchored], sightings.only(anchored))
     own = 0
-    for k in np.unique(sighting[~anchored]):
-        members = np.flatnonzero(~anchored & (sighting == k))
-        seen_at = torch.from_numpy(moved[members, k].astype(np.float32))
+    for k in np.unique(sightings.frame[nearest[~anchored]]):
+        members = np.flatnonzero(~anchored & (sightings.frame[nearest] == k))
+        seen_at = torch.from_numpy(rest[members])
         with torch.no_grad():
             quats, translations = carriers(carriers.knots[k : k + 1])
         carried, remoteness = lbs.inverse_blend(
@@ -217,25 +217,30 @@ def rest_positions(moved: np.ndarray, visible: np.ndarray, frame: int, times: np
     return rest, own
 
 
-def seed_from_tracks(
-    deformation: TableDeformation, canonical: np.ndarray, moved: np.ndarray, visible: np.ndarray
-) -> None:
+def seed_from_tracks(deformation: TableDeformation, canonical: np.ndarray, sightings: Sightings) -> None:
     """Initialise the table, in place, with the median shift of the tracks nearest to each control point.
 
     Without it the photometric gradient never finds the motion, and the fit to tracks takes far longer. Rotations start
     at the identity: those of the Procrustes problem amplify errors of depth and are a worse initialisation.
 
     Args:
-        canonical: [n, 3] tracked points. moved: [n, F, 3] where they are in each training frame. visible: [n, F].
+        canonical: [n, 3] tracked points. sightings: of the n tracks.
     """
     nearest, _ = lbs.neighbours(torch.from_numpy(canonical), deformation.points, TRACKS_PER_POINT)
-    shifts = (moved - canonical[:, None])[nearest.numpy()]  # [P, K, F, 3]
-    seen = visible[nearest.numpy()]
-    known = seen.any(axis=1)
     times = deformation.knots.numpy()
-    motion = np.empty((len(times), len(known), 3))
-    for p, frames in enumerate(known):  # frames without an observation are interpolated
-        medians = np.stack([np.median(shifts[p, seen[p, :, f], f], axis=0) for f in np.flatnonzero(frames)])
-        motion[:, p] = np.stack([np.interp(times, times[frames], medians[:, axis]) for axis in range(3)], axis=-1)
+    motion = np.empty((len(times), len(nearest), 3))
+    for p, tracks in enumerate(nearest.numpy()):  # frames without an observation are interpolated
+        moved, seen = sightings.spread(sightings.moved, tracks)
+        known = seen.any(axis=0)
+        medians = _medians(moved[:, known] - canonical[tracks][:, None], seen[:, known])
+        motion[:, p] = np.stack([np.interp(times, times[known], medians[:, axis]) for axis in range(3)], axis=-1)
     with torch.no_grad():
         deformation.table[..., 4:] = torch.from_numpy(motion) / deformation.extent
+
+
+def _medians(values: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """Median [F, 3] over the first axis of values [K, F, 3] where they are known [K, F], once at least in each."""
+    ordered = np.sort(np.where(known[..., None], values, np.inf), axis=0)
+    count = known.sum(axis=0)
+    low, high = (ordered[rank, np.arange(len(count))] for rank in ((count - 1) // 2, count // 2))
+    return np.asarray((low + high) / 2)

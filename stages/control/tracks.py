@@ -3,11 +3,14 @@
 Held-out frames are not used: a track crosses them with the longer flow edge between the neighbouring training frames.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
 
+from stages.shared.log import progress
 from stages.shared.warp import bilinear
 
 DISAGREEMENT_PX, DISAGREEMENT_PER_PX = 1.0, 0.05
@@ -23,51 +26,75 @@ class Links:
 
     Attributes:
         frames: [F] 0-based indices of the training frames.
-        flow: [2, F - 1, h, w, 2] float32 in grid pixels: [0, k] from frame k to k + 1, [1, k] back from k + 1 to k.
-        known: [F - 1] whether the edge list has both edges of the step; if not, its flow is zero.
+        rows: [2, F - 1] where their flow is: [0, k] from frame k to k + 1, [1, k] back from k + 1 to k.
+        flow: [E, h, w, 2] in grid pixels, mapped from its file. release: gives back what was read of it.
+        known: [F - 1] whether the edge list has both edges of the step.
         missing: missing edges, as (source, target) frame indices.
     """
 
     frames: np.ndarray
+    rows: np.ndarray
     flow: np.ndarray
     known: np.ndarray
     missing: list[tuple[int, int]]
+    release: Callable[[], None]
+
+    def motion(self, way: int, step: int, uv: np.ndarray) -> np.ndarray:
+        """Flow [n, 2] of a step at pixels uv [n, 2] of the frame that it leaves."""
+        field = self.flow[self.rows[way, step]]
+        low = np.maximum(np.floor(uv.min(axis=0)).astype(int) - 1, 0)
+        high = np.maximum(np.ceil(uv.max(axis=0)).astype(int) + 2, low + 1)
+        low = np.minimum(low, np.array(field.shape[1::-1]) - 1)
+        part = field[low[1] : high[1], low[0] : high[0]].astype(np.float32)
+        return bilinear(part, uv - low.astype(np.float32))
 
 
 @dataclass(frozen=True)
 class Tracks:
-    """n tracks over the F training frames.
+    """n tracks over F training frames, as the M sightings of all of them, by track and then by frame.
 
     Attributes:
-        uv: [n, F, 2] float32 in pixels of the flow grid; undefined where not visible.
-        visible: [n, F].
+        n, F: numbers of tracks and frames. track, frame: [M] of each sighting.
+        uv: [M, 2] float32 in pixels of the flow grid.
     """
 
+    n: int
+    F: int
+    track: np.ndarray
+    frame: np.ndarray
     uv: np.ndarray
-    visible: np.ndarray
+
+    @cached_property
+    def lengths(self) -> np.ndarray:
+        """Number of sightings [n] of each track."""
+        return np.bincount(self.track, minlength=self.n)
+
+    def only(self, kept: np.ndarray) -> "Tracks":
+        """The tracks that are kept, [n] bool, numbered anew."""
+        rows = kept[self.track]
+        return Tracks(int(kept.sum()), self.F, (np.cumsum(kept) - 1)[self.track[rows]], self.frame[rows], self.uv[rows])
 
 
-def training_links(source: np.ndarray, target: np.ndarray, flow: np.ndarray, is_training: np.ndarray) -> Links:
+def training_links(
+    source: np.ndarray,
+    target: np.ndarray,
+    flow: np.ndarray,
+    is_training: np.ndarray,
+    release: Callable[[], None] = lambda: None,
+) -> Links:
     """Pick the edges between neighbouring training frames out of the edge list [E] with flow [E, h, w, 2].
 
     Args:
         is_training: [T], false for held-out frames; no edge that touches one is read.
+        release: gives back what was read of the flow.
     """
     frames = np.flatnonzero(is_training)
     rows = {(int(i), int(j)): row for row, (i, j) in enumerate(zip(source, target, strict=True))}
     steps = list(zip(frames[:-1].tolist(), frames[1:].tolist(), strict=True))
-    h, w = flow.shape[1:3]
-    picked = np.zeros((2, len(steps), h, w, 2), np.float32)
-    known = np.ones(len(steps), bool)
-    missing = []
-    for k, (i, j) in enumerate(steps):
-        for way, edge in enumerate(((i, j), (j, i))):
-            if edge in rows:
-                picked[way, k] = flow[rows[edge]]
-            else:
-                known[k] = False
-                missing.append(edge)
-    return Links(frames, picked, known, missing)
+    ways = [steps, [(j, i) for i, j in steps]]
+    picked = np.array([[rows.get(edge, -1) for edge in way] for way in ways])
+    missing = [edge for both in zip(*ways, strict=True) for edge in both if edge not in rows]
+    return Links(frames, picked, flow, np.asarray((picked >= 0).all(axis=0)), missing, release)
 
 
 def track_dynamic_pixels(links: Links, masks: np.ndarray, stride_px: int) -> Tracks:
@@ -83,63 +110,72 @@ def track_dynamic_pixels(links: Links, masks: np.ndarray, stride_px: int) -> Tra
     F = len(masks)
     kernel = np.ones((3, 3), np.uint8)  # pixels on the outline mix two motions
     inner = np.stack([cv2.erode(mask.astype(np.uint8), kernel) > 0 for mask in masks])
-    uv, visible = [np.zeros((0, F, 2), np.float32)], [np.zeros((0, F), bool)]
-    for k in sorted(range(F), key=lambda k: abs(k - F // 2)):
-        covered = _covered(uv, visible, k, inner.shape[1:], stride_px)
-        v, u = np.nonzero(inner[k] & ~covered)
+    passed, n = np.zeros(inner.shape, bool), 0
+    found = [(np.zeros(0, int), np.zeros(0, int), np.zeros((0, 2), np.float32))]
+    for k in progress(sorted(range(F), key=lambda k: abs(k - F // 2)), "tracks"):
+        v, u = np.nonzero(inner[k] & ~_covered(passed[k], stride_px))
         on_grid = (u % stride_px == 0) & (v % stride_px == 0)
         if on_grid.any():
             seeds = np.stack([u, v], axis=-1)[on_grid].astype(np.float32)
-            new_uv, new_visible = _follow(links, inner, seeds, k)
-            uv.append(new_uv)
-            visible.append(new_visible)
-    tracks = Tracks(np.concatenate(uv), np.concatenate(visible))
-    kept = _worth_keeping(tracks, inner.shape[1:], stride_px)
-    return Tracks(tracks.uv[kept], tracks.visible[kept])
+            track, frame, uv = _follow(links, inner, seeds, k)
+            at_u, at_v = np.rint(uv).astype(int).T
+            passed[frame, at_v, at_u] = True
+            found.append((n + track, frame, uv))
+            n += len(seeds)
+            links.release()
+    tracks = Tracks(n, F, *(np.concatenate(part) for part in zip(*found, strict=True)))
+    return tracks.only(_worth_keeping(tracks, inner.shape[1:], stride_px))
 
 
 def _worth_keeping(tracks: Tracks, shape: tuple[int, ...], stride_px: int) -> np.ndarray:
     """Which tracks [n] to fit: the long ones, and tracks of two frames where no long one passes."""
-    sightings = tracks.visible.sum(axis=1)
-    kept = np.asarray(sightings >= min(MIN_FRAMES, tracks.visible.shape[1]))
-    long_uv, long_visible = tracks.uv[kept], tracks.visible[kept]
-    for k in range(tracks.visible.shape[1]):
-        short = np.flatnonzero(tracks.visible[:, k] & (sightings == MIN_FRAMES - 1))
-        u, v = np.rint(tracks.uv[short, k]).astype(int).T
-        kept[short[~_covered([long_uv], [long_visible], k, shape, stride_px)[v, u]]] = True
+    lengths = tracks.lengths
+    kept = np.asarray(lengths >= min(MIN_FRAMES, tracks.F))
+    is_long, is_short = kept[tracks.track], lengths[tracks.track] == MIN_FRAMES - 1
+    u, v = np.rint(tracks.uv).astype(int).T
+    for rows in sightings_by_frame(tracks):
+        short, passed = rows[is_short[rows]], np.zeros(shape, bool)
+        if len(short):
+            passed[v[rows[is_long[rows]]], u[rows[is_long[rows]]]] = True
+            kept[tracks.track[short[~_covered(passed, stride_px)[v[short], u[short]]]]] = True
     return kept
 
 
-def _covered(
-    uv: list[np.ndarray], visible: list[np.ndarray], k: int, shape: tuple[int, ...], stride_px: int
-) -> np.ndarray:
-    """Pixels [h, w] of training frame k within one grid step of a track."""
-    image = np.zeros(shape, np.uint8)
-    for some_uv, some_visible in zip(uv, visible, strict=True):
-        u, v = np.rint(some_uv[some_visible[:, k], k]).astype(int).T
-        image[v, u] = 1
+def sightings_by_frame(tracks: Tracks) -> list[np.ndarray]:
+    """The sightings of each frame, as indices."""
+    order = np.argsort(tracks.frame, kind="stable")
+    return np.split(order, np.searchsorted(tracks.frame[order], np.arange(1, tracks.F)))
+
+
+def _covered(passed: np.ndarray, stride_px: int) -> np.ndarray:
+    """Pixels [h, w] of a frame within one grid step of those that tracks pass, [h, w] bool."""
     size = 2 * stride_px + 1
-    return cv2.dilate(image, np.ones((size, size), np.uint8)) > 0
+    return cv2.dilate(passed.astype(np.uint8), np.ones((size, size), np.uint8)) > 0
 
 
-def _follow(links: Links, inner: np.ndarray, seeds: np.ndarray, start: int) -> tuple[np.ndarray, np.ndarray]:
-    """Tracks through all training frames of seeds [n, 2] in frame `start`: uv [n, F, 2], visible [n, F]."""
+def _follow(
+    links: Links, inner: np.ndarray, seeds: np.ndarray, start: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Sightings of the tracks of seeds [n, 2] in frame `start`: track [m], frame [m] and uv [m, 2] float32."""
     F, h, w = inner.shape
-    uv, visible = np.zeros((len(seeds), F, 2), np.float32), np.zeros((len(seeds), F), bool)
-    uv[:, start], visible[:, start] = seeds, True
+    found = [(np.arange(len(seeds)), np.full(len(seeds), start), seeds)]
     for way, targets in enumerate((range(start + 1, F), range(start - 1, -1, -1))):
+        track, here = np.arange(len(seeds)), seeds
         for k in targets:
-            before, step = (k - 1, k - 1) if way == 0 else (k + 1, k)
-            here = uv[:, before]
-            motion = bilinear(links.flow[way, step], here)
+            step = k - 1 if way == 0 else k
+            if not len(track) or not links.known[step]:
+                break
+            motion = links.motion(way, step, here)
             there = here + motion
-            inside = (there >= 0).all(axis=1) & (there[:, 0] <= w - 1) & (there[:, 1] <= h - 1)
-            alive = visible[:, before] & links.known[step] & inside
-            alive &= _agree(motion, bilinear(links.flow[1 - way, step], there))
+            alive = (there >= 0).all(axis=1) & (there[:, 0] <= w - 1) & (there[:, 1] <= h - 1)
+            alive &= _agree(motion, links.motion(1 - way, step, there))
             u, v = np.rint(np.where(alive[:, None], there, 0)).astype(int).T
-            visible[:, k] = alive & inner[k, v, u]
-            uv[:, k] = np.where(visible[:, k, None], there, 0)
-    return uv, visible
+            alive &= inner[k, v, u]
+            track, here = track[alive], there[alive]
+            found.append((track, np.full(len(track), k), here))
+    track, frame, uv = (np.concatenate(part) for part in zip(*found, strict=True))
+    order = np.lexsort((frame, track))
+    return track[order], frame[order], uv[order]
 
 
 def _agree(motion: np.ndarray, back: np.ndarray) -> np.ndarray:

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import torch
 from scipy.spatial.transform import Rotation
+from track_tables import sightings
 
 from stages.control import fitting, stage1
 from stages.control.options import ControlOptions
-from stages.control.sightings import Sightings
 from stages.deformation import arap, lbs
 from stages.deformation.arap_kernels import best_rotations
 from stages.deformation.motion_models import MLPDeformation, TableDeformation
@@ -78,7 +78,7 @@ def test_one_track_at_the_horizon_does_not_lengthen_the_steps() -> None:
     K = centred_intrinsics(200.0, 256, 192)
     uv, depth = project(moved, np.eye(4), K)
     every = np.ones(depth.shape, bool)
-    seen = Sightings(np.arange(F), np.linspace(0, 1, F), uv, every, depth, np.full(depth.shape, 0.02), moved)
+    seen = sightings(np.arange(F), np.linspace(0, 1, F), every, uv, depth, np.full(depth.shape, 0.02), moved)
     cameras = make_cameras(np.tile(np.eye(4), (F, 1, 1)), K, np.arange(1, F + 1))
     options = ControlOptions(control_points=100, steps=80)
     _, report = stage1.fit_sightings(seen, cameras, {"points": 100, "arap_weight": 0.05}, options)
