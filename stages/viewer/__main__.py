@@ -29,11 +29,12 @@ def main(
     from stages.shared.drawing import spread
     from stages.shared.errors import InputError, complete
     from stages.shared.images import read_rgb
+    from stages.shared.log import progress
     from stages.shared.split import frame_times
     from stages.splatting.model_files import scene_from_tensors
     from stages.viewer.instances import elected, instance_votes
     from stages.viewer.packing import pack_scene
-    from stages.viewer.page import encoded, render_page
+    from stages.viewer.page import MOST_PICTURES, encoded, render_page
 
     frames, cameras = read_sequence(sequence), read_cameras(poses)
     times = frame_times(len(frames.frames))
@@ -46,7 +47,8 @@ def main(
         chosen = spread(len(times), VOTING_FRAMES)
         instances = elected(instance_votes(scene, cameras, times, frames, masks, chosen))
     arrays, numbers = pack_scene(scene, cameras, times, instances)
-    pictures = encoded(read_rgb(path) for path in frames.frames)
+    shown = spread(len(times), MOST_PICTURES)
+    pictures = encoded(read_rgb(frames.frames[k]) for k in progress(shown, "input frames"))
     page = render_page(frames.name, arrays, numbers, (frames.width, frames.height), pictures)
     with atomic(output) as partial:
         partial.write_text(page, encoding="utf-8")

@@ -1,7 +1,8 @@
 """The 4D model as one compact blob for the viewer: arrays behind one another, and a header that says where each lies.
 
 All lengths are in units of the median distance of the Gaussians from the origin, so that float16 suits scenes of any
-unit. With N Gaussians, D of them dynamic, K control points each, P control points and T frames the arrays are:
+unit. With N Gaussians, D of them dynamic, K control points each, P control points, T frames and R moments, evenly
+spread over them, at which motions are packed, the arrays are:
 
 | array | type | content | precision |
 |---|---|---|---|
@@ -15,7 +16,7 @@ unit. With N Gaussians, D of them dynamic, K control points each, P control poin
 | drifts | float16 [D, 3] | motion of the mean in span sqrt(2), from its birth on | 1/2048 |
 | instances | uint8 [D] | number of the instance, 0: none | - |
 | points | float32 [P, 3] | canonical control points | - |
-| motions | float16 [T, P, 10] | quaternion, translation, colour offset of each point and frame | 1/2048 |
+| motions | float16 [R, P, 10] | quaternion, translation, colour offset of each point and moment | 1/2048 |
 | gains | float32 [T, 3] | exposure | - |
 | poses, lenses | float32 [T, 12], [T, 4] | rows of cam_from_world [3, 4]; fx fy cx cy in px of the frame | - |
 """
@@ -35,6 +36,8 @@ from stages.splatting.projection_kernels import BLUR
 
 SH_LEVELS = 127
 WEIGHT_SUM = 255
+MOTION_BYTES, MOTION_POINT_BYTES = 2_400_000, 20
+"""Motions take at most so much, before base64; and what a control point takes at a moment."""
 ALIGNMENT = 4
 """Arrays begin at multiples of this many bytes, which typed arrays of the browser demand."""
 
@@ -56,7 +59,7 @@ def pack_scene(
     sh_rest, sh_steps = quantised_sh(sh[:, 1:])
     log_scales, opacities = cloud.log_scales.cpu().numpy() - np.log(unit), cloud.logits.sigmoid().cpu().numpy()
     index, weights = quantised_pairs(*_pairs(scene))
-    points, motions = packed_motions(scene, times, unit)
+    points, motions = packed_motions(scene, moments_of_motion(scene, times), unit)
     poses, lenses = _packed_cameras(scene, cameras, times, unit)
     arrays: dict[str, np.ndarray] = {
         "means": (means / unit).astype(np.float32),
@@ -126,10 +129,17 @@ def quantised_pairs(index: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray,
     return index.astype(np.uint16), (whole + (rank < missing)).astype(np.uint8)
 
 
-def packed_motions(scene: GaussianScene, times: np.ndarray, unit: float) -> tuple[np.ndarray, np.ndarray]:
-    """Control points [P, 3] float32 and their motions [T, P, 10] float16: unit quaternion, translation, colour offset.
+def moments_of_motion(scene: GaussianScene, times: np.ndarray) -> np.ndarray:
+    """The times [R] at which motions are packed: those of the frames [T], or fewer where these take MOTION_BYTES."""
+    points = 0 if scene.deformation is None else len(scene.deformation.points)
+    most = max(2, MOTION_BYTES // (MOTION_POINT_BYTES * max(points, 1)))
+    return times if len(times) <= most else np.linspace(times[0], times[-1], most)
 
-    Quaternions of successive frames have the same sign, so the viewer can interpolate them.
+
+def packed_motions(scene: GaussianScene, times: np.ndarray, unit: float) -> tuple[np.ndarray, np.ndarray]:
+    """Control points [P, 3] float32 and their motions [R, P, 10] float16: unit quaternion, translation, colour offset.
+
+    Quaternions of successive moments have the same sign, so the viewer can interpolate them.
     """
     if scene.deformation is None:
         return np.zeros((0, 3), np.float32), np.zeros((len(times), 0, 10), np.float16)

@@ -20,6 +20,8 @@ SHADERS = ("project.vert", "splat.vert", "splat.frag", "resolve.vert", "resolve.
 PICTURE_WIDTH_PX = 640
 PICTURE_BUDGET_BYTES = 1_200_000
 """Of all input frames together, before base64."""
+MOST_PICTURES = 200
+"""Of longer clips so many input frames are shown, evenly spread."""
 QUALITIES = ((70, 1.0), (50, 1.0), (35, 1.0), (35, 0.7), (25, 0.5), (15, 0.35))
 """WebP quality and share of the width, tried in this order until the frames are within their budget."""
 
@@ -35,7 +37,7 @@ def render_page(
 
     Args:
         name: of the sequence. arrays, numbers: of `packing.pack_scene`. size: (width, height) of a frame in px.
-        pictures: of the input frames, as `encoded` makes them; empty: no comparison with the input.
+        pictures: of input frames, evenly spread over all, as `encoded` makes them; empty: no comparison with the input.
     """
     blob, layout = to_blob(arrays)
     scene = {**numbers, "name": name, "width": size[0], "height": size[1], "arrays": layout}

@@ -75,14 +75,14 @@ class LineRenderer {
     return vertices;
   }
 
-  // A line from frame to frame for every control point, from blue in the first to red in the last frame.
+  // A line from moment to moment for every control point, from blue in the first to red in the last one.
   trajectories() {
-    const { P, T, motions, arrays: { points } } = this.model, vertices = new Float32Array(14 * P * Math.max(T - 1, 0));
+    const { P, R, motions, arrays: { points } } = this.model, vertices = new Float32Array(14 * P * Math.max(R - 1, 0));
     let at = 0;
     for (let p = 0; p < P; p++) {
-      for (let frame = 0; frame + 1 < T; frame++) {
-        for (const end of [frame, frame + 1]) {
-          const share = end / (T - 1), from = 10 * (end * P + p) + 4;
+      for (let moment = 0; moment + 1 < R; moment++) {
+        for (const end of [moment, moment + 1]) {
+          const share = end / (R - 1), from = 10 * (end * P + p) + 4;
           for (let k = 0; k < 3; k++) vertices[at++] = points[3 * p + k] + motions[from + k];
           vertices.set([share, 0.35, 1 - share, 0.6], at);
           at += 4;

@@ -29,6 +29,7 @@ class Model {
     this.N = scene.arrays.means.shape[0];
     this.T = scene.frames.length;
     this.P = scene.arrays.points.shape[0];
+    this.R = scene.arrays.motions.shape[0];  // moments at which motions are known, evenly spread over the frames
     this.pairs = scene.arrays.index.shape[1];
     const table = Float32Array.from({ length: 65536 }, (_, half) => halfToFloat(half));
     this.motions = Float32Array.from(this.arrays.motions, (half) => table[half]);
@@ -36,16 +37,17 @@ class Model {
     this.present = new Float32Array(12 * this.P);
   }
 
-  // Frames around a time with their weights in the cubic that passes through every frame (Catmull-Rom).
+  // Moments around a time with their weights in the cubic that passes through every moment (Catmull-Rom).
   around(time) {
-    const first = Math.min(Math.max(Math.floor(time), 0), this.T - 1), x = Math.min(Math.max(time - first, 0), 1);
+    const at = this.R === this.T ? time : time * (this.R - 1) / Math.max(this.T - 1, 1);
+    const first = Math.min(Math.max(Math.floor(at), 0), this.R - 1), x = Math.min(Math.max(at - first, 0), 1);
     const weights = [
       -0.5 * x + x * x - 0.5 * x ** 3, 1 - 2.5 * x * x + 1.5 * x ** 3,
       0.5 * x + 2 * x * x - 1.5 * x ** 3, -0.5 * x * x + 0.5 * x ** 3,
     ];
     const found = [];
     weights.forEach((weight, k) => {
-      if (weight !== 0) found.push([Math.min(Math.max(first - 1 + k, 0), this.T - 1), weight]);
+      if (weight !== 0) found.push([Math.min(Math.max(first - 1 + k, 0), this.R - 1), weight]);
     });
     return found;
   }
@@ -54,9 +56,9 @@ class Model {
   motionAt(time) {
     const { present, motions, P } = this, target = [0, 1, 2, 3, 4, 5, 6, 8, 9, 10];
     present.fill(0);
-    for (const [frame, weight] of this.around(time)) {
+    for (const [moment, weight] of this.around(time)) {
       for (let p = 0; p < P; p++) {
-        const from = 10 * (frame * P + p), to = 12 * p;
+        const from = 10 * (moment * P + p), to = 12 * p;
         for (let k = 0; k < 10; k++) present[to + target[k]] += weight * motions[from + k];
       }
     }

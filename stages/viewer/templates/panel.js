@@ -60,7 +60,7 @@ class Panel {
     this.part("caption").hidden = !state.split || state.follow;
     if (!state.split) return;
     const { width, height } = this.app.cssSize(), { scale, margins } = view.fit(width, height);
-    const source = pictures[Math.round(state.time)];
+    const source = pictures[Math.round(state.time * (pictures.length - 1) / Math.max(this.app.model.T - 1, 1))];
     if (picture.src !== source) picture.src = source;
     const wide = scale * view.frame.width, at = margins[0] + state.splitAt * wide;
     Object.assign(picture.style, {
