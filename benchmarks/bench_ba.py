@@ -13,9 +13,10 @@ import pycolmap
 import torch
 
 from benchmarks.timing import alternated
-from stages.ba import dba, reduced
-from stages.ba.dba import FocalPrior, State, Unknowns
+from stages.ba import proposal, reduced
+from stages.ba.dense_system import DenseSystem
 from stages.ba.graph import FlowGraph, build_graph
+from stages.ba.state import DEPTH_PRIOR, FocalPrior, State, Unknowns
 from stages.shared import lie
 
 WIDTH, HEIGHT = 512, 218
@@ -46,7 +47,9 @@ def random_problem(T: int, stride: int, offsets: tuple[int, ...] = (1, 2, 3)) ->
 
 def kernel_system(graph: FlowGraph, state: State) -> tuple[np.ndarray, np.ndarray]:
     """The reduced system [6 T + 1, 6 T + 1] and its right-hand side [6 T + 1] by the kernels of `stages.ba`."""
-    return dba.linear_system(graph, state, SIGMA_PX)
+    system = proposal.linear_system(graph, state, SIGMA_PX, Unknowns(focal=True))
+    assert isinstance(system, DenseSystem)
+    return system.S, system.rhs
 
 
 def torch_system(graph: FlowGraph, state: State) -> tuple[torch.Tensor, torch.Tensor]:
@@ -74,7 +77,7 @@ def torch_system(graph: FlowGraph, state: State) -> tuple[torch.Tensor, torch.Te
     depth = torch.zeros(T, 3, P, dtype=torch.float64)
     terms = torch.stack([torch.einsum("epr,ep,epr->ep", Jd, w, other) for other in (Jf, Jd, r)], dim=1)
     depth.index_add_(0, i, terms)
-    prior = dba.DEPTH_PRIOR
+    prior = DEPTH_PRIOR
     full = torch.cat([coupling.view(T, 6 * T, P), depth[:, :1]], dim=1)
     scaled = full / (depth[:, 1:2] + prior)
     g = depth[:, 2] + prior * (1 - torch.from_numpy(state.inverse_depth))
@@ -150,7 +153,7 @@ def ceres_seconds(graph: FlowGraph, state: State, iterations: int = 3) -> float:
 
 def full_step(graph: FlowGraph, state: State) -> Callable[[], object]:
     """A function that computes one proposal of the solver: system, solution, depths."""
-    return lambda: dba.propose(graph, state, SIGMA_PX, 1e-3, Unknowns(focal=True), FocalPrior(state.focal_px))
+    return lambda: proposal.propose(graph, state, SIGMA_PX, 1e-3, Unknowns(focal=True), FocalPrior(state.focal_px))
 
 
 def main() -> None:

@@ -14,10 +14,10 @@ from pathlib import Path
 
 import numpy as np
 
-from stages.ba.dba import FocalPrior
 from stages.ba.distortion import find_lens
 from stages.ba.estimate import PRIOR_FOCAL
 from stages.ba.graph import FlowGraph, build_graph
+from stages.ba.state import FocalPrior
 from stages.shared.artifacts import read_dense
 from stages.shared.lens import distort, undistort
 from stages.shared.warp import bilinear

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from stages.ba import reduced
+from stages.ba.dense_system import DenseSystem
 from stages.ba.graph import FlowGraph, build_graph, mask_graph, static_areas
 from stages.shared import lie
 from stages.shared.cameras import centred_intrinsics, pixel_grid, project, unproject
@@ -185,6 +187,18 @@ def trajectory_error(cam_from_world: np.ndarray, truth: np.ndarray) -> float:
     signs = np.array([1, 1, np.sign(np.linalg.det(U @ Vt))])
     aligned = (singular * signs).sum() / (a**2).sum() * a @ (U * signs @ Vt).T
     return float(np.sqrt(((aligned - b) ** 2).sum(axis=1).mean()) / length)
+
+
+def assembled(
+    graph: FlowGraph, relative: np.ndarray, hessians: np.ndarray, schur: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The sum S [n, n] of the local systems of all frames, and its right-hand side [n]."""
+    terms = list(reduced.frame_terms(graph, relative, hessians, schur))
+    size = 1 + max(int(term.unknowns.max()) for term in terms)
+    system = DenseSystem(size, np.arange(size))
+    for term in terms:
+        system.add(term)
+    return system.S, system.rhs
 
 
 def rotation_error_deg(cam_from_world: np.ndarray, truth: np.ndarray) -> float:

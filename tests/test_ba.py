@@ -5,14 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from synthetic import Scene, make_scene, observe, rotation_error_deg, trajectory_error
+from synthetic import Scene, assembled, make_scene, observe, rotation_error_deg, trajectory_error
 
-from stages.ba import dba, kernel, reduced
-from stages.ba.dba import FocalPrior, Level, State, Unknowns
+from stages.ba import arguments, dba, kernel, reduced
+from stages.ba.dense_system import DenseSystem
 from stages.ba.estimate import estimate
 from stages.ba.graph import FlowGraph
 from stages.ba.options import BAOptions
 from stages.ba.problem import Problem
+from stages.ba.proposal import linear_system
+from stages.ba.state import DEPTH_PRIOR, FocalPrior, Level, State, Unknowns
 from stages.shared import lie
 
 OPTIONS = BAOptions()
@@ -125,16 +127,16 @@ def test_the_reduced_system_and_its_depths_equal_a_dense_reference_to_1e_9(tiny:
     n = 7 * graph.T if zoom else 6 * graph.T + 1
     depths = slice(n, None)
     # The depth prior and the damping of the depths, as the solver has them.
-    H[depths, depths] += dba.DEPTH_PRIOR * np.eye(H.shape[0] - n)
+    H[depths, depths] += DEPTH_PRIOR * np.eye(H.shape[0] - n)
     H[depths, depths] *= 1 + damping * np.eye(H.shape[0] - n)
-    g[depths] += dba.DEPTH_PRIOR * (1 - state.inverse_depth.ravel())
+    g[depths] += DEPTH_PRIOR * (1 - state.inverse_depth.ravel())
     S = H[:n, :n] - H[:n, depths] @ np.linalg.solve(H[depths, depths], H[depths, :n])
     rhs = g[:n] - H[:n, depths] @ np.linalg.solve(H[depths, depths], g[depths])
 
-    data, at = dba.observations(graph), dba.geometry(graph, state)
-    hessians, schur, curvatures, gradients = kernel.normal_equations(data, at, sigma, damping, dba.DEPTH_PRIOR, zoom)
+    data, at = arguments.observations(graph), arguments.geometry(graph, state)
+    hessians, schur, curvatures, gradients = kernel.normal_equations(data, at, sigma, damping, DEPTH_PRIOR, zoom)
     relative = reduced.relative_motions(graph, state.cam_from_world)
-    S_ours, rhs_ours = reduced.assemble(graph, relative, hessians, schur)
+    S_ours, rhs_ours = assembled(graph, relative, hessians, schur)
     unit = np.sqrt(np.diagonal(H)[:n])
     assert_allclose(S_ours / np.outer(unit, unit), S / np.outer(unit, unit), atol=1e-9)
     assert_allclose(rhs_ours / unit, rhs / unit, atol=1e-9 * np.abs(rhs / unit).max())
@@ -151,7 +153,9 @@ def test_local_systems_equal_a_plain_numpy_reference_to_1e_9() -> None:
     # Weights that float32 cannot take the root of exactly.
     weights = np.random.default_rng(1).uniform(0.1, 1, graph.weights.shape).astype(np.float32)
     graph, state = replace(graph, weights=weights), disturbed(true_state(scene, graph))
-    hessians, *_ = kernel.normal_equations(dba.observations(graph), dba.geometry(graph, state), 0.7, 0.0, 0.0)
+    hessians, *_ = kernel.normal_equations(
+        arguments.observations(graph), arguments.geometry(graph, state), 0.7, 0.0, 0.0
+    )
     for e in range(len(graph.source)):
         by_target, _, by_lens_there, by_lens_here, _ = edge_derivatives(graph, state, e)
         r = residuals(graph, state)[e]
@@ -163,11 +167,11 @@ def test_local_systems_equal_a_plain_numpy_reference_to_1e_9() -> None:
 
 def test_the_gradient_is_that_of_the_robust_cost(tiny: tuple[FlowGraph, State]) -> None:
     graph, state = tiny
-    data, at = dba.observations(graph), dba.geometry(graph, state)
+    data, at = arguments.observations(graph), arguments.geometry(graph, state)
     T, zoom = graph.T, state.zoom is not None
-    hessians, schur, *_ = kernel.normal_equations(data, at, 2.0, 0.0, dba.DEPTH_PRIOR, zoom)
+    hessians, schur, *_ = kernel.normal_equations(data, at, 2.0, 0.0, DEPTH_PRIOR, zoom)
     relative = reduced.relative_motions(graph, state.cam_from_world)
-    _, gradient = reduced.assemble(graph, relative, hessians, np.zeros_like(schur))
+    _, gradient = assembled(graph, relative, hessians, np.zeros_like(schur))
     total = float(graph.weights.sum(dtype=float))
 
     def cost(step: np.ndarray) -> float:
@@ -253,9 +257,9 @@ def test_covariance_predicts_the_scatter_of_noisy_solutions() -> None:
         state.cam_from_world[:, :3, 3] /= size
         solutions.append(np.append(lie.log_se3(state.cam_from_world)[1:].ravel(), np.log(state.focal_px)))
     graph = observe(scene, stride=3)
-    S, _ = dba.linear_system(graph, dba.normalise(true_state(scene, graph)), 5.0)
-    poses = dba.normalise(true_state(scene, graph)).cam_from_world
-    predicted = reduced.covariance(S, poses, unknowns.indices(graph.T))
+    system = linear_system(graph, dba.normalise(true_state(scene, graph)), 5.0, unknowns)
+    assert isinstance(system, DenseSystem)
+    predicted = system.covariance().full
     rotation = [6 * k + a for k in range(1, graph.T) for a in (3, 4, 5)]
     sigma = noise_px * np.sqrt(np.diag(predicted)[[*rotation, -1]])
     scatter = np.std(np.stack(solutions), axis=0)[[*(index - 6 for index in rotation), -1]]

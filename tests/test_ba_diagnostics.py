@@ -9,8 +9,8 @@ import pytest
 
 from stages.ba import diagnostics, rounds
 from stages.ba.classify import Statistics
-from stages.ba.dba import State
 from stages.ba.initialise import Candidate, roughness
+from stages.ba.state import State
 from stages.shared import lie
 
 TWISTS = np.arange(8)[:, None] * np.array([0.1, 0, 0.02, 0, 0.01, 0])

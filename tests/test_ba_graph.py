@@ -7,9 +7,10 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from synthetic import make_scene, observe
 
-from stages.ba.dba import State, normalise
+from stages.ba.dba import normalise
 from stages.ba.depth import depth_maps
 from stages.ba.graph import FlowGraph, build_graph, mask_graph
+from stages.ba.state import State
 
 SIZE = 220, 100
 """4 divides this height, 8 does not: two grids of cells that cover different areas."""

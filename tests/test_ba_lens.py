@@ -5,11 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from synthetic import make_scene, observe, trajectory_error
+from synthetic import assembled, make_scene, observe, trajectory_error
 
-from stages.ba import dba, distortion, kernel, reduced
-from stages.ba.dba import FocalPrior, Level, State, Unknowns
+from stages.ba import arguments, dba, distortion, kernel, reduced
+from stages.ba.dense_system import DenseSystem
 from stages.ba.graph import FlowGraph
+from stages.ba.proposal import linear_system
+from stages.ba.state import DEPTH_PRIOR, FocalPrior, Level, State, Unknowns
 from stages.shared import lie
 from stages.shared.lens import distort
 
@@ -41,7 +43,7 @@ def moved(state: State, step: np.ndarray, zoom: bool) -> State:
 def residuals(graph: FlowGraph, state: State) -> np.ndarray:
     """Residuals [E, P, 2] in px of the distorted image, from the projection written out."""
     assert state.lens is not None
-    rays = dba.undistorted(graph, state.lens, graph.pixels) - graph.centre
+    rays = arguments.undistorted(graph, state.lens, graph.pixels) - graph.centre
     found = []
     for e, (i, j) in enumerate(zip(graph.source, graph.target, strict=True)):
         points = np.column_stack([rays / state.focals_px[i], np.ones(len(rays))])
@@ -63,17 +65,21 @@ def test_normal_equations_behind_a_lens_are_those_of_finite_differences(tiny: tu
     W = np.repeat((graph.weights / (1 + (r**2).sum(-1) / SIGMA_PX**2) ** 2).ravel(), 2)
     H, g = J.T @ (J * W[:, None]), J.T @ (W * r.ravel())
     depths = slice(n, None)
-    H[depths, depths] += dba.DEPTH_PRIOR * np.eye(size - n)
+    H[depths, depths] += DEPTH_PRIOR * np.eye(size - n)
     H[depths, depths] *= 1 + DAMPING * np.eye(size - n)
-    g[depths] += dba.DEPTH_PRIOR * (1 - state.inverse_depth.ravel())
+    g[depths] += DEPTH_PRIOR * (1 - state.inverse_depth.ravel())
     S = H[:n, :n] - H[:n, depths] @ np.linalg.solve(H[depths, depths], H[depths, :n])
     rhs = g[:n] - H[:n, depths] @ np.linalg.solve(H[depths, depths], g[depths])
 
-    data, at, lens = dba.observations(graph, state.lens), dba.geometry(graph, state), dba.lens_px(graph, state)
-    found = kernel.normal_equations(data, at, SIGMA_PX, DAMPING, dba.DEPTH_PRIOR, zoom, lens)
+    data, at, lens = (
+        arguments.observations(graph, state.lens),
+        arguments.geometry(graph, state),
+        arguments.lens_px(graph, state),
+    )
+    found = kernel.normal_equations(data, at, SIGMA_PX, DAMPING, DEPTH_PRIOR, zoom, lens)
     hessians, schur, curvatures, gradients = found
     relative = reduced.relative_motions(graph, state.cam_from_world)
-    S_ours, rhs_ours = reduced.assemble(graph, relative, hessians, schur)
+    S_ours, rhs_ours = assembled(graph, relative, hessians, schur)
     unit = np.sqrt(np.diagonal(H)[:n])
     assert_allclose(S_ours / np.outer(unit, unit), S / np.outer(unit, unit), atol=1e-6)
     assert_allclose(rhs_ours / unit, rhs / unit, atol=1e-6 * np.abs(rhs / unit).max())
@@ -85,13 +91,19 @@ def test_normal_equations_behind_a_lens_are_those_of_finite_differences(tiny: tu
     assert_allclose(dba.errors_px(graph, state), np.linalg.norm(r, axis=-1), rtol=1e-5, atol=1e-6)
 
 
-def test_without_a_distortion_the_system_is_that_of_a_pinhole(tiny: tuple[FlowGraph, State]) -> None:
+def test_without_a_distortion_the_system_is_that_of_a_pinhole(
+    tiny: tuple[FlowGraph, State], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(reduced, "scale_direction", lambda _, diagonal: np.zeros(len(diagonal)))
     graph, state = tiny
     zoom = state.zoom is not None
     n = 6 * graph.T + (graph.T if zoom else 1)
     none = replace(state, lens=np.zeros(2))
-    S, rhs = dba.linear_system(graph, none, SIGMA_PX, zoom=zoom)
-    expected, right = dba.linear_system(graph, replace(state, lens=None), SIGMA_PX, zoom=zoom)
+    unknowns = Unknowns(focal=True, zoom=zoom)
+    bent, pinhole = (linear_system(graph, of, SIGMA_PX, unknowns) for of in (none, replace(state, lens=None)))
+    assert isinstance(bent, DenseSystem)
+    assert isinstance(pinhole, DenseSystem)
+    (S, rhs), (expected, right) = (bent.S, bent.rhs), (pinhole.S, pinhole.rhs)
     assert_allclose(S[:n, :n], expected, atol=1e-9 * np.abs(expected).max())
     assert_allclose(rhs[:n], right, atol=1e-9 * np.abs(right).max())
 

@@ -9,11 +9,11 @@ from rolled import FOCAL, hand, observe_rolled
 from synthetic import make_scene, observe, trajectory_error
 
 from stages.ba import dba, shutter
-from stages.ba.dba import State
 from stages.ba.estimate import estimate
 from stages.ba.graph import MIN_WEIGHT, thin_graph
 from stages.ba.options import BAOptions
 from stages.ba.problem import Estimate, Problem
+from stages.ba.state import State
 from stages.shared import lie
 
 OPTIONS = BAOptions(start_focals=(1.05,), zoom="no")

@@ -9,7 +9,6 @@ from numpy.testing import assert_allclose
 from synthetic import Scene, make_scene, observe, rotation_error_deg, trajectory_error
 
 from stages.ba import classify, dba, twoview
-from stages.ba.dba import FocalPrior, Level, State, Unknowns
 from stages.ba.depth import contact_inverse_depth, depth_maps, fill
 from stages.ba.estimate import estimate
 from stages.ba.graph import FlowGraph, static_areas
@@ -17,6 +16,7 @@ from stages.ba.initialise import Hypothesis, chain, initial_state
 from stages.ba.options import BAOptions
 from stages.ba.problem import Problem
 from stages.ba.start import PoseGuess
+from stages.ba.state import FocalPrior, Level, State, Unknowns
 from stages.ba.uncertainty import focal_sigma
 from stages.shared import lie
 

@@ -3,9 +3,9 @@
 import numpy as np
 from synthetic import make_scene, observe
 
-from stages.ba.dba import FocalPrior, Level, State, Unknowns
 from stages.ba.graph import favour_distance, with_texture
 from stages.ba.initialise import adjust
+from stages.ba.state import FocalPrior, Level, State, Unknowns
 from stages.ba.texture import FLOOR, texture_weights
 
 

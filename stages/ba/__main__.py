@@ -7,7 +7,7 @@ from typing import Annotated
 import cv2
 import numpy as np
 
-from stages.ba import cuts, dba, diagnostics, from_truth, given, outputs, rounds, shutter
+from stages.ba import cuts, diagnostics, from_truth, given, outputs, rounds, shutter
 from stages.ba.depth import DepthMaps, depth_maps
 from stages.ba.given_depth import given_depth_maps
 from stages.ba.graph import (
@@ -21,6 +21,7 @@ from stages.ba.graph import (
 from stages.ba.options import BAOptions
 from stages.ba.problem import Estimate, Problem
 from stages.ba.start import PoseGuess
+from stages.ba.state import State
 from stages.ba.texture import texture_weights
 from stages.given.files import of_sequence
 from stages.shared import cli
@@ -161,7 +162,7 @@ def _solve(problem: Problem, shot: np.ndarray, known: given.Known, options: BAOp
 
 def _taken_depth(
     estimated: DepthMaps,
-    state: dba.State,
+    state: State,
     known: given.Known,
     frames: Sequence,
     stride_px: float,

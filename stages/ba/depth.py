@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 
 from stages.ba import dba
-from stages.ba.dba import State
 from stages.ba.graph import FlowGraph
 from stages.ba.initialise import SWEEP
+from stages.ba.state import State
 
 MATCH_VARIANCE = 0.25
 """Variance of one component of a match, px^2. The median depth error against ground truth is then half a sigma."""

@@ -9,11 +9,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stages.ba import classify, dba, held_out, initialise, rotation
+from stages.ba.arguments import undistorted
 from stages.ba.classify import Statistics
-from stages.ba.dba import FocalPrior, Level, State, Unknowns
 from stages.ba.graph import MIN_MATCHES, FlowGraph, favour_distance, shared_matches, thin_graph
 from stages.ba.held_out import Fit
 from stages.ba.start import COARSE_PIXELS, Observed, guess
+from stages.ba.state import FocalPrior, Level, State, Unknowns
 from stages.ba.uncertainty import median_residual, solution_covariance
 
 MIN_GAIN = 0.02
@@ -52,7 +53,7 @@ NOT_TESTED = Evidence("not tested", "the options exclude it")
 
 @dataclass(frozen=True)
 class Lens:
-    """Coefficients [2] as in `dba.State`; None where the image is taken as it is; the evidence for them."""
+    """Coefficients [2] as in `state.State`; None where the image is taken as it is; the evidence for them."""
 
     coefficients: np.ndarray | None
     evidence: Evidence
@@ -100,8 +101,8 @@ def find_lens(graph: FlowGraph, prior: FocalPrior, seed: int, assumed: bool = Fa
 
 
 def undistorted_graph(graph: FlowGraph, lens: np.ndarray) -> FlowGraph:
-    """The graph with pixels and matches freed of a distortion [2] as in `dba.State`."""
-    pixels, matches = (dba.undistorted(graph, lens, points) for points in (graph.pixels, graph.matches))
+    """The graph with pixels and matches freed of a distortion [2] as in `state.State`."""
+    pixels, matches = (undistorted(graph, lens, points) for points in (graph.pixels, graph.matches))
     return replace(graph, pixels=pixels, matches=matches.astype(np.float32))
 
 
@@ -171,4 +172,5 @@ def _shift(fit: Fit) -> float:
 
 def _shift_sigma(graph: FlowGraph, state: State, unknowns: Unknowns) -> float:
     covariance = solution_covariance(graph, state, unknowns)
-    return float(np.sqrt(covariance[-2:, -2:].sum()))
+    size = 7 * graph.T if unknowns.zoom else 6 * graph.T + 1
+    return float(np.sqrt(covariance.of(np.append(np.zeros(size), [1.0, 1.0])[None])[0, 0]))

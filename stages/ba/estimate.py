@@ -6,12 +6,12 @@ import numpy as np
 
 from stages.ba import classify, dba, diagnostics, initialise, rotation, shutter, trim, zoom
 from stages.ba.classify import Statistics
-from stages.ba.dba import FocalPrior, Level, State, Step, Unknowns
 from stages.ba.graph import MIN_MATCHES, FlowGraph, favour_distance, shared_matches
 from stages.ba.initialise import Candidate
 from stages.ba.options import BAOptions
 from stages.ba.problem import Estimate, Focal, Problem
 from stages.ba.start import Observed, Start, find_start
+from stages.ba.state import FocalPrior, Level, State, Step, Unknowns
 from stages.ba.uncertainty import focal_sigma, median_residual, solution_covariance
 from stages.ba.zoom import NOT_TESTED, Evidence
 
@@ -248,9 +248,7 @@ def _finish(
     graph = problem.graph
     free = focal.decision in ("estimated", "weakly observed")
     unknowns = Unknowns(free, statistics.camera != "rotating", free and state.zoom is not None)
-    twists = 6 * graph.T
-    blocks = solution_covariance(graph, state, unknowns)[:twists, :twists].reshape(graph.T, 6, graph.T, 6)
-    covariance = np.einsum("iaib->iab", blocks)
+    covariance = solution_covariance(graph, state, unknowns).poses(graph.T)
     decision = asdict(focal) | {"focal_px": state.focal_px}
     flags = list(against)
     if statistics.planar:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from stages.ba.dba import Step
+from stages.ba.state import Step
 from stages.shared.drawing import scalar_to_rgb, spread
 from stages.shared.images import write_figure
 

@@ -3,8 +3,8 @@
 import cv2
 import numpy as np
 
-from stages.ba.dba import State
 from stages.ba.depth import DepthMaps
+from stages.ba.state import State
 from stages.shared import lie, sintel
 from stages.shared.cameras import frame_from_grid, pixel_grid
 from stages.shared.errors import InputError

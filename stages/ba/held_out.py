@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stages.ba import dba, initialise
-from stages.ba.dba import FocalPrior, Level, State, Unknowns
 from stages.ba.graph import MIN_WEIGHT, FlowGraph
+from stages.ba.state import FocalPrior, Level, State, Unknowns
 
 TILES = (4, 6)
 """Rows and columns of the tiles of an image."""

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stages.ba import dba, twoview
-from stages.ba.dba import FocalPrior, Level, State, Step, Unknowns
 from stages.ba.graph import MIN_MATCHES, FlowGraph
+from stages.ba.state import FocalPrior, Level, State, Step, Unknowns
 from stages.shared import lie
 
 SWEEP = np.geomspace(0.02, 10.0, 8)
@@ -21,7 +21,7 @@ class Hypothesis:
     """Parameters of a chain: focal length in px, two-view threshold in px, frame distance of a pair.
 
     Neighbours match best. Where parallax is small, only distant frames separate camera motion from object motion.
-    `zoom` is that of `dba.State`.
+    `zoom` is that of `state.State`.
     """
 
     focal_px: float

@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 
 from stages.ba import shutter
-from stages.ba.dba import State, Step
 from stages.ba.graph import FlowGraph
 from stages.ba.start import PoseGuess
+from stages.ba.state import State, Step
 from stages.ba.zoom import NOT_TESTED, Evidence
 
 

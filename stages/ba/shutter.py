@@ -17,10 +17,10 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from stages.ba import held_out, reduced
-from stages.ba.dba import FocalPrior, State, Unknowns
 from stages.ba.graph import MIN_WEIGHT, FlowGraph, thin_graph
 from stages.ba.held_out import SHARP, SHARP_PX, Fit
 from stages.ba.kernel import MIN_DEPTH_RATIO
+from stages.ba.state import FocalPrior, State, Unknowns
 from stages.ba.uncertainty import CORRELATION, MIN_NOISE_PX
 from stages.shared import lie
 

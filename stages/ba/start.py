@@ -11,10 +11,10 @@ import numpy as np
 
 from stages.ba import dba, initialise, planar, zoom
 from stages.ba.classify import Statistics, longest_step
-from stages.ba.dba import FocalPrior, Level, State, Unknowns
 from stages.ba.diagnostics import ROUGH_PATH
 from stages.ba.graph import MIN_WEIGHT, FlowGraph, mask_graph, thin_graph
 from stages.ba.initialise import Candidate, Hypothesis
+from stages.ba.state import FocalPrior, Level, State, Unknowns
 from stages.ba.zoom import Evidence
 
 COARSE_PIXELS = 400
@@ -37,7 +37,7 @@ SAME_PIXELS = 0.5
 
 @dataclass(frozen=True)
 class PoseGuess:
-    """An initial guess: poses [T, 4, 4] of any scale; focal length, px of the flow grid, and zoom as in `dba.State`.
+    """An initial guess: poses [T, 4, 4] of any scale; focal length, px of the flow grid, and zoom as in `state.State`.
 
     `alone`: it is the only guess, without those from the matches.
     """
@@ -55,7 +55,7 @@ class Observed:
     Attributes:
         graph: masked observations; unmasked: the same without masks (the same object if there are none).
         previous: the solution of the previous round.
-        focals_px: focal lengths to try; curve: the zoom to try them with, as in `dba.State`.
+        focals_px: focal lengths to try; curve: the zoom to try them with, as in `state.State`.
         tested: whether a changing focal length is tried besides; assumed: whether it is taken without a test.
     """
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from stages.ba import held_out, initialise, twoview
-from stages.ba.dba import FocalPrior, State, Unknowns
 from stages.ba.graph import MIN_MATCHES, FlowGraph
+from stages.ba.state import FocalPrior, State, Unknowns
 from stages.ba.uncertainty import solution_covariance
 from stages.shared import lie
 
@@ -22,6 +22,8 @@ SUSPECTED_GAIN, SUSPECTED_CHANGE = 0.01, 0.02
 """From this gain or this change on, cameras with a changing focal length are searched anew, from pairs of frames."""
 SMOOTHED = 2
 """A change from frame to frame is the median over this many more on both sides."""
+COMPARED = 100
+"""At most so many frames, spread over the sequence, are compared for the predicted error of a change."""
 ONE, PER_FRAME = Unknowns(focal=True), Unknowns(focal=True, zoom=True)
 
 
@@ -94,7 +96,7 @@ def of_turning(graph: FlowGraph, state: State, noise_px: float) -> Evidence:
 
 
 def curve_of_pairs(graph: FlowGraph, focal_px: float, step: int, threshold_px: float, seed: int) -> np.ndarray:
-    """Zoom [T] as in `dba.State`, from the epipolar geometry of pairs of frames `step` apart at a focal length in px.
+    """Zoom [T] as in `state.State`, from the epipolar geometry of pairs of frames `step` apart at a focal length in px.
 
     A pair without matches or motion has the change of its neighbours.
     """
@@ -126,7 +128,10 @@ def _change(graph: FlowGraph, state: State) -> float:
 
 def _change_sigma(graph: FlowGraph, state: State) -> float:
     """The largest predicted error of the ratio of two frames' focal lengths."""
-    of_focals = 6 * graph.T + _seen(graph)
-    covariance = solution_covariance(graph, state, PER_FRAME)[np.ix_(of_focals, of_focals)]
+    seen = _seen(graph)
+    seen = seen[np.unique(np.linspace(0, len(seen) - 1, COMPARED).astype(int))]
+    of_focals = np.zeros((len(seen), 7 * graph.T))
+    of_focals[np.arange(len(seen)), 6 * graph.T + seen] = 1.0
+    covariance = solution_covariance(graph, state, PER_FRAME).of(of_focals)
     variances = np.diagonal(covariance)
     return float(np.sqrt((variances[:, None] + variances - 2 * covariance).max()))

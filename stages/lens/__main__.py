@@ -9,10 +9,10 @@ from typing import Annotated, Any
 import numpy as np
 
 from stages.ba import cuts
-from stages.ba.dba import FocalPrior
 from stages.ba.distortion import NOT_TESTED, Lens, find_lens
 from stages.ba.estimate import PRIOR_FOCAL
 from stages.ba.graph import FlowGraph, build_graph
+from stages.ba.state import FocalPrior
 from stages.lens.carry import CARRIED, carried_sequence, carry_flow, carry_images
 from stages.lens.options import LensOptions
 from stages.lens.pinhole import Pinhole, largest_pinhole

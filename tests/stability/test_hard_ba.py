@@ -10,15 +10,17 @@ from ba_files import outputs, write_inputs
 from numpy.testing import assert_allclose
 from synthetic import PLANE, flow_arrays, make_scene, observe, rotation_error_deg, trajectory_error
 
-from stages.ba import classify, dba, kernel, reduced, residuals, twoview
+from stages.ba import arguments, classify, dba, kernel, residuals, twoview
 from stages.ba.__main__ import main
-from stages.ba.dba import FocalPrior, Level, State, Unknowns
+from stages.ba.dense_system import DenseSystem
 from stages.ba.depth import depth_maps, fill
 from stages.ba.estimate import estimate
-from stages.ba.graph import build_graph, mask_graph, static_areas, trusted_static_areas
+from stages.ba.graph import FlowGraph, build_graph, mask_graph, static_areas, trusted_static_areas
 from stages.ba.options import BAOptions
 from stages.ba.problem import Estimate, Problem
+from stages.ba.proposal import linear_system
 from stages.ba.start import PoseGuess
+from stages.ba.state import DEPTH_PRIOR, FocalPrior, Level, State, Unknowns
 from stages.shared import lie
 from stages.shared.artifacts import read_dense, read_metadata
 from stages.shared.cameras import read_cameras
@@ -33,12 +35,19 @@ def is_finite(solution: Estimate) -> bool:
     return all(np.isfinite(array).all() for array in arrays)
 
 
+def dense_system(graph: FlowGraph, state: State) -> tuple[np.ndarray, np.ndarray]:
+    """The reduced system with one free focal length, and its right-hand side."""
+    system = linear_system(graph, state, 1.0, Unknowns(focal=True))
+    assert isinstance(system, DenseSystem)
+    return system.S, system.rhs
+
+
 def test_schur_complement_with_no_valid_pixel_leaves_only_the_prior() -> None:
     scene = make_scene(T=3, size=(24, 32))
     graph = observe(scene, stride=8)
     graph = replace(graph, weights=np.zeros_like(graph.weights))
     state = State(scene.cam_from_world, np.ones((3, len(graph.pixels))), scene.focal_px)
-    S, rhs = dba.linear_system(graph, state, 1.0)
+    S, rhs = dense_system(graph, state)
     assert_allclose(S, 0)
     assert_allclose(rhs, 0)
     solved, steps = dba.solve(graph, state, (Level(1.0, 5),), Unknowns(focal=True), FocalPrior(20.0), "test")
@@ -59,7 +68,7 @@ def test_schur_complement_of_one_frame_is_empty() -> None:
         weights=graph.weights[:0],
     )
     state = State(np.eye(4)[None], np.ones((1, len(graph.pixels))), 20.0)
-    S, rhs = dba.linear_system(lonely, state, 1.0)
+    S, rhs = dense_system(lonely, state)
     assert S.shape == (7, 7)
     assert_allclose(S, 0)
     assert_allclose(rhs, 0)
@@ -130,8 +139,8 @@ def test_points_at_infinity_turn_with_the_camera() -> None:
     graph = observe(scene, stride=4)
     state = State(scene.cam_from_world, np.zeros((3, len(graph.pixels))), scene.focal_px)
     assert dba.errors_px(graph, state)[graph.weights > 0].max() < 1e-3
-    data, at = dba.observations(graph), dba.geometry(graph, state)
-    hessians, schur, *_ = kernel.normal_equations(data, at, 1.0, 0.0, dba.DEPTH_PRIOR)
+    data, at = arguments.observations(graph), arguments.geometry(graph, state)
+    hessians, schur, *_ = kernel.normal_equations(data, at, 1.0, 0.0, DEPTH_PRIOR)
     assert np.isfinite(hessians).all()
     assert np.isfinite(schur).all()
 
@@ -145,7 +154,7 @@ def test_points_at_the_target_camera_count_as_outliers_and_not_as_infinities() -
     errors = dba.errors_px(graph, state)
     assert errors[graph.edge(0, 1)].min() == residuals.BEHIND_PX
     assert np.isfinite(dba.robust_cost(graph, errors, 1.0))
-    S, rhs = dba.linear_system(graph, state, 1.0)
+    S, rhs = dense_system(graph, state)
     assert np.isfinite(S).all()
     assert np.isfinite(rhs).all()
 
@@ -224,10 +233,9 @@ def test_covariance_of_an_unseen_direction_is_large_and_finite() -> None:
     weights = graph.weights.copy()
     weights[(graph.source == 2) | (graph.target == 2)] = 0
     state = State(scene.cam_from_world, np.ones((3, len(graph.pixels))), scene.focal_px)
-    S, _ = dba.linear_system(replace(graph, weights=weights), state, 1.0)
-    covariance = reduced.covariance(S, state.cam_from_world, Unknowns().indices(3))
+    covariance = linear_system(replace(graph, weights=weights), state, 1.0, Unknowns()).covariance().poses(3)
     assert np.isfinite(covariance).all()
-    assert covariance[12, 12] > 1e3 * covariance[9, 9]
+    assert covariance[2, 0, 0] > 1e3 * covariance[1, 3, 3]
 
 
 def test_a_rotation_fit_to_identical_points_is_the_identity() -> None:

@@ -7,9 +7,9 @@ import pytest
 from numpy.testing import assert_allclose
 from synthetic import PLANE, camera_path, make_scene, observe
 
-from stages.ba.dba import FocalPrior
 from stages.ba.distortion import Lens, find_lens
 from stages.ba.graph import FlowGraph
+from stages.ba.state import FocalPrior
 from stages.shared import lie
 
 T = 8

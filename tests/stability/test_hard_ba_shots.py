@@ -9,13 +9,14 @@ from ba_files import outputs, write_inputs
 from numpy.testing import assert_allclose, assert_array_equal
 from synthetic import PLANE, Scene, flow_arrays, make_scene, trajectory_error
 
-from stages.ba import cuts, reduced
+from stages.ba import cuts
 from stages.ba.__main__ import main
-from stages.ba.dba import Unknowns, linear_system
 from stages.ba.graph import FlowGraph, build_graph
 from stages.ba.initialise import Hypothesis, chain, initial_state
 from stages.ba.options import BAOptions
 from stages.ba.problem import Problem
+from stages.ba.proposal import linear_system
+from stages.ba.state import Unknowns
 from stages.shared.artifacts import read_dense, read_metadata
 from stages.shared.cameras import read_cameras
 
@@ -96,9 +97,8 @@ def test_a_blind_frame_does_not_take_up_the_size_of_the_trajectory() -> None:
     for hidden in ([], [4]):
         graph, frames = graph_of(blind_at(scene, hidden), 8)
         state = initial_state(graph, scene.cam_from_world, scene.focal_px)
-        S, _ = linear_system(graph, state, 1.0)
-        covariance = reduced.covariance(S, state.cam_from_world, Unknowns().indices(8))
-        sigmas.append(np.sqrt(np.diagonal(covariance)[:-1]).reshape(8, 6))
+        covariance = linear_system(graph, state, 1.0, Unknowns()).covariance().poses(8)
+        sigmas.append(np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)))
     assert sigmas[1][frames].max() < 2 * sigmas[0].max()
     assert sigmas[1][4].min() > 1e3 * sigmas[0].max()
 

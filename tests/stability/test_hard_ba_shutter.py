@@ -6,10 +6,10 @@ from rolled import Path, hand, observe_rolled
 from synthetic import PLANE, ROOM, rotation_error_deg
 
 from stages.ba import cuts, shutter
-from stages.ba.dba import State
 from stages.ba.estimate import estimate
 from stages.ba.options import BAOptions
 from stages.ba.problem import Estimate, Problem
+from stages.ba.state import State
 
 OPTIONS = BAOptions(start_focals=(1.05,), zoom="no")
 STILL = (0.0,) * 6
