@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 from synthetic import Scene, make_scene, observe, rotation_error_deg, trajectory_error
 
 from stages.ba import classify, dba, twoview
-from stages.ba.depth import contact_inverse_depth, depth_maps, fill
+from stages.ba.depth import contact_inverse_depth, depth_maps, fill, joined
 from stages.ba.estimate import estimate
 from stages.ba.graph import FlowGraph, static_areas
 from stages.ba.initialise import Hypothesis, chain, initial_state
@@ -186,6 +186,22 @@ def test_measured_depth_is_true_and_its_variance_covers_the_error() -> None:
     )
     assert maps.filled[dynamic > 0.9].all()
     assert (maps.variance[maps.filled] == 1.0).all()
+
+
+def test_depth_measured_block_by_block_is_that_of_all_frames_at_once() -> None:
+    scene = make_scene(T=7, size=(48, 64), zoom=np.linspace(1, 1.2, 7))
+    graph = observe(scene, noise_px=0.2)
+    state = dba.normalise(replace(true_state(scene, graph), zoom=scene.zoom))
+    static = static_areas(scene.dynamic, graph.width, graph.height)
+    at_once = depth_maps(graph, graph, state, static, observable=True)
+    parts = []
+    for frames in ((0, 3), (3, 6), (6, 7)):
+        edges = slice(graph.pointer[frames[0]], graph.pointer[frames[1]])
+        of_edges = {name: getattr(graph, name)[edges] for name in ("source", "target", "matches", "weights")}
+        pointer = np.searchsorted(of_edges["source"], np.arange(8))
+        parts.append(depth_maps(replace(graph, **of_edges, pointer=pointer), graph, state, static, True, frames))
+    for found, expected in zip(vars(joined(parts)).values(), vars(at_once).values(), strict=True):
+        assert (found == expected).all()
 
 
 def test_a_moving_object_stands_where_it_touches_the_ground() -> None:

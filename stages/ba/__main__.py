@@ -1,31 +1,28 @@
 """Estimate camera poses, focal lengths and depth from flow and masks by dense bundle adjustment."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
-import cv2
 import numpy as np
 
 from stages.ba import cuts, diagnostics, from_truth, given, outputs, rounds, shutter
-from stages.ba.depth import DepthMaps, depth_maps
+from stages.ba.depth import DepthMaps, depth_maps, joined
 from stages.ba.given_depth import given_depth_maps
 from stages.ba.graph import (
     FlowGraph,
-    build_graph,
     mask_graph,
-    static_areas,
     trusted_static_areas,
     with_texture,
 )
 from stages.ba.options import BAOptions
 from stages.ba.problem import Estimate, Problem
+from stages.ba.reading import BLOCK, Matches, read_matches, read_static_areas, read_texture
 from stages.ba.start import PoseGuess
 from stages.ba.state import State
-from stages.ba.texture import texture_weights
 from stages.given.files import of_sequence
 from stages.shared import cli
-from stages.shared.artifacts import read_dense, read_metadata
+from stages.shared.artifacts import read_metadata
 from stages.shared.cameras import (
     has_pose,
     read_cameras,
@@ -33,11 +30,8 @@ from stages.shared.cameras import (
     write_tum,
 )
 from stages.shared.cli import In, Out
-from stages.shared.images import read_reduced
-from stages.shared.log import logger
-from stages.shared.masks import read_masks
+from stages.shared.log import logger, progress
 from stages.shared.sequences import Sequence, read_sequence
-from stages.shared.threads import threaded
 
 
 def main(
@@ -69,15 +63,15 @@ def main(
     that cannot be solved gets the status "failed" and identity poses.
     """
     frames = read_sequence(sequence)
-    matches = _read_matches(flow, len(frames.numbers), options)
-    areas = _static_areas(masks, frames, matches)
+    matches = read_matches(flow, len(frames.numbers), options)
+    areas = read_static_areas(masks, frames, matches)
     if previous_masks:
         before = rounds.complete(previous_poses, previous_depth, previous_convergence, previous_figure)
-        if rounds.has_converged(before) and rounds.is_same(areas, _static_areas(previous_masks, frames, matches)):
+        if rounds.has_converged(before) and rounds.is_same(areas, read_static_areas(previous_masks, frames, matches)):
             return rounds.carry_over(frames, before, rounds.Results(poses, depth, convergence, figure), trajectory)
     known = given.known_cameras(frames, options, matches.scale)
     static, ignored = trusted_static_areas(areas)
-    everything = with_texture(matches.graph(options.stride_px, known), _read_texture(frames, matches.size))
+    everything = with_texture(matches.graph(options.stride_px, known), read_texture(frames, matches.size))
     if frames.times_s is not None:
         everything = replace(everything, times_s=np.array(frames.times_s))
     graph = mask_graph(everything, static)
@@ -93,12 +87,9 @@ def main(
     trusted = ~ignored & (solution.static is None or masks is None)
     if solution.static is not None:
         static, graph = solution.static, mask_graph(everything, solution.static)
-    fine = mask_graph(matches.graph(options.depth_stride_px, known), static)
+    maps = _depth_maps(matches, known, graph, static, solution, options)
     if solution.rolling.decision == "rolling":
-        at_pixels = shutter.resampled(solution.state, graph, fine)
-        fine = shutter.correct(fine, at_pixels, solution.rolling.readout)
         graph = shutter.correct(graph, solution.state, solution.rolling.readout)
-    maps = depth_maps(fine, graph, solution.state, static, solution.camera in ("moving", "near-still"))
     stride_px = options.depth_stride_px / matches.scale
     maps, told = _taken_depth(maps, solution.state, known, frames, stride_px, options)
     cameras = replace(outputs.cameras_of(solution, graph, frames, matches.scale), masks_trusted=trusted)
@@ -117,39 +108,6 @@ def _focal_in_words(focals_px: np.ndarray) -> str:
     """The focal lengths [T] of the frames: one number, or those of the first and the last frame if they differ."""
     first, last = focals_px[0], focals_px[-1]
     return f"{first:.0f}" if (focals_px == first).all() else f"{first:.0f} to {last:.0f}"
-
-
-@dataclass(frozen=True)
-class _Matches:
-    """The content of flow/pairs.arrow for T frames.
-
-    Attributes:
-        columns: columns of the table, one row per edge.
-        shot: [T] bool, the frames to solve.
-        size: (width, height) of the flow grid; scale: its width over that of the frames.
-    """
-
-    columns: dict[str, np.ndarray]
-    shot: np.ndarray
-    size: tuple[int, int]
-    scale: float
-
-    def graph(self, stride: int, known: given.Known) -> FlowGraph:
-        """The unmasked matches of the shot, one pixel per `stride` px each way."""
-        source, target, flow, confidence = (self.columns[name] for name in ("source", "target", "flow", "confidence"))
-        graph = build_graph(source, target, flow, confidence, len(self.shot), stride, known.centre, known.aspect)
-        return cuts.isolate(graph, self.shot)
-
-
-def _read_matches(flow: Path, T: int, options: BAOptions) -> _Matches:
-    about, columns, stride = read_metadata(flow), read_dense(flow), options.stride_px
-    shot = np.ones(T, bool)
-    if not options.poses_fixed:
-        sampled = columns["confidence"][:, stride // 2 :: stride, stride // 2 :: stride].reshape(
-            len(columns["source"]), -1
-        )
-        shot = cuts.linked_frames(columns["source"], columns["target"], sampled, T)
-    return _Matches(columns, shot, (int(about["width"]), int(about["height"])), float(about["scale"]))
 
 
 def _solve(problem: Problem, shot: np.ndarray, known: given.Known, options: BAOptions) -> Estimate:
@@ -187,18 +145,29 @@ def _log(name: str, solution: Estimate, flags: list[str]) -> None:
         logger.warning("ba: %s: %s", name, flag)
 
 
-def _read_texture(frames: Sequence, size: tuple[int, int]) -> np.ndarray:
-    """Texture weights [T, height, width] of the frames on the flow grid."""
-    grey = (cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY) for rgb in read_reduced(frames.frames, size))
-    return np.stack(threaded(texture_weights, grey))
+def _depth_maps(
+    matches: Matches,
+    known: given.Known,
+    graph: FlowGraph,
+    static: np.ndarray,
+    solution: Estimate,
+    options: BAOptions,
+) -> DepthMaps:
+    """Depth of all frames from the finer matches of one block of frames after the other, which are many.
 
-
-def _static_areas(masks: Path | None, frames: Sequence, matches: _Matches) -> np.ndarray:
-    """Static area [T, height, width] on the flow grid that a folder of masks leaves; without one, everything."""
-    dynamic = np.zeros((len(frames.numbers), frames.height, frames.width), bool)
-    if masks is not None:
-        dynamic = np.stack(list(read_masks(masks, frames).values()))
-    return static_areas(dynamic, *matches.size)
+    Args:
+        graph: the matches on which the solution was found.
+    """
+    state, rolling, T = solution.state, solution.rolling, graph.T
+    parts = []
+    for first in progress(range(0, T, BLOCK), "depth"):
+        frames = first, min(first + BLOCK, T)
+        fine = mask_graph(matches.graph(options.depth_stride_px, known, frames), static)
+        if rolling.decision == "rolling":
+            fine = shutter.correct(fine, shutter.resampled(state, graph, fine), rolling.readout)
+        observable = solution.camera in ("moving", "near-still")
+        parts.append(depth_maps(fine, graph, state, static, observable, frames))
+    return joined(parts)
 
 
 def _previous(poses: Path | None, scale: float) -> PoseGuess | None:

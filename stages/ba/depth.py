@@ -1,5 +1,6 @@
 """Output depth of bundle adjustment: denser than the solver's grid, with variance, holes filled."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -28,25 +29,41 @@ class DepthMaps:
     filled: np.ndarray
 
 
-def depth_maps(graph: FlowGraph, coarse: FlowGraph, state: State, static: np.ndarray, observable: bool) -> DepthMaps:
+def depth_maps(
+    graph: FlowGraph,
+    coarse: FlowGraph,
+    state: State,
+    static: np.ndarray,
+    observable: bool,
+    frames: tuple[int, int] | None = None,
+) -> DepthMaps:
     """Inverse depth of every pixel of `graph` with the poses fixed; holes filled.
 
     Args:
         graph: masked observations on the output grid; `coarse`: those on which `state` was solved.
         static: [T, height, width], 1 where static, on the flow grid.
         observable: false for a camera that does not translate: every depth is then filled with 1.
+        frames: first and end of those to measure, whose edges alone are in `graph`; None: all.
     """
-    shape = (graph.T, graph.rows, graph.columns)
-    covered = static[:, : graph.rows * graph.stride, : graph.columns * graph.stride]
-    dynamic = np.stack([cv2.resize(frame, shape[:0:-1], interpolation=cv2.INTER_AREA) < 0.5 for frame in covered])
+    first, end = frames or (0, graph.T)
+    shape = (end - first, graph.rows, graph.columns)
+    covered = static[first:end, : graph.rows * graph.stride, : graph.columns * graph.stride]
+    shares = (cv2.resize(frame.astype(np.float32), shape[:0:-1], interpolation=cv2.INTER_AREA) for frame in covered)
+    dynamic = np.stack([share < 0.5 for share in shares])
     if not observable:
         return DepthMaps(np.ones(shape), np.full(shape, MAX_VARIANCE), np.ones(shape, bool))
-    inverse_depth, curvature = _search(graph, coarse, state)
+    inverse_depth, curvature = _search(graph, coarse, state, (first, end))
     variance = MATCH_VARIANCE / np.maximum(curvature, MATCH_VARIANCE / MAX_VARIANCE).reshape(shape)
     filled = dynamic | (variance >= MAX_VARIANCE)
     maps = inverse_depth.reshape(shape)
     complete = np.stack([fill(*frame) for frame in zip(maps, filled, dynamic, strict=True)])
     return DepthMaps(complete, np.where(filled, MAX_VARIANCE, variance), filled)
+
+
+def joined(parts: Sequence[DepthMaps]) -> DepthMaps:
+    """Maps of blocks of frames, one after the other."""
+    columns = zip(*((part.inverse_depth, part.variance, part.filled) for part in parts), strict=True)
+    return DepthMaps(*(np.concatenate(column) for column in columns))
 
 
 def fill(inverse_depth: np.ndarray, missing: np.ndarray, dynamic: np.ndarray) -> np.ndarray:
@@ -88,10 +105,23 @@ def contact_inverse_depth(region: np.ndarray, inverse_depth: np.ndarray, measure
     return float(np.percentile(around if around.size else inverse_depth[measured], 80))
 
 
-def _search(graph: FlowGraph, coarse: FlowGraph, state: State) -> tuple[np.ndarray, np.ndarray]:
-    """Inverse depth and curvature [T, P] of the fine pixels, searched near the coarse solution and over all depths."""
-    start = graph.resample(state.inverse_depth.reshape(graph.T, coarse.rows, coarse.columns), coarse.stride)
+def _search(
+    graph: FlowGraph, coarse: FlowGraph, state: State, frames: tuple[int, int]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Inverse depth and curvature [n, P] of the fine pixels, searched near the coarse solution and over all depths."""
+    first, end = frames
+    solved = state.inverse_depth[first:end].reshape(end - first, coarse.rows, coarse.columns)
+    start = graph.resample(solved, coarse.stride)
     around = start * SPAN[:, None, None]
     everywhere = np.broadcast_to(SWEEP[:, None, None], (len(SWEEP), *start.shape))
-    fine = replace(state, inverse_depth=start)
-    return dba.sweep(graph, fine, np.concatenate([around, everywhere]), SIGMA_PX)
+    leaving, fine = _beginning_with(graph, replace(state, inverse_depth=start), frames)
+    return dba.sweep(leaving, fine, np.concatenate([around, everywhere]), SIGMA_PX)
+
+
+def _beginning_with(graph: FlowGraph, state: State, frames: tuple[int, int]) -> tuple[FlowGraph, State]:
+    """Edges and cameras counted from the first of the `frames` on, in a circle; no edge leaves other frames."""
+    first, end = frames
+    source, target = graph.source - first, (graph.target - first) % graph.T
+    leaving = replace(graph, source=source, target=target, pointer=graph.pointer[first : end + 1])
+    zoom = None if state.zoom is None else np.roll(state.zoom, -first)
+    return leaving, replace(state, cam_from_world=np.roll(state.cam_from_world, -first, axis=0), zoom=zoom)

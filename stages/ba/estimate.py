@@ -46,7 +46,7 @@ def estimate(problem: Problem, options: BAOptions) -> Estimate:
     if failures >= before:
         return solution
     size = problem.graph.T, problem.graph.height, problem.graph.width
-    static = np.ones(size, np.float32) if plain.static is None else plain.static
+    static = np.ones(size, np.int8) if plain.static is None else plain.static
     flags = [f"masks ignored; with them: {'; '.join(solution.failed_checks)}", *plain.flags]
     return replace(plain, flags=flags, static=static)
 

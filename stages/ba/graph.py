@@ -1,5 +1,6 @@
 """Edges and observations of bundle adjustment, sampled from dense flow on a coarse grid of pixels."""
 
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 import cv2
@@ -16,6 +17,8 @@ MIN_STATIC_SHARE = 0.15
 MIN_WEIGHT = 0.3
 SURE_WEIGHT = 0.5
 """Weight above which a match is sure: the weight of flow without texture stays below one half."""
+EDGES = 64
+"""Edges whose dense flow is held at the same time."""
 MIN_MATCHES = 50
 """Smallest number of confident matches that link two frames."""
 
@@ -119,18 +122,25 @@ def build_graph(
     stride: int,
     principal_point: np.ndarray | None = None,
     aspect: float = 1.0,
+    release: Callable[[], None] = lambda: None,
 ) -> FlowGraph:
     """Sample flow [E, h, w, 2] px and confidence [E, h, w] at the centres of cells of `stride` px.
 
     The centre of an even cell lies between four pixels: their mean is taken. Without a principal point [2] of the flow
-    grid the centre of the image is used. `aspect` is fy / fx of the flow grid.
+    grid the centre of the image is used. `aspect` is fy / fx of the flow grid. `release` is called after every EDGES
+    edges: it gives back what was read of a mapped file.
     """
     source, target = np.ascontiguousarray(source), np.ascontiguousarray(target)
     h, w = flow.shape[1:3]
     rows, columns = h // stride, w // stride
     pixels = frame_from_grid(pixel_grid(rows, columns), stride).reshape(-1, 2)
-    matches = np.stack([_sample_cells(edge, stride).reshape(-1, 2) for edge in flow])
-    weights = np.stack([_sample_cells(edge[..., None], stride).ravel() for edge in confidence])
+    matches = np.empty((len(source), rows * columns, 2), np.float32)
+    weights = np.empty((len(source), rows * columns), np.float32)
+    for e in range(len(source)):
+        matches[e] = _sample_cells(flow[e], stride).reshape(-1, 2)
+        weights[e] = _sample_cells(confidence[e][..., None], stride).ravel()
+        if (e + 1) % EDGES == 0:
+            release()
     require_finite(flow=matches, confidence=weights)
     matches += pixels.astype(np.float32)
     pointer = np.searchsorted(source, np.arange(T + 1))
@@ -154,9 +164,10 @@ def thin_graph(graph: FlowGraph, factor: int) -> FlowGraph:
     return replace(graph, pixels=pixels, matches=matches, weights=weights, stride=stride, texture=texture)
 
 
-def with_texture(graph: FlowGraph, texture: np.ndarray) -> FlowGraph:
-    """The graph with texture weights [T, height, width] in 0..1 of the frames, sampled at its pixels."""
-    return replace(graph, texture=graph.resample(texture, 1).astype(np.float32))
+def with_texture(graph: FlowGraph, texture: Iterable[np.ndarray]) -> FlowGraph:
+    """The graph with texture weights [height, width] in 0..1 of each of the T frames, sampled at its pixels."""
+    sampled = [graph.resample(frame[None], 1)[0].astype(np.float32) for frame in texture]
+    return replace(graph, texture=np.stack(sampled))
 
 
 def favour_distance(graph: FlowGraph) -> FlowGraph:
@@ -168,25 +179,29 @@ def favour_distance(graph: FlowGraph) -> FlowGraph:
 
 def mask_graph(graph: FlowGraph, static: np.ndarray) -> FlowGraph:
     """Multiply the weights by how static [T, h, w] (0..1) the pixel is at both ends of its match."""
-    static = static.astype(np.float32)
-    here = np.stack([_sample_cells(frame[..., None], graph.stride).ravel() for frame in static])
     weights = graph.weights.copy()
-    for e, (i, j) in enumerate(zip(graph.source, graph.target, strict=True)):
-        weights[e] *= here[i] * bilinear(static[j], graph.on_grid(graph.matches[e]))
+    for i in np.unique(graph.source):
+        here = _sample_cells(static[i].astype(np.float32)[..., None], graph.stride).ravel()
+        for e in range(graph.pointer[i], graph.pointer[i + 1]):
+            there = static[graph.target[e]].astype(np.float32)
+            weights[e] *= here * bilinear(there, graph.on_grid(graph.matches[e]))
     return replace(graph, weights=weights)
 
 
-def static_areas(masks: np.ndarray, width: int, height: int, margin_px: int = 2) -> np.ndarray:
-    """Static area [T, height, width] (1 static, 0 dynamic) on the flow grid of masks [T, H, W], grown by a margin."""
+def static_areas(masks: Iterable[np.ndarray], width: int, height: int, margin_px: int = 2) -> np.ndarray:
+    """Static area [T, height, width] int8 (0: dynamic) on the flow grid of T masks [H, W], which grow by a margin."""
     kernel = np.ones((2 * margin_px + 1, 2 * margin_px + 1), np.uint8)
-    small = [reduce(mask.astype(np.float32), (width, height)) for mask in masks]
-    return np.stack([1 - cv2.dilate((frame > 0.25).astype(np.uint8), kernel) for frame in small]).astype(np.float32)
+    small = (reduce(mask.astype(np.float32), (width, height)) for mask in masks)
+    return np.stack([1 - cv2.dilate((frame > 0.25).astype(np.uint8), kernel) for frame in small]).view(np.int8)
 
 
 def trusted_static_areas(static: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Static areas without the masks of almost wholly dynamic frames, and which frames [T] have their mask ignored."""
     dropped = static.mean(axis=(1, 2)) < MIN_STATIC_SHARE
-    return np.where(dropped[:, None, None], 1.0, static), dropped
+    if dropped.any():
+        static = static.copy()
+        static[dropped] = 1
+    return static, dropped
 
 
 def _sample_cells(image: np.ndarray, stride: int) -> np.ndarray:

@@ -93,9 +93,9 @@ def initial_state(
     """State in the gauge from cameras alone: inverse depths are searched with the cameras fixed."""
     centres = lie.inverse(cam_from_world)[:, :3, 3]
     reach = float(np.median(np.linalg.norm(np.diff(centres, axis=0), axis=1)))
-    flow_px = np.linalg.norm(graph.matches - graph.pixels, axis=2)
-    steps = np.abs(graph.target - graph.source)
-    usual_px = float(np.median(flow_px[steps == 1])) if (steps == 1).any() else 1.0
+    near = np.abs(graph.target - graph.source) == 1
+    flow_px = np.linalg.norm(graph.matches[near] - graph.pixels, axis=2)
+    usual_px = float(np.median(flow_px)) if near.any() else 1.0
     # An inverse depth of usual_px / (focal x step) moves a pixel as far as the flow does: the search is centred there.
     middle = max(usual_px, 0.1) / (focal_px * max(reach, 1e-12))
     state = State(cam_from_world, np.full((graph.T, len(graph.pixels)), middle), focal_px, zoom, lens)

@@ -55,7 +55,7 @@ class Estimate:
         residual_px: median reprojection error of the confident static matches.
         focal: the decision about the focal length and its numbers.
         failed_checks: checks of the statistics that the solution failed, in words; flags: these and other warnings.
-        static: [T, height, width] 0..1, the static area used instead of the input masks; None: the masks were kept.
+        static: [T, height, width] 0 or 1, the static area used instead of the input masks; None: the masks were kept.
         zoom: the decision whether the focal length changes over the frames.
         rolling: the decision whether rows are exposed one after the other.
     """

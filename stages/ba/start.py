@@ -83,7 +83,7 @@ class Start:
     Attributes:
         candidate: adjusted on the coarse grid; others: the candidates it was compared with.
         graph: observations to refine it on.
-        static: [T, height, width] 0..1, the static area used instead of the input masks; None: the masks were kept.
+        static: [T, height, width] 0 or 1, the static area used instead of the input masks; None: the masks were kept.
         flags: warnings about the choice.
         zoom: the decision about a changing focal length, if there was one.
     """
@@ -255,4 +255,4 @@ def _start_on(observed: Observed, best: Candidate, others: list[Candidate], stat
 def _areas(graph: FlowGraph, chosen: np.ndarray) -> np.ndarray:
     """The pixels `chosen` [T, P] as areas [T, height, width] of the flow grid, isolated pixels removed."""
     maps = chosen.reshape(graph.T, graph.rows, graph.columns).astype(np.uint8)
-    return graph.spread(np.stack([cv2.medianBlur(frame, 3) for frame in maps])).astype(np.float32)
+    return graph.spread(np.stack([cv2.medianBlur(frame, 3) for frame in maps])).view(np.int8)

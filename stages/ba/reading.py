@@ -1,0 +1,80 @@
+"""Reading what the adjustment needs of a clip, some frames at a time: flow, images and masks."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from stages.ba import cuts, given
+from stages.ba.graph import EDGES, FlowGraph, build_graph, static_areas
+from stages.ba.options import BAOptions
+from stages.ba.texture import texture_weights
+from stages.shared.artifacts import Dense, read_dense, read_metadata
+from stages.shared.images import read_reduced
+from stages.shared.masks import read_mask
+from stages.shared.sequences import Sequence
+from stages.shared.threads import threaded
+
+BLOCK = 64
+"""Frames whose images, or whose finer matches, are held at the same time."""
+
+
+@dataclass(frozen=True)
+class Matches:
+    """The content of flow/pairs.arrow for T frames.
+
+    Attributes:
+        columns: columns of the table, one row per edge.
+        shot: [T] bool, the frames to solve.
+        size: (width, height) of the flow grid; scale: its width over that of the frames.
+    """
+
+    columns: Dense
+    shot: np.ndarray
+    size: tuple[int, int]
+    scale: float
+
+    def graph(self, stride: int, known: given.Known, frames: tuple[int, int] | None = None) -> FlowGraph:
+        """The unmasked matches of the shot, one pixel per `stride` px each way.
+
+        Args:
+            frames: first and end of those whose edges are read; None: all.
+        """
+        begin, end = np.searchsorted(self.columns["source"], frames or (0, len(self.shot)))
+        source, target, flow, confidence = (
+            self.columns[name][begin:end] for name in ("source", "target", "flow", "confidence")
+        )
+        T, release = len(self.shot), self.columns.release
+        graph = build_graph(source, target, flow, confidence, T, stride, known.centre, known.aspect, release)
+        self.columns.release()
+        return cuts.isolate(graph, self.shot)
+
+
+def read_matches(flow: Path, T: int, options: BAOptions) -> Matches:
+    """The matches of T frames, of which the longest shot is to be solved, or all where poses are given."""
+    about, columns, stride = read_metadata(flow), read_dense(flow), options.stride_px
+    shot = np.ones(T, bool)
+    if not options.poses_fixed:
+        sampled = []
+        for first in range(0, len(columns["source"]), EDGES):
+            block = columns["confidence"][first : first + EDGES, stride // 2 :: stride, stride // 2 :: stride]
+            sampled.append(block.reshape(len(block), -1).copy())
+            columns.release()
+        shot = cuts.linked_frames(columns["source"], columns["target"], np.concatenate(sampled), T)
+    return Matches(columns, shot, (int(about["width"]), int(about["height"])), float(about["scale"]))
+
+
+def read_texture(frames: Sequence, size: tuple[int, int]) -> Iterator[np.ndarray]:
+    """Texture weights [height, width] of each frame on the flow grid."""
+    for first in range(0, len(frames.frames), BLOCK):
+        read = read_reduced(frames.frames[first : first + BLOCK], size)
+        yield from threaded(texture_weights, (cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY) for rgb in read))
+
+
+def read_static_areas(masks: Path | None, frames: Sequence, matches: Matches) -> np.ndarray:
+    """Static area [T, height, width] on the flow grid that a folder of masks leaves; without one, everything."""
+    if masks is None:
+        return np.ones((len(frames.numbers), *matches.size[::-1]), np.int8)
+    return static_areas((read_mask(masks, frames, k) for k in range(len(frames.numbers))), *matches.size)
