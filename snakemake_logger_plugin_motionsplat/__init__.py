@@ -1,5 +1,8 @@
 """Terminal output of a run: a line per finished stage, a bar over all jobs, at the end warnings and the report's path.
 
+The bar names the running jobs, with their progress and the time left. Where there is no terminal, a line per running
+job tells these once a minute.
+
 Snakemake finds logger plugins by the name of the package; profiles/default chooses this one. Results and warnings of a
 stage are read from its time file (`summary` and `warnings` in stats/<stage>.json); all else is in its log.
 """
@@ -25,8 +28,10 @@ from stages import kernels_compiled
 
 COMPILING = "First run on this machine: kernels are compiled on the way, once, about a minute of CPU time in all."
 REFRESH_S = 0.5
+PIPE_S = 60.0
+"""Between two lines on the progress of a job where there is no terminal."""
 BAR = "{percentage:3.0f} % |{bar:20}| {n_fmt} of {total_fmt} jobs, {elapsed}{postfix}"
-PROGRESS = re.compile(r": (\d+) of (\d+)$", re.MULTILINE)
+PROGRESS = re.compile(r": (\d+) of (\d+)(, [^,\n]+ left)?$", re.MULTILINE)
 """The lines that `stages.shared.log.progress` writes to the log of a job."""
 TAIL_BYTES = 4096
 SILENT = frozenset(
@@ -51,6 +56,7 @@ class Job:
 
     Attributes:
         about: sequence, setting and round. page: the report, if the job writes it.
+        told: its progress when a line on it was last printed.
     """
 
     rule: str
@@ -59,6 +65,7 @@ class Job:
     stats: Path | None
     page: Path | None
     started_s: float = field(default_factory=time.monotonic)
+    told: str = ""
 
 
 class LogHandler(LogHandlerBase):
@@ -141,26 +148,36 @@ class LogHandler(LogHandlerBase):
         self.stream.flush()
 
     def _start(self, total: int) -> None:
-        """Show the bar if the output is a terminal."""
+        """Show the bar if the output is a terminal, and follow the running jobs."""
         if self.bar is not None or not total or self.quiet:
             return
         if not kernels_compiled():
             self._print(COMPILING)
-        if not self.stream.isatty():
-            return
-        self.bar = tqdm(total=total, file=self.stream, bar_format=BAR, leave=False, disable=False)
-        threading.Thread(target=self._refresh, daemon=True).start()
+        on_terminal = self.stream.isatty()
+        if on_terminal:
+            self.bar = tqdm(total=total, file=self.stream, bar_format=BAR, leave=False, disable=False)
+        threading.Thread(target=self._follow, args=[on_terminal], daemon=True).start()
 
-    def _refresh(self) -> None:
-        """Update the bar regularly with the progress of the running jobs, which is read from their logs."""
-        while not self.stopped.wait(REFRESH_S):
+    def _follow(self, on_terminal: bool) -> None:
+        """Tell the progress of the running jobs, which is read from their logs: in the bar, or in lines of its own."""
+        while not self.stopped.wait(REFRESH_S if on_terminal else PIPE_S):
             self.acquire()
             try:
                 if self.bar is not None:
-                    running = [f"{job.rule} {job.about}{_share_done(job)}" for job in self.running.values()]
+                    running = [f"{job.rule} {job.about}{_progress(job)[0]}" for job in self.running.values()]
                     self.bar.set_postfix_str(", ".join(running), refresh=True)
+                elif not on_terminal:
+                    self._tell_progress()
             finally:
                 self.release()
+
+    def _tell_progress(self) -> None:
+        """A line for every running job whose log has told more since its last line."""
+        for job in self.running.values():
+            _, words = _progress(job)
+            if words and words != job.told:
+                job.told = words
+                self._print(f"{job.rule:<10} {job.about:<16}  running  {words}")
 
     def _finish(self, jobid: int) -> None:
         job = self.running.pop(jobid, None)
@@ -242,7 +259,10 @@ def _was_cut_off(job: Job) -> bool:
     return bool(words) and " done: " not in words[-1]
 
 
-def _share_done(job: Job) -> str:
-    """Progress of a job, such as " 40 %", from the last line of progress in its log; "" if there is none."""
+def _progress(job: Job) -> tuple[str, str]:
+    """The progress of a job from the last such line in its log: (" 41 %, 3 min left", "412 of 1000, 3 min left")."""
     found = PROGRESS.findall(_tail(job.log))
-    return f" {100 * int(found[-1][0]) // max(int(found[-1][1]), 1)} %" if found else ""
+    if not found:
+        return "", ""
+    done, total, left = found[-1]
+    return f" {100 * int(done) // max(int(total), 1)} %{left}", f"{done} of {total}{left}"

@@ -166,15 +166,57 @@ def test_the_bar_over_all_jobs_is_for_terminals_alone(
     shown = handler(stream, monkeypatch)
     tell(shown, LogEvent.RUN_INFO, stats={"total": 5})
     start(shown, 1, "gaussians", tmp_path, seq="demo")
-    (tmp_path / "gaussians.log").write_text("INFO training: 100 of 1000\nINFO training: 400 of 1000\n")
+    (tmp_path / "gaussians.log").write_text("INFO training: 100 of 1000\nINFO training: 400 of 1000, 3 min left\n")
     tell(shown, LogEvent.PROGRESS, done=2, total=5)
     for _ in range(200):
-        if not barred or "gaussians demo 40 %" in stream.getvalue():
+        if not barred or "gaussians demo 40 %, 3 min left" in stream.getvalue():
             break
         shown.stopped.wait(0.01)
     shown.close()
     said = stream.getvalue()
-    assert ("2 of 5 jobs" in said and "gaussians demo 40 %" in said) if barred else said == ""
+    assert ("2 of 5 jobs" in said and "gaussians demo 40 %, 3 min left" in said) if barred else said == ""
+
+
+def test_where_there_is_no_terminal_a_line_tells_the_progress_of_every_running_job(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("snakemake_logger_plugin_motionsplat.PIPE_S", 0.01)
+    stream = io.StringIO()
+    shown = handler(stream, monkeypatch)
+    for jobid, rule in enumerate(("flow", "ba", "scene")):  # the last has told nothing yet
+        start(shown, jobid, rule, tmp_path, seq="demo")
+    (tmp_path / "flow.log").write_text("INFO flow: 412 of 1000, 3 min left\n")
+    (tmp_path / "ba.log").write_text("INFO windows: 1 of 4\nINFO windows: 4 of 4\n")
+    tell(shown, LogEvent.RUN_INFO, stats={"total": 5})
+    for _ in range(200):
+        if stream.getvalue().count("\n") > 1:
+            break
+        shown.stopped.wait(0.01)
+    shown.stopped.wait(0.05)  # time to repeat what is not to be repeated
+    shown.close()
+    lines = [" ".join(line.split()) for line in stream.getvalue().splitlines()]
+    assert lines == ["flow demo running 412 of 1000, 3 min left", "ba demo running 4 of 4"]
+
+
+def test_the_log_tells_tenths_and_what_takes_long_with_the_time_left(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now = [0.0]
+    monkeypatch.setattr("stages.shared.log.time.monotonic", lambda: now[0])
+    log.setup(tmp_path / "a.log")
+    for frame in log.progress(range(1000), "frames"):
+        now[0] += 20.0 if frame < 3 else 0.01
+    told = [line.partition("INFO ")[2] for line in (tmp_path / "a.log").read_text().splitlines()]
+    assert told[:2] == ["frames: 2 of 1000, 5 h 33 min left", "frames: 100 of 1000, 9 min left"]
+    assert told[-2:] == ["frames: 900 of 1000, 8 s left", "frames: 1000 of 1000"]
+    assert len(told) == 11
+
+
+@pytest.mark.parametrize(
+    ("seconds", "words"), [(0.4, "0 s"), (99, "99 s"), (101, "2 min"), (5800, "97 min"), (7800, "2 h 10 min")]
+)
+def test_durations_are_told_to_those_who_wait(seconds: float, words: str) -> None:
+    assert log.duration(seconds) == words
 
 
 def test_warnings_reach_the_log_once_where_standard_error_goes_there_too(tmp_path: Path) -> None:

@@ -1,8 +1,9 @@
-"""Logging and progress: bars on a terminal, ten lines per loop in the log file, nothing on stdout."""
+"""Logging and progress: bars on a terminal, lines with the time left in the log file, nothing on stdout."""
 
 import logging
 import os
 import sys
+import time
 from collections.abc import Iterable, Iterator, Sized
 from pathlib import Path
 from typing import TypeVar
@@ -11,6 +12,8 @@ from tqdm import tqdm
 
 ItemT = TypeVar("ItemT")
 logger = logging.getLogger("motionsplat")
+REPORT_S = 30.0
+"""Longest time between two lines of progress in the log, but for an item that takes longer itself."""
 
 
 class _Kept(logging.Handler):
@@ -60,7 +63,10 @@ def warnings() -> list[str]:
 
 
 def progress(items: Iterable[ItemT], title: str, total: int | None = None) -> Iterator[ItemT]:
-    """Yield `items`, with a progress bar on a terminal and a log line after every tenth of them.
+    """Yield `items`, with a progress bar on a terminal, and lines of progress with the time left in the log file.
+
+    A line follows every tenth of the items, and the first item that ends REPORT_S after the last line. The time left
+    assumes that the items to come take as long as those before them.
 
     Args:
         total: their number, which may be an estimate; None for a collection, which knows it.
@@ -68,10 +74,21 @@ def progress(items: Iterable[ItemT], title: str, total: int | None = None) -> It
     if total is None:
         assert isinstance(items, Sized)
         total = len(items)
+    began = told = time.monotonic()
     last_tenth = 0
     bar = tqdm(items, desc=title, total=total, leave=False, disable=not sys.stderr.isatty())
     for done, item in enumerate(bar, start=1):
         yield item
-        if done * 10 // total > last_tenth:
-            last_tenth = done * 10 // total
-            logger.info("%s: %d of %d", title, done, total)
+        now = time.monotonic()
+        if done * 10 // total > last_tenth or now - told >= REPORT_S:
+            last_tenth, told = done * 10 // total, now
+            left_s = (now - began) * (total - done) / done
+            logger.info("%s: %d of %d%s", title, done, total, f", {duration(left_s)} left" if done < total else "")
+
+
+def duration(seconds: float) -> str:
+    """A duration in words, rounded to what is of use to somebody who waits: "40 s", "3 min", "2 h 10 min"."""
+    if seconds < 100:
+        return f"{seconds:.0f} s"
+    minutes = round(seconds / 60)
+    return f"{minutes} min" if minutes < 100 else f"{minutes // 60} h {minutes % 60} min"
