@@ -46,6 +46,7 @@ def growth_rows() -> list[dict[str, Any]]:
     """Two stages over two axes, one of them with too few sizes for a fit."""
     return [
         {"axis": axis, "n": n, "stage": stage, "wall_s": n**power, "cpu_s": 2.0 * n**power, "peak_mb": 100.0}
+        | {"output_mb": 6.0 * n}
         for axis, sizes in (("frames", (5, 10, 20)), ("pixels", (1e4, 2e4)))
         for n in sizes
         for stage, power in (("flow", 1.0), ("ba", 1.5))

@@ -1,6 +1,7 @@
 """What a stage's command line says, and with which exit code it ends, when it cannot go on."""
 
 import errno
+from pathlib import Path
 
 import pytest
 
@@ -33,3 +34,12 @@ def test_an_exit_by_code_or_by_text(given: int | str | None, expected: int, caps
     code, said = ending(SystemExit(given), capsys)
     assert code == expected
     assert said.strip().endswith(given if isinstance(given, str) else "")
+
+
+def test_what_a_stage_wrote_is_counted_once_whatever_it_is_called(tmp_path: Path) -> None:
+    for name, size in (("a.arrow", 300), ("masks/1.png", 20), ("masks/more/2.png", 3)):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_bytes(bytes(size))
+    assert [cli._size_bytes(tmp_path / name) for name in ("a.arrow", "masks", "none")] == [300, 23, 0]
+    (tmp_path / "b.arrow").hardlink_to(tmp_path / "a.arrow")  # as `lens` does with the flow that it leaves as it is
+    assert cli._size_bytes(tmp_path / "b.arrow") == 0

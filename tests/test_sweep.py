@@ -65,7 +65,7 @@ def write_made(folder: Path) -> None:
     write_json(folder / "sequence.json", {"numbers": list(range(1, 12)), "frames_sha256": "of the frames"})
     for stage in ("flow", "ba"):
         about = {"options": {"seed": 3}, "code": f"code of {stage}", "wall_s": 3.0, "cpu_s": 6.0, "peak_mb": 97.0}
-        write_json(folder / f"stats/{stage}.json", about)
+        write_json(folder / f"stats/{stage}.json", about | {"output_mb": 5.0})
 
 
 def training(step_s: float, steps: int) -> dict[str, np.ndarray]:
@@ -113,14 +113,15 @@ def test_a_training_too_short_to_average_has_no_speed() -> None:
 
 def test_rows_of_growth_add_rounds_up(tmp_path: Path) -> None:
     write_made(tmp_path / "a")
-    write_json(tmp_path / "a/round1/stats/ba.json", {"wall_s": 1.0, "cpu_s": 2.0, "peak_mb": 99.0})
+    first = {"wall_s": 1.0, "cpu_s": 2.0, "peak_mb": 99.0, "output_mb": 4.0}
+    write_json(tmp_path / "a/round1/stats/ba.json", first)
     stats = {"flow": ["a/stats/flow.json"], "ba": ["a/round1/stats/ba.json", "a/stats/ba.json"]}
     run = {"axis": "frames", "sequence": "a", "stages": {"flow": 1, "ba": 2}, "size": "a/sequence.json", "stats": stats}
     write_json(tmp_path / "scaling/runs.json", {"runs": [run]})
     scaling.main(tmp_path / "scaling/runs.json", tmp_path / "growth.parquet")
     assert read_rows(tmp_path / "growth.parquet") == [
-        {"axis": "frames", "n": 11, "stage": "flow", "wall_s": 3.0, "cpu_s": 6.0, "peak_mb": 97.0},
-        {"axis": "frames", "n": 11, "stage": "ba", "wall_s": 4.0, "cpu_s": 8.0, "peak_mb": 99.0},
+        {"axis": "frames", "n": 11, "stage": "flow", "wall_s": 3.0, "cpu_s": 6.0, "peak_mb": 97.0, "output_mb": 5.0},
+        {"axis": "frames", "n": 11, "stage": "ba", "wall_s": 4.0, "cpu_s": 8.0, "peak_mb": 99.0, "output_mb": 9.0},
     ]
     assert list(read_metadata(tmp_path / "growth.parquet")["made_under"]) == ["a"]
 

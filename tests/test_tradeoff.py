@@ -118,5 +118,14 @@ def test_growth_is_tabled_and_drawn_per_axis() -> None:
     assert found["frames", "ba"]["fixed_s"] == pytest.approx(0, abs=1e-9)
     assert found["frames", "ba"]["peak_mb_growth"] == "constant"
     assert found["pixels", "flow"]["wall_s_growth"] is None
-    assert len(figures) == 4
+    assert found["frames", "flow"]["output_mb_growth"].startswith("1.00 (")
+    assert len(figures) == 6
     assert "flow 5 to 20" in figures[0].alt
+    assert "disk (MB) of every stage against frames: flow 30 to 120" in figures[2].alt
+
+
+def test_a_growth_that_was_collected_without_disk_is_still_shown() -> None:
+    rows = [{key: row[key] for key in row if key != "output_mb"} for row in comparison_tables.growth_rows()]
+    figures, (table,) = tradeoff_report.growth_part(rows)
+    assert len(figures) == 4
+    assert {row["output_mb_growth"] for row in table.rows} == {None}

@@ -1,4 +1,4 @@
-"""Growth of seconds and memory with the size of the problem: the fit of a constant plus a power of the size."""
+"""Growth of seconds, memory and disk with the size of the problem: the fit of a constant plus a power of the size."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,7 +7,7 @@ import numpy as np
 
 from stages.shared.tables import Row
 
-MEASURES = {"wall_s": "wall time", "cpu_s": "CPU time", "peak_mb": "peak memory"}
+MEASURES = {"wall_s": "wall time", "cpu_s": "CPU time", "peak_mb": "peak memory", "output_mb": "disk"}
 EXPONENTS = np.linspace(0.1, 3.0, 59)
 CONSTANT_SHARE = 0.05
 """Growth by less than this share of the largest value counts as constant."""
@@ -86,7 +86,7 @@ def series_of(rows: Sequence[Row], axis: str, measure: str) -> dict[str, tuple[n
     """Sizes [k] and values [k] by stage along one axis, by increasing size; repeated measurements are averaged."""
     found: dict[str, dict[float, list[float]]] = {}
     for row in rows:
-        if row["axis"] == axis and row[measure] is not None:
+        if row["axis"] == axis and row.get(measure) is not None:
             found.setdefault(row["stage"], {}).setdefault(float(row["n"]), []).append(row[measure])
     return {
         stage: (np.array(sorted(sizes)), np.array([np.mean(sizes[n]) for n in sorted(sizes)]))

@@ -9,14 +9,16 @@ from stages.shared.artifacts import read_json, read_metadata, read_model, read_t
 from stages.shared.cli import In, Out
 from stages.shared.tables import Row, write_rows
 
-COLUMNS = ("axis", "n", "stage", "wall_s", "cpu_s", "peak_mb")
+COLUMNS = ("axis", "n", "stage", "wall_s", "cpu_s", "peak_mb", "output_mb")
 
 
 def main(
     runs: Annotated[Path, In("runs.json: axis, and paths of sizes and costs relative to the dataset's folder")],
     output: Annotated[Path, Out("growth.parquet: a row per axis, size and stage")],
 ) -> None:
-    """Write one row per axis, size and stage: seconds over all rounds, and the largest peak memory."""
+    """Write one row per axis, size and stage: seconds and megabytes written over all rounds, and the largest
+    peak memory.
+    """
     folder = runs.parents[1]
     listed = read_json(runs)["runs"]
     rows = [row for run in listed for row in run_rows(folder, run)]
@@ -35,9 +37,9 @@ def run_rows(folder: Path, run: Row) -> list[Row]:
     rows = []
     for stage, files in run["stats"].items():
         spent = [read_json(folder / file) for file in files]
-        seconds = {name: sum(part[name] for part in spent) for name in ("wall_s", "cpu_s")}
+        sums = {name: sum(part[name] for part in spent) for name in ("wall_s", "cpu_s", "output_mb")}
         peak_mb = max(part["peak_mb"] for part in spent)
-        rows.append({"axis": run["axis"], "n": n, "stage": stage, **seconds, "peak_mb": peak_mb})
+        rows.append({"axis": run["axis"], "n": n, "stage": stage, **sums, "peak_mb": peak_mb})
     return rows
 
 

@@ -37,6 +37,8 @@ NOTE = (
     "its one thread. The tables of poses and of time give the numbers of threads. PSNR and SSIM are those of held-out "
     "frames. Scored: sequences with an ATE; failed: no or partial poses."
 )
+GROWING = {"wall_s": "wall time (s)", "peak_mb": "peak memory (MB)", "output_mb": "disk (MB)"}
+"""What is drawn of a growth, and the labels of its axes."""
 GROWTH_NOTE = (
     "value = fixed + factor x size ^ exponent, both parts at least 0, by least squares of the relative errors over the "
     "measured sizes. In brackets: the exponents that fit within 5 %. Constant: growth by less than 5 %. The fixed part "
@@ -218,11 +220,16 @@ def _training_tables(rows: Sequence[Row]) -> list[Table]:
 
 
 def growth_part(rows: Sequence[Row]) -> tuple[list[Figure], list[Table]]:
-    """Charts of time and memory against the size along every axis, and a table of the fitted exponents."""
+    """Charts of time, memory and disk against the size along every axis, and a table of the fitted exponents.
+
+    A table that older code collected has no disk.
+    """
     figures = []
     for axis in dict.fromkeys(row["axis"] for row in rows):
-        for measure, label in (("wall_s", "wall time (s)"), ("peak_mb", "peak memory (MB)")):
+        for measure, label in GROWING.items():
             series = growth.series_of(rows, axis, measure)
+            if not series:
+                continue
             content = tradeoff_charts.draw_growth(series, (axis, label))
             ends = [f"{stage} {values[0]:.3g} to {values[-1]:.3g}" for stage, (_, values) in series.items()]
             alt = f"{label} of every stage against {axis}: {', '.join(ends)}"

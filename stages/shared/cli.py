@@ -199,9 +199,9 @@ def _write_stats(
 
 
 def _size_bytes(path: Path) -> int:
-    if path.is_dir():
-        return sum(file.stat().st_size for file in path.rglob("*") if file.is_file())
-    return path.stat().st_size if path.exists() else 0
+    """Bytes of a file or of all files in a folder; none for another name of a file that an earlier stage wrote."""
+    files = [file for file in path.rglob("*") if file.is_file()] if path.is_dir() else [path] * path.exists()
+    return sum(about.st_size for about in (file.stat() for file in files) if about.st_nlink == 1)
 
 
 def _report_failure(stage: str, error: BaseException, log_file: Path | None) -> int:
