@@ -6,8 +6,11 @@ INSTALLED := $(VENV)/.installed
 LIBRARY := library
 # Of the demo and of the results: fast, balanced (what plain `snakemake` runs) or accurate.
 PRESET := fast
+# Of the benchmark of long video: a clip whose camera goes on, and the first frames of it that are measured.
+LONG_SCENE := long_take
+LONG_FRAMES := 25 50 100 200
 
-.PHONY: install demo results test test-long test-slurm bench lint clean
+.PHONY: install demo results test test-long test-slurm bench bench-long lint clean
 
 install: $(INSTALLED)
 
@@ -50,7 +53,12 @@ test-slurm: $(INSTALLED)
 	$(BIN)/pytest -m slurm -rs
 
 bench: $(INSTALLED)
-	for bench in benchmarks/bench_*.py; do $(BIN)/python -m benchmarks.$$(basename $$bench .py) || exit 1; done
+	for bench in $(filter-out %/bench_long.py,$(wildcard benchmarks/bench_*.py)); do $(BIN)/python -m benchmarks.$$(basename $$bench .py) || exit 1; done
+
+# Begun again, it goes on where it stopped; with further numbers of frames it measures those alone.
+bench-long: $(INSTALLED)
+	$(BIN)/python -m benchmarks.bench_long --scene $(LONG_SCENE) --frames $(LONG_FRAMES) \
+		--page docs/long_video.md --chart docs/long_video.png --config preset=$(PRESET)
 
 clean:
-	rm -rf results simulated decoded logs .snakemake $(LIBRARY)
+	rm -rf results simulated decoded logs .snakemake $(LIBRARY) bench_long

@@ -19,7 +19,7 @@ import re
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import cv2
@@ -66,21 +66,21 @@ def make_clip(folder: Path, count: int, width: int, height: int) -> Path:
     return clip
 
 
-def snakemake(folder: Path, *words: str) -> str:
-    """Run the workflow on the clip in `folder`; what it printed."""
-    options = folder / "options.json"
-    options.write_text(json.dumps({"dataset": str(folder / CLIP), **OPTIONS}))
+def snakemake(folder: Path, options: Mapping[str, object], *words: str) -> str:
+    """Run the workflow in `folder` with these options; what it printed on stdout."""
+    file = folder / "options.json"
+    file.write_text(json.dumps(options))
     command = [sys.executable, "-m", "snakemake", *words, "--snakefile", REPO / "Snakefile", "--directory", folder]
-    command += ["--configfile", options]
+    command += ["--configfile", file]
     done = subprocess.run(list(map(str, command)), cwd=REPO, stdout=subprocess.PIPE, text=True, check=False)
     if done.returncode:
         sys.exit(f"{done.stdout[-4000:]}\nsnakemake failed: its folder is {folder}")
     return done.stdout
 
 
-def asked_mb(folder: Path, words: list[str]) -> dict[str, int]:
+def asked_mb(folder: Path, options: Mapping[str, object], words: list[str]) -> dict[str, int]:
     """Megabytes (1e6 bytes) that the job of each rule asks for at its first attempt, from a dry run of all."""
-    jobs = re.split(r"^ *(?=rule \w+:)", snakemake(folder, "-n", "-F", *words), flags=re.MULTILINE)[1:]
+    jobs = re.split(r"^ *(?=rule \w+:)", snakemake(folder, options, "-n", "-F", *words), flags=re.MULTILINE)[1:]
     found = {job.partition(":")[0].removeprefix("rule "): re.search(r"\bmem_mb=(\d+)", job) for job in jobs}
     return {rule: int(asked[1]) for rule, asked in found.items() if asked}
 
@@ -120,8 +120,9 @@ def main() -> None:
     given, words = parser.parse_known_args()
     with in_folder(given.folder) as folder:
         make_clip(folder, given.frames, given.width, given.height)
-        snakemake(folder, "--cores", "all", *words)
-        asked, used = asked_mb(folder, words), used_mb(folder)
+        options = {"dataset": str(folder / CLIP), **OPTIONS}
+        snakemake(folder, options, "--cores", "all", *words)
+        asked, used = asked_mb(folder, options, words), used_mb(folder)
     print(f"{given.frames} frames of {given.width} x {given.height} px; megabytes of 1e6 bytes")
     missed = []
     for stage in sorted(asked.keys() & used):

@@ -1,4 +1,4 @@
-"""Charts of accuracy against seconds and of growth with size, as SVG."""
+"""Charts of accuracy against seconds and of growth with size."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -12,6 +12,9 @@ from stages.shared.charts import COLOURS, OTHERS, add_legend, figure
 
 PALE = "#c4bfb9"
 RIVAL_MARKERS = "s^DvPX<>"
+DASHES = ("-", "--", "-.", (0, (1, 1)))
+LARGEST = 4
+"""Stages that each panel of the growth chart names."""
 
 
 @dataclass(frozen=True)
@@ -96,6 +99,49 @@ def draw_growth(series: Mapping[str, tuple[np.ndarray, np.ndarray]], labels: tup
         _plain_ticks(axes.yaxis)
         add_legend(axes, "exponents")
     return done.getvalue()
+
+
+def draw_growths(
+    panels: Mapping[str, Mapping[str, tuple[np.ndarray, np.ndarray]]], axis: str, limits: Mapping[str, float]
+) -> bytes:
+    """Values [k] over sizes [k] by stage, a panel per measure, both axes logarithmic, as PNG.
+
+    Stages differ in marker and dashes as well as in colour. The ones drawn are the largest of each panel; the last of
+    its stages, the total over all, is drawn in bold.
+
+    Args:
+        panels: the series by label of the vertical axis. axis: what grows.
+        limits: a horizontal line by label of the panel.
+    """
+    largest = dict.fromkeys(stage for series in panels.values() for stage in _largest(series))
+    with figure((3.7 * len(panels), 4.0), "png") as (fig, done):
+        for k, (label, series) in enumerate(panels.items()):
+            axes = fig.add_subplot(1, len(panels), k + 1)
+            total = list(series)[-1]
+            for j, stage in enumerate(largest):
+                colour = (*OTHERS, COLOURS["ours"])[j % (len(OTHERS) + 1)]
+                style = {"color": colour, "ls": DASHES[j % len(DASHES)], "marker": RIVAL_MARKERS[j % 8]}
+                n, values = series.get(stage, ([], []))
+                axes.plot(n, values, ms=5, lw=1.3, label=stage, **style)
+            axes.plot(*series[total], color=COLOURS["truth"], lw=2.6, marker="o", ms=6, label=total)
+            sizes = series[total][0]
+            axes.set(xlabel=axis, title=label, xscale="log", yscale="log", xticks=sizes)
+            axes.set_xticklabels([f"{size:g}" for size in sizes])
+            axes.xaxis.minorticks_off()
+            if label in limits:
+                axes.axhline(limits[label], color=COLOURS["truth"], lw=1, ls=":")
+                axes.annotate(f"goal: {limits[label]:g}", (sizes[0], limits[label]), fontsize=9, va="bottom")
+            _plain_ticks(axes.yaxis)
+            axes.tick_params(labelsize=9)
+        handles, names = axes.get_legend_handles_labels()
+        fig.legend(handles, names, loc="outside lower center", ncols=len(names), fontsize=9)
+    return done.getvalue()
+
+
+def _largest(series: Mapping[str, tuple[np.ndarray, np.ndarray]]) -> list[str]:
+    """The stages, without the last, which is the total, with the LARGEST highest values at the largest size."""
+    stages = list(series)[:-1]
+    return sorted(stages, key=lambda stage: -series[stage][1][-1])[:LARGEST]
 
 
 def _scatter(

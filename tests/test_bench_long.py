@@ -1,0 +1,95 @@
+"""The benchmark of long video: what its samples hold, what its table decides, and which clip it takes."""
+
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from benchmarks import bench_long
+from benchmarks.resident import held_mb
+from stages.comparisons import growth, tradeoff_charts
+from stages.shared.errors import InputError
+
+HOLDS_40_READS_60_MB = """
+import mmap, sys, time
+held = bytearray(b"x") * 40_000_000
+with open("frames.arrow", "rb") as file:
+    mapped = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+sum(mapped[k] for k in range(0, len(mapped), 4096))
+print(flush=True)
+sys.stdin.readline()
+"""
+
+
+def test_pages_of_mapped_files_are_not_counted_as_held(tmp_path: Path) -> None:
+    (tmp_path / "frames.arrow").write_bytes(bytes(60_000_000))
+    command = [sys.executable, "-c", HOLDS_40_READS_60_MB, "--stats", "stats/flow.json"]
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    with subprocess.Popen(command, cwd=tmp_path, **pipes) as stage:
+        assert stage.stdout
+        stage.stdout.readline()
+        found = held_mb(tmp_path)
+        elsewhere = held_mb(tmp_path.parent)
+        stage.communicate(b"\n")
+    assert list(found) == ["stats/flow.json"]
+    assert 40 <= found["stats/flow.json"] < 70
+    assert not elsewhere
+
+
+def row(n: int, stage: str, cpu_s: float, resident_mb: float | None) -> dict[str, Any]:
+    same = {"wall_s": cpu_s / 2, "peak_mb": 900.0, "output_mb": 2.0 * n}
+    return {"axis": "frames", "n": n, "stage": stage, "cpu_s": cpu_s, "resident_mb": resident_mb, **same}
+
+
+def rows() -> list[dict[str, Any]]:
+    """Stages that grow with the power 1 and 1.5 of the frames, one of them beyond the memory, one not sampled."""
+    sizes = (50, 200, 1000)
+    return [
+        *(row(n, "flow", 3 + 0.5 * n, 2.0 * n) for n in sizes),
+        *(row(n, "ba", 3 + 0.01 * n**1.5, 7.0 * n) for n in sizes),
+        *(row(n, "scene", 9.0, None) for n in sizes),
+    ]
+
+
+def test_the_table_says_which_stage_misses_which_goal() -> None:
+    table = bench_long.table_of(bench_long.with_all(rows()))
+    found = {line["stage"]: line for line in table.rows}
+    assert found["flow"]["cpu_s"] == "28.0 / 103.0 / 503.0"
+    assert found["flow"]["cpu_s_growth"].startswith("1.00 (")
+    assert {stage: line["goals"] for stage, line in found.items()} == {
+        "flow": "memory met, time met",
+        "ba": "MEMORY MISSED, TIME MISSED",
+        "scene": "memory not sampled, time met",
+        "all": "MEMORY MISSED, TIME MISSED",
+    }
+    assert found["all"]["resident_mb"] == "350 / 1400 / 7000"
+    assert found["all"]["output_mb"] == "300.0 / 1200.0 / 6000.0"
+    assert "| CPU, s at 50 / 200 / 1000 |" in table.markdown()
+
+
+def test_two_numbers_of_frames_determine_no_exponent() -> None:
+    table = bench_long.table_of([line for line in rows() if line["n"] < 1000])
+    assert {line["cpu_s_growth"] for line in table.rows} == {"too few sizes"}
+    assert table.rows[0]["goals"] == "memory met, time not determined"
+
+
+def test_the_chart_is_drawn_from_the_same_rows() -> None:
+    found = bench_long.with_all(rows())
+    panels = {label: growth.series_of(found, "frames", measure) for measure, label in bench_long.PANELS.items()}
+    assert tradeoff_charts.draw_growths(panels, "frames", {"resident memory (MB)": 6000}).startswith(b"\x89PNG")
+
+
+def test_a_scene_is_taken_by_name_or_file_and_kept_as_it_was_drawn(tmp_path: Path) -> None:
+    options = bench_long.clip_options("demo", tmp_path, 128, 64)
+    home, length = bench_long.find_clip(tmp_path, options)
+    assert (home, length) == (tmp_path / "results/simulated/demo", 14)
+    drawn = tmp_path / "demo.yaml"
+    before = drawn.stat().st_mtime_ns
+    time.sleep(0.01)
+    assert bench_long.clip_options(str(drawn), tmp_path, 128, 64) == options
+    assert drawn.stat().st_mtime_ns == before
+    with pytest.raises(InputError, match="no_such_scene"):
+        bench_long.clip_options("no_such_scene", tmp_path, 128, 64)
