@@ -42,6 +42,10 @@ localrules:
     scaling,
 
 
+onstart:
+    tell_disk(workflow.dag.needrun_jobs())
+
+
 rule all:
     default_target: True
     input:

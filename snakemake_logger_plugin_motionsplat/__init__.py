@@ -25,6 +25,8 @@ from snakemake_interface_logger_plugins.common import LogEvent
 from tqdm import tqdm
 
 from stages import kernels_compiled
+from stages.shared import disk
+from stages.shared.errors import InputError
 
 COMPILING = "First run on this machine: kernels are compiled on the way, once, about a minute of CPU time in all."
 REFRESH_S = 0.5
@@ -85,6 +87,7 @@ class LogHandler(LogHandlerBase):
         self.running: dict[int, Job] = {}
         self.last_words: dict[str, list[str]] = {"failed": [], "warning": []}
         self.page: Path | None = None
+        self.planned_mb, self.planned = 0, list[str]()
         self.bar: tqdm | None = None
         self.stopped = threading.Event()
 
@@ -102,6 +105,7 @@ class LogHandler(LogHandlerBase):
         event = getattr(record, "event", None)
         if self.plain:
             self._pass_on(record)
+            self._plan(vars(record) if event == LogEvent.JOB_INFO else {})
         elif event == LogEvent.RUN_INFO:
             self._start(int(vars(record).get("stats", {}).get("total", 0)))
         elif event == LogEvent.JOB_INFO:
@@ -137,6 +141,9 @@ class LogHandler(LogHandlerBase):
         if self.page is not None:
             self._print(f"The report: {self.page.resolve()}")
             self.page = None
+        if self.planned_mb and self.common_settings.dryrun and not self.quiet:
+            self._tell_disk()
+            self.planned_mb = 0
         super().close()
 
     def _pass_on(self, record: logging.LogRecord) -> None:
@@ -146,6 +153,18 @@ class LogHandler(LogHandlerBase):
     def _print(self, line: str) -> None:
         tqdm.write(line, file=self.stream)
         self.stream.flush()
+
+    def _plan(self, said: dict[str, Any]) -> None:
+        """Note what a job of a dry run would write."""
+        self.planned_mb += getattr(said.get("resources"), "disk_mb", 0)
+        self.planned += map(str, said.get("output") or [])
+
+    def _tell_disk(self) -> None:
+        """What a dry run's jobs would write beside what is free; a run tells it itself before its first job."""
+        try:
+            self._print(disk.told(self.planned_mb, self.planned, Path()))
+        except InputError as error:
+            self._print(str(error))
 
     def _start(self, total: int) -> None:
         """Show the bar if the output is a terminal, and follow the running jobs."""

@@ -6,6 +6,7 @@ import logging
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -92,6 +93,24 @@ def test_nothing_to_do_still_says_where_the_report_lies(tmp_path: Path, monkeypa
         shown.close()
     nothing = "Nothing to be done (all requested files are present and up to date)."
     assert stream.getvalue().splitlines() == [nothing, nothing, f"The report: {page}"]
+
+
+@pytest.mark.parametrize(
+    ("free", "words"), [(9e9, "This run writes about 3.0 GB; 9.0 GB are free."), (2e9, "found 2.0 GB")]
+)
+def test_a_dry_run_ends_with_the_disk_that_its_jobs_take(
+    free: float, words: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("shutil.disk_usage", lambda _: SimpleNamespace(free=free))
+    stream = io.StringIO()
+    shown = handler(stream, monkeypatch, dryrun=True)
+    for jobid, megabytes in enumerate((1000, 2000, None)):  # the last writes next to nothing
+        resources = SimpleNamespace() if megabytes is None else SimpleNamespace(disk_mb=megabytes)
+        tell(shown, LogEvent.JOB_INFO, jobid=jobid, rule_name="flow", output=["pairs.arrow"], resources=resources)
+    shown.close()
+    shown.close()
+    assert words in stream.getvalue().splitlines()[-1]
+    assert stream.getvalue().count(words) == 1
 
 
 def test_quiet_leaves_failures_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -72,7 +72,9 @@ def with_options(folder: Path, text: str) -> list[str]:
 
 
 def test_plain_snakemake_plans_every_stage(repo_copy: Path) -> None:
-    assert planned(run_snakemake(repo_copy, "-n")) == EVERY_RULE
+    plan = run_snakemake(repo_copy, "-n")
+    assert planned(plan) == EVERY_RULE
+    assert re.search(r"^This run writes about \d+ MB; [\d.]+ .B are free\.$", plan.stdout + plan.stderr, re.MULTILINE)
 
 
 @pytest.mark.parametrize(

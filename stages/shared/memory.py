@@ -36,11 +36,13 @@ class Held:
         edges: in the flow of all edges: number of edges x size of the flow grid.
         frames: in all frames at full size.
         frame: in one frame at full size.
+        grid: in all frames on the flow grid.
     """
 
     edges: int = 0
     frames: int = 0
     frame: int = 0
+    grid: int = 0
 
 
 @dataclass(frozen=True)

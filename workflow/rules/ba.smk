@@ -24,6 +24,7 @@ rule ba:
     threads: 4
     resources:
         mem_mb=memory("ba"),
+        disk_mb=disk("ba"),
     params:
         code=code_digest("stages.ba"),
         flags=flags("ba"),

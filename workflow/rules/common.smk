@@ -33,6 +33,7 @@ from stages.shared.artifacts import write_json
 from stages.shared.chain import MEASURED
 from stages.shared.devices import takes_gpu
 from stages.shared.digest import code_digest
+from stages.shared.disk import megabytes_written, told
 from stages.shared.errors import InputError
 from stages.shared.images import reduced_size
 from stages.shared.memory import Held, megabytes

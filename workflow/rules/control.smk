@@ -20,6 +20,7 @@ rule control:
     threads: 4
     resources:
         mem_mb=memory("control"),
+        disk_mb=disk("control"),
     params:
         code=code_digest("stages.control"),
         flags=flags("control"),

@@ -14,6 +14,7 @@ rule flow:
     threads: 4
     resources:
         mem_mb=memory("flow"),
+        disk_mb=disk("flow"),
     params:
         code=code_digest("stages.flow"),
         flags=flags("flow"),

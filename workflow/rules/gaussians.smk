@@ -23,6 +23,7 @@ rule gaussians:
     threads: 4
     resources:
         mem_mb=memory("gaussians"),
+        disk_mb=disk("gaussians"),
         gpu=gpus("gaussians"),
     params:
         code=code_digest("stages.gaussians"),

@@ -17,6 +17,7 @@ rule motion:
     threads: 4
     resources:
         mem_mb=memory("motion"),
+        disk_mb=disk("motion"),
     params:
         code=code_digest("stages.motion"),
         flags=flags("motion"),

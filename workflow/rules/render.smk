@@ -21,6 +21,7 @@ rule render:
     threads: 4
     resources:
         mem_mb=memory("render"),
+        disk_mb=disk("render"),
         gpu=gpus("render"),
     params:
         code=code_digest("stages.render"),

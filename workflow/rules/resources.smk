@@ -1,4 +1,4 @@
-# Resources of a job: memory, GPUs, and the group in which it is submitted to a cluster.
+# Resources of a job: memory, disk, GPUs, and the group in which it is submitted to a cluster.
 
 
 def memory(stage):
@@ -11,6 +11,29 @@ def memory(stage):
     return of_attempt
 
 
+def disk(stage):
+    """The resource function of what a job writes, in megabytes, from the pixels of its stage."""
+
+    @of_job
+    def of_sequence(wildcards):
+        return megabytes_written(stage, held(setting_of(wildcards), wildcards.seq))
+
+    return of_sequence
+
+
+def tell_disk(jobs):
+    """Log what jobs will write beside what is free, or end the run in one line if there is no room for it."""
+    jobs = [job for job in jobs if job.resources.get("disk_mb")]
+    needed = sum(job.resources.disk_mb for job in jobs)
+    try:
+        words = told(needed, [path for job in jobs for path in job.output], Path())
+    except InputError as error:
+        sys.stderr.write(f"{error}\n")
+        sys.exit(2)
+    if jobs:
+        logger.info(words)
+
+
 @functools.cache
 def held(setting, name):
     """The pixels of a sequence and of its flow under a setting; cached like the flags."""
@@ -21,7 +44,12 @@ def held(setting, name):
     edges = most_edges(frames, config.flow.offsets, config.flow.long_edges)
     edges += given_inputs.added_edges(config, sequence)
     grid = reduced_size(*size, config.flow.max_width_px)
-    return Held(edges * math.prod(grid), frames * math.prod(size), math.prod(size))
+    return Held(
+        edges=edges * math.prod(grid),
+        frames=frames * math.prod(size),
+        frame=math.prod(size),
+        grid=frames * math.prod(grid),
+    )
 
 
 def gpus(section):

@@ -16,6 +16,7 @@ rule segment:
     threads: 4
     resources:
         mem_mb=memory("segment"),
+        disk_mb=disk("segment"),
     params:
         code=code_digest("stages.segment"),
         flags=flags("segment"),

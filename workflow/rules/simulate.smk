@@ -13,6 +13,7 @@ rule simulate:
     threads: 4
     resources:
         mem_mb=memory("simulate"),
+        disk_mb=disk("simulate"),
     params:
         code=code_digest("stages.simulate"),
         flags=flags("simulate"),

@@ -14,6 +14,7 @@ rule video:
     threads: 4
     resources:
         mem_mb=video_memory,
+        disk_mb=disk("video"),
     params:
         code=code_digest("stages.video"),
         flags=flags("video"),

@@ -16,6 +16,7 @@ rule viewer:
         "../envs/motionsplat.yaml"
     resources:
         mem_mb=memory("viewer"),
+        disk_mb=disk("viewer"),
     params:
         code=code_digest("stages.viewer"),
     shell:

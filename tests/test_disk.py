@@ -1,0 +1,41 @@
+"""The disk that jobs are said to fill, against what runs have written, and a run for which there is no room."""
+
+import math
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from stages.flow.edges import most_edges
+from stages.shared import disk
+from stages.shared.disk import FILLS, megabytes_written
+from stages.shared.errors import InputError
+from stages.shared.images import reduced_size
+from stages.shared.memory import NEEDS, Held
+
+WRITTEN = [
+    *[("flow", 200, (512, 218), 410.28), ("flow", 40, (512, 218), 76.0), ("motion", 200, (512, 218), 34.93)],
+    *[("ba", 200, (512, 218), 5.04), ("render", 200, (512, 218), 88.67), ("simulate", 40, (512, 218), 79.97)],
+]
+"""Stage, frames, their size, and megabytes that a job of preset fast wrote, whose flow is 320 px wide."""
+
+
+@pytest.mark.parametrize(("stage", "T", "size", "megabytes"), WRITTEN)
+def test_jobs_are_said_to_write_what_they_write(stage: str, T: int, size: tuple[int, int], megabytes: float) -> None:
+    grid, full = math.prod(reduced_size(*size, 320)), math.prod(size)
+    held = Held(edges=most_edges(T, (1, 2, 4), 1) * grid, frames=T * full, frame=full, grid=T * grid)
+    assert 0.95 <= megabytes_written(stage, held) / megabytes <= 2.2
+
+
+def test_every_stage_that_is_counted_is_one() -> None:
+    assert FILLS.keys() <= NEEDS.keys()
+
+
+def test_what_a_run_replaces_counts_as_free(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "pairs.arrow").write_bytes(bytes(3_000_000))
+    (tmp_path / "masks").mkdir()
+    monkeypatch.setattr("shutil.disk_usage", lambda _: SimpleNamespace(free=1.2e9))
+    outputs = [tmp_path / "pairs.arrow", tmp_path / "masks", tmp_path / "none"]
+    assert disk.told(1203, outputs, tmp_path) == "This run writes about 1.2 GB; 1.2 GB are free."
+    with pytest.raises(InputError, match=r"room for the 1\.2 GB that this run writes, found 1\.2 GB free"):
+        disk.told(1204, outputs, tmp_path)
