@@ -98,3 +98,18 @@ def test_bad_folders_end_in_one_line_and_code_2(runs: tuple[Path, Path], tmp_pat
     (runs[1] / "alley" / "eval" / "images.parquet").write_bytes(b"broken")
     with pytest.raises(InputError, match="images"):
         compare.read_run(runs[1])
+
+
+def test_a_loss_is_one_beyond_the_noise(runs: tuple[Path, Path]) -> None:
+    a, b = (compare.read_run(run) for run in runs)
+    assert compare.losses(a, b) == [
+        *("lost: only in A", "cave: ATE 2.000 -> 2.250", "cave: PSNR 22.00 -> 21.50"),
+        *("cave: PSNR static 22.00 -> 21.50", "all: CPU time 60.0 -> 72.0 s"),
+    ]
+    assert compare.losses(a, a) == []
+    a = {"alley": b["alley"] | {"iou": 0.7, "cpu_s": 100.0, "ate_percent": 2.0}}
+    within = {"alley": a["alley"] | {"iou": 0.691, "cpu_s": 102.9, "ate_percent": 2.19, "wall_s": 999.0}}
+    assert compare.losses(a, within) == []
+    for change in ({"iou": 0.689}, {"cpu_s": 103.1}, {"ate_percent": None}, {"psnr_whole": 20.8}):
+        assert len(compare.losses(a, {"alley": within["alley"] | change})) == 1
+    assert compare.losses(a, {"alley": within["alley"] | {"ate_percent": 0.1, "iou": 0.9, "cpu_s": 1.0}}) == []

@@ -20,25 +20,34 @@ Values = dict[str, float | None]
 
 @dataclass(frozen=True)
 class Measure:
-    """A score that is compared; `sign` is +1 if larger values are better, -1 if smaller ones are."""
+    """A score that is compared; `sign` is +1 if larger values are better, -1 if smaller ones are.
+
+    Attributes:
+        noise: largest loss of a sequence that counts as none; None for measures that no sequence is held to.
+    """
 
     key: str
     label: str
     unit: str
     sign: int
     digits: int
+    noise: float | None = None
 
 
 MEASURES = (
-    Measure("ate_percent", "ATE", "% of path", -1, 3),
+    Measure("ate_percent", "ATE", "% of path", -1, 3, 0.02),
     Measure("focal_abs_percent", "focal error", "%, size", -1, 2),
-    Measure("iou", "mask IoU", "0..1", 1, 3),
-    Measure("psnr_whole", "PSNR", "dB", 1, 2),
-    Measure("psnr_static", "PSNR static", "dB", 1, 2),
-    Measure("psnr_dynamic", "PSNR dynamic", "dB", 1, 2),
+    Measure("iou", "mask IoU", "0..1", 1, 3, 0.01),
+    Measure("psnr_whole", "PSNR", "dB", 1, 2, 0.1),
+    Measure("psnr_static", "PSNR static", "dB", 1, 2, 0.1),
+    Measure("psnr_dynamic", "PSNR dynamic", "dB", 1, 2, 0.1),
     Measure("wall_s", "time", "s", -1, 1),
     Measure("cpu_s", "CPU time", "s", -1, 1),
 )
+RELATIVE_NOISE = 0.1
+"""A loss of ATE by this share of it counts as none either."""
+SLOWER = 1.03
+"""Largest ratio of the CPU seconds of all sequences that counts as equal. Those of one sequence vary more."""
 
 
 def read_run(folder: Path) -> dict[str, Values]:
@@ -129,6 +138,25 @@ def summarise(changes: Sequence[float], measure: Measure) -> str:
     return f"B - A: mean {mean}, median {median}; {counts}"
 
 
+def losses(a: Mapping[str, Values], b: Mapping[str, Values]) -> list[str]:
+    """Where B is worse than A beyond the noise, a line each: scores by sequence, CPU seconds over all of both."""
+    found = [f"{name}: only in A" for name in sorted(set(a) - set(b))]
+    both = sorted(set(a) & set(b))
+    for measure in MEASURES:
+        for name in both if measure.noise is not None else ():
+            x, y = a[name][measure.key], b[name][measure.key]
+            if x is not None and (y is None or _is_loss(x, y, measure)):
+                to = "none" if y is None else decimal(y, measure.digits)
+                found.append(f"{name}: {measure.label} {decimal(x, measure.digits)} -> {to}")
+    before, after = (sum(run[name]["cpu_s"] or 0.0 for name in both) for run in (a, b))
+    return [*found, *([f"all: CPU time {before:.1f} -> {after:.1f} s"] if after > SLOWER * before else [])]
+
+
+def _is_loss(x: float, y: float, measure: Measure) -> bool:
+    noise = max(measure.noise or 0.0, RELATIVE_NOISE * x) if measure.key == "ate_percent" else measure.noise or 0.0
+    return (x - y) * measure.sign > noise
+
+
 def draw(a: Mapping[str, Values], b: Mapping[str, Values], kind: str) -> bytes:
     """A panel per measure: B - A of every sequence as a bar, orange where B is better; `kind` is "svg" or "png"."""
     names = sorted(set(a) & set(b))
@@ -152,11 +180,12 @@ def draw(a: Mapping[str, Values], b: Mapping[str, Values], kind: str) -> bytes:
 
 
 def main() -> None:
-    """Print the comparison; exit code 2 and one line if a folder is not a run."""
+    """Print the comparison; exit code 2 and one line if a folder is not a run, 1 if B loses and must not."""
     parser = argparse.ArgumentParser(prog="python -m stages.comparisons.compare", description=__doc__)
     parser.add_argument("a", type=Path, metavar="A", help="result folder of one run, results/<dataset>")
     parser.add_argument("b", type=Path, metavar="B", help="result folder of the other run")
     parser.add_argument("--figure", type=Path, help="where to draw it: a .png or .svg file (default: nowhere)")
+    parser.add_argument("--no-loss", action="store_true", help="exit code 1 where B is worse beyond the noise")
     arguments = parser.parse_args()
     try:
         kind = arguments.figure.suffix[1:].lower() if arguments.figure else "png"
@@ -170,6 +199,10 @@ def main() -> None:
     except InputError as error:
         sys.stderr.write(f"{error}\n")
         sys.exit(2)
+    if arguments.no_loss:
+        lost = losses(a, b)
+        print("", *(lost or ["B loses nowhere beyond the noise"]), sep="\n")
+        sys.exit(1 if lost else 0)
 
 
 if __name__ == "__main__":
