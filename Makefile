@@ -10,7 +10,7 @@ PRESET := fast
 LONG_SCENE := long_take
 LONG_FRAMES := 25 50 100 200
 
-.PHONY: install demo results test test-long test-slurm bench bench-long lint clean
+.PHONY: install demo results priced test test-long test-slurm bench bench-long lint clean
 
 install: $(INSTALLED)
 
@@ -33,6 +33,15 @@ results: $(INSTALLED)
 	$(BIN)/python -m stages.results --results $(LIBRARY)/results/simulated --manifests $(LIBRARY)/simulated \
 		--scenes stages/simulate/scenes --output docs/results.md --readme README.md \
 		--command "make results PRESET=$(PRESET)" && exit $$ended
+
+# Decided effects against all and none on scenes of the library (SCENES=all, test or [demo, soft_body]), beside the
+# results of `make results`, whose runs it shares. Begun again, it goes on where it stopped.
+SCENES := tuned
+priced: $(INSTALLED)
+	$(BIN)/snakemake --directory $(LIBRARY) --max-jobs-per-timespan 1000/1m --config 'scenes=$(SCENES)' preset=$(PRESET) \
+		'sweep={sequences: all, groups: [effects]}' -- results/simulated/sweep/costs.parquet; ended=$$?; \
+	$(BIN)/python -m stages.results.priced --results $(LIBRARY)/results/simulated --output docs/priced.md \
+		--chart docs/priced.png --readme README.md --command "make priced PRESET=$(PRESET) SCENES='$(SCENES)'" && exit $$ended
 
 # Two processes, each with whole files: much of a test is one thread, or waits for Slurm or Snakemake.
 test: lint

@@ -8,7 +8,7 @@ from stages.shared.tables import write_rows
 METRICS = (
     *("rpe_rot_deg", "focal_error_percent", "iou", "boundary_f", "psnr_static_db", "psnr_dynamic_db", "ssim"),
     *("ate", "rpe_trans", "path", "registered", "total", "threads"),
-    *("cpu_s", "poses_cpu_s", "peak_mb", "model_mb"),
+    *("cpu_s", "differing_cpu_s", "poses_cpu_s", "peak_mb", "model_mb"),
     *("step_ms", "equal_psnr_db", "equal_s", "configured_equal_s"),
 )
 
@@ -23,6 +23,7 @@ def cost_row(setting: str, ate: float | None, seconds: float, psnr: float = 20.0
         "value": None,
         "is_default": False,
         "overrides": "{}",
+        "effects": "",
     }
     row |= dict.fromkeys(METRICS, 1.0) | {"ate_percent": ate, "psnr_db": psnr, "status": "ok"}
     row |= {"note": "", "taken": "true masks" if "truth" in str(changes) else None}

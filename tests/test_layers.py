@@ -17,7 +17,7 @@ LATER = {
     "viewer": COMMON,
     "comparisons": {*COMMON, "evaluate", "configuration"},
     "report": {*COMMON, "evaluate", "comparisons"},
-    "results": {*COMMON, "evaluate", "comparisons", "report"},
+    "results": {*COMMON, "evaluate", "comparisons", "report", "configuration"},
     "shared": set(),
     "deformation": {"shared"},
     "given": {"shared"},

@@ -56,7 +56,7 @@ def swept(name: str, **changes: Any) -> dict[str, Any]:
     about: dict[str, Any] = {"sequence": "a", "group": "presets", "setting": name, "knob": None, "value": None}
     paths = {"scores": f"a/{name}/eval", "model": f"a/{name}/model.safetensors"}
     trainings = {"convergence": f"a/{name}/convergence.parquet", "configured_convergence": "a/one/convergence.parquet"}
-    about |= {"stages": {"flow": 1, "ba": 2}}
+    about |= {"stages": {"flow": 1, "ba": 2}, "scene": "a/scene.json", "shared": ["inspect", "flow"]}
     return about | {"overrides": {}, "is_default": False} | paths | trainings | changes
 
 
@@ -81,6 +81,9 @@ def test_a_row_says_what_a_setting_reached_and_cost(tmp_path: Path) -> None:
         (tmp_path / f"a/{name}/model.safetensors").write_bytes(bytes(2_500_000))
         write_table(tmp_path / f"a/{name}/convergence.parquet", training(step_s, steps))
     write_made(tmp_path / "a")
+    yes: dict[str, Any] = {"needed": True}
+    decided = {"dynamic": {"needed": False}, "motion_blur": yes, "rotation_only": yes, "sequence": "a"}
+    write_json(tmp_path / "a/scene.json", decided | {"atmosphere": yes | {"extinction": 0.0}})
     knob = {"knob": "flow.offsets", "value": [1, 2], "overrides": {"flow.offsets": [1, 2]}, "group": "knobs"}
     write_json(tmp_path / "sweep/runs.json", {"runs": [swept("one", is_default=True), swept("two", **knob)]})
     sweep.main(tmp_path / "sweep/runs.json", tmp_path / "costs.parquet")
@@ -89,14 +92,16 @@ def test_a_row_says_what_a_setting_reached_and_cost(tmp_path: Path) -> None:
     assert json.loads(two["overrides"]) == {"flow.offsets": [1, 2]}
     assert (one["ate_percent"], one["status"], one["iou"], one["boundary_f"]) == (0.5, "ok", 0.2, 0.1)
     assert (two["ate_percent"], two["status"]) == (None, "failed")
-    decided = ("camera", "focal", "focal_sigma_percent", "warnings")
-    assert [one[name] for name in decided] == ["moving", "estimated", 1.0, 0]
+    names = ("camera", "focal", "focal_sigma_percent", "warnings")
+    assert [one[name] for name in names] == ["moving", "estimated", 1.0, 0]
     assert (one["registered"], one["total"], one["ate"], one["rpe_trans"]) == (7, 8, 0.05, 0.01)
     assert (one["psnr_db"], one["psnr_static_db"], one["psnr_dynamic_db"], one["ssim"]) == (25.0, 26.0, 20.0, 0.5)
     assert (two["psnr_db"], two["psnr_dynamic_db"]) == (24.0, None)
     # flow once, motion, segment and ba twice; then inspect, scene, control and gaussians. COLMAP is none of ours.
     assert (one["poses_wall_s"], one["wall_s"]) == (10 + 2 * 9, 10 + 2 * 9 + 1 + 5 + 6 + 20)
     assert (one["poses_cpu_s"], one["cpu_s"]) == (2 * one["poses_wall_s"], 2 * one["wall_s"])
+    assert one["differing_cpu_s"] == one["cpu_s"] - 2 * (1 + 10)  # inspect and flow are the same for the whole group
+    assert one["effects"] == "motion blur"
     assert (one["peak_mb"], one["model_mb"]) == (120.0, 2.5)
     made = {"ran": 2, "options": {"seed": 3}, "code": "code of ba"}
     assert read_metadata(tmp_path / "costs.parquet")["made_under"]["a"]["ba"] == made

@@ -1,7 +1,7 @@
 """Collect the scores and costs of every setting of a sweep into one table."""
 
 import json
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -21,16 +21,17 @@ POSE_SCORES = (
     *("threads", "taken"),
 )
 COLUMNS = (
-    *("sequence", "group", "setting", "knob", "value", "is_default", "overrides"),
+    *("sequence", "group", "setting", "knob", "value", "is_default", "overrides", "effects"),
     *(*POSE_SCORES, "iou", "boundary_f"),
     *("psnr_db", "psnr_static_db", "psnr_dynamic_db", "ssim"),
-    *("wall_s", "cpu_s", "poses_wall_s", "poses_cpu_s", "peak_mb", "model_mb"),
+    *("wall_s", "cpu_s", "differing_cpu_s", "poses_wall_s", "poses_cpu_s", "peak_mb", "model_mb"),
     *("step_ms", "equal_psnr_db", "equal_s", "configured_equal_s"),
 )
 POSE_STAGES = ("flow", "lens", "motion", "segment", "ba")
 PROTOCOL = (
     "Seconds are those of all stages from the frames to the renders. Shared stages are counted in full, as in a run "
     "from scratch; COLMAP and evaluation are left out. Poses: flow to adjustment, all rounds. "
+    "differing_cpu_s: without the stages that all settings of the group share. "
     "equal_s and configured_equal_s: seconds of training to the PSNR of training frames that both runs reach."
 )
 
@@ -60,8 +61,9 @@ def run_row(folder: Path, run: Row) -> Row:
 
     Args:
         folder: of the dataset's results; paths in `run` are relative to it.
-        run: sequence, group, setting, knob, value, is_default, overrides, scores (a folder), model (a file), and
-            convergence and configured_convergence, the training histories of this run and of the configured one.
+        run: sequence, group, setting, knob, value, is_default, overrides, scores (a folder), scene and model (files),
+            shared (the stages that are the same in its whole group), and convergence and configured_convergence, the
+            training histories of this run and of the configured one.
     """
     scores = folder / run["scores"]
     named = {name: run[name] for name in ("sequence", "group", "setting", "knob", "is_default")}
@@ -72,10 +74,11 @@ def run_row(folder: Path, run: Row) -> Row:
         **named,
         "value": value,
         "overrides": json.dumps(run["overrides"]),
+        "effects": effects_in_words(read_json(folder / run["scene"])),
         **pose_scores(read_rows(scores / "poses.parquet")),
         **mask_scores(read_rows(scores / "masks.parquet")),
         **image_scores(read_rows(scores / "images.parquet")),
-        **costs(read_rows(scores / "time.parquet")),
+        **costs(read_rows(scores / "time.parquet"), run["shared"]),
         "model_mb": model_mb,
         **compare_training(*trainings),
     }
@@ -121,13 +124,27 @@ def image_scores(rows: Iterable[Row]) -> Row:
     }
 
 
-def costs(rows: Iterable[Row]) -> Row:
-    """Seconds of all stages and of those up to the poses, and the largest peak memory."""
+def effects_in_words(decisions: Mapping[str, Any]) -> str:
+    """The effects that a run models, from scene.json: of fog only what was measured, since there may be none.
+
+    A camera that only turns is not listed: that is a finding, no model.
+    """
+    modelled = [
+        name
+        for name, found in decisions.items()
+        if isinstance(found, dict) and found["needed"] and found.get("extinction", 1.0) > 0 and name != "rotation_only"
+    ]
+    return ", ".join(name.replace("_", " ") for name in modelled)
+
+
+def costs(rows: Iterable[Row], shared: Collection[str] = ()) -> Row:
+    """Seconds of all stages, of those not `shared` by the group, of those up to the poses; the largest peak memory."""
     counted = [row for row in rows if is_ours(row)]
     to_poses = [row for row in counted if row["stage"] in POSE_STAGES]
     return {
         "wall_s": sum(row["wall_s"] for row in counted),
         "cpu_s": sum(row["cpu_s"] for row in counted),
+        "differing_cpu_s": sum(row["cpu_s"] for row in counted if row["stage"] not in shared),
         "poses_wall_s": sum(row["wall_s"] for row in to_poses),
         "poses_cpu_s": sum(row["cpu_s"] for row in to_poses),
         "peak_mb": max(row["peak_mb"] for row in counted),

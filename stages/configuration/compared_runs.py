@@ -23,8 +23,12 @@ SCORES = ("poses", "images", "masks", "time")
 
 
 def swept_run(settings: Sequence[Setting], setting: Setting, sequence: str) -> dict[str, Any]:
-    """Columns of the sweep's table that identify a run, and the paths of its scores, model and training history."""
+    """Columns of the sweep's table that identify a run, and the paths of its scores, decisions, model and training.
+
+    `shared` are the stages that all settings of its group share.
+    """
     scores = _path(settings, setting, sequence, "evaluate", "eval")
+    group = [other for other in settings if other.group == setting.group]
     return {
         "sequence": sequence,
         "group": setting.group,
@@ -34,10 +38,12 @@ def swept_run(settings: Sequence[Setting], setting: Setting, sequence: str) -> d
         "overrides": setting.overrides,
         "is_default": scores == f"{sequence}/eval",
         "scores": scores,
+        "scene": _path(settings, setting, sequence, "scene", "scene.json"),
         "model": _path(settings, setting, sequence, "gaussians", "gaussians/model.safetensors"),
         "convergence": _path(settings, setting, sequence, "gaussians", CONVERGENCE),
         "configured_convergence": f"{sequence}/{CONVERGENCE}",
         "stages": _stages(settings),
+        "shared": [stage for stage in MEASURED if len({_home(settings, other, stage) for other in group}) == 1],
     }
 
 
@@ -68,7 +74,13 @@ def needed_files(run: dict[str, Any]) -> list[str]:
     ]
     if "scores" in run:
         trainings = dict.fromkeys((run["convergence"], run["configured_convergence"]))
-        return [run["model"], *trainings, *(f"{run['scores']}/{table}.parquet" for table in SCORES), *configured]
+        return [
+            run["model"],
+            run["scene"],
+            *trainings,
+            *(f"{run['scores']}/{table}.parquet" for table in SCORES),
+            *configured,
+        ]
     return [run["size"], *(path for paths in run["stats"].values() for path in paths), *configured]
 
 
@@ -76,6 +88,12 @@ def _stages(settings: Sequence[Setting]) -> dict[str, int]:
     """Number of rounds of each stage that the configured run has, which is the first of the settings."""
     rounds = {stage: len(rounds_of(settings[0], stage)) for stage in MEASURED}
     return {stage: number for stage, number in rounds.items() if number}
+
+
+def _home(settings: Sequence[Setting], setting: Setting, stage: str) -> str | None:
+    """The folder of the last results of a stage; None if the setting does not run it."""
+    rounds = rounds_of(setting, stage)
+    return find_home(settings, setting, stage, rounds[-1]) if rounds else None
 
 
 def _path(

@@ -25,6 +25,9 @@ class SweepOptions(Options):
     sequences: Literal["first", "all"] | list[str] = Field(
         "first", description="which of the chosen sequences: first, all, or a list of names"
     )
+    groups: Literal["all"] | list[str] = Field(
+        "all", description="which groups of settings: all, or a list of presets, knobs and names under runs"
+    )
     presets: list[Preset] = Field([], description="presets to run")
     knobs: Knobs = Field({}, description="options to vary one at a time, with values; the configured value is added")
     runs: dict[str, dict[str, Overrides | None] | None] = Field(

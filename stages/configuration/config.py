@@ -105,7 +105,7 @@ def load(raw: Mapping[str, Any], mine: Mapping[str, Any] | None = None, where: s
         InputError: one line for the first wrong value.
     """
     config = validate(Config, raw, where)
-    if _hands_in_views(config):
+    if hands_in_views(config):
         raw = override(raw, {"lens.distortion": _no_lens(config, where)})
     values, defaults = config.model_dump(by_alias=True), Config().model_dump(by_alias=True)
     needless = (FIXED_POSES if config.segment.estimates else FIXED_ALL) if config.ba.poses_fixed else {}
@@ -117,7 +117,7 @@ def load(raw: Mapping[str, Any], mine: Mapping[str, Any] | None = None, where: s
     return validate(Config, override(raw, open_values), where)
 
 
-def _hands_in_views(config: Config) -> bool:
+def hands_in_views(config: Config) -> bool:
     """Whether the user hands in cameras, masks or depth, which are of the frames as they are."""
     adjustment = section(config, "ba")
     assert isinstance(adjustment, BAOptions), "the section of ba"

@@ -12,6 +12,9 @@ from stages.configuration.presets import Overrides, override, value_of
 from stages.shared.chain import MEASURED
 from stages.shared.errors import InputError
 
+LENS = "lens.distortion"
+"""No run varies it where cameras, masks or depth are given, which are of the frames as they are."""
+
 
 @dataclass(frozen=True, eq=False)
 class Setting:
@@ -49,11 +52,30 @@ def compared(raw: Mapping[str, Any], mine: Mapping[str, Any] | None = None) -> t
         InputError: one line for the first setting that is wrong.
     """
     config = configuration.load(raw, mine)
-    sweep = [*_presets(config), *_series("knobs", config.sweep.knobs, config), *_runs(config)]
+    groups = _groups(config.sweep)
+    listed = [*_presets(config), *_series("knobs", config.sweep.knobs, config), *_runs(config)]
+    sweep = [run for run in listed if run[0] in groups]
     scaling = [run for axis, knobs in config.scaling.axes.items() for run in _series(axis, knobs, config)]
     settings = [[_setting(raw, mine, *run) for run in runs] for runs in (sweep, scaling)]
     _refuse_equal_folders(settings[0] + settings[1])
     return settings[0], settings[1]
+
+
+def _groups(options: SweepOptions) -> list[str]:
+    """The groups of settings that the sweep runs.
+
+    Raises:
+        InputError: for a group that does not exist.
+    """
+    known = ["presets", "knobs", *options.runs]
+    if options.groups == "all":
+        return known
+    for name in options.groups:
+        if name not in known:
+            raise InputError(
+                "config.yaml: sweep.groups", f"some of {', '.join(known)}", f"'{name}'", "name one of these"
+            )
+    return options.groups
 
 
 def _presets(config: Config) -> Iterator[tuple[str, str, str | None, Any, Overrides]]:
@@ -71,8 +93,13 @@ def _series(group: str, knobs: Knobs, config: Config) -> Iterator[tuple[str, str
 
 
 def _runs(config: Config) -> Iterator[tuple[str, str, str | None, Any, Overrides]]:
+    """The runs of every group, with the options that may be varied."""
+    kept = {LENS} if configuration.hands_in_views(config) else set()
     for group, runs in config.sweep.runs.items():
-        yield from ((group, name, None, None, changes) for name, changes in (runs or {}).items() if changes is not None)
+        for name, changes in (runs or {}).items():
+            if changes is not None:
+                chosen = {option: value for option, value in changes.items() if option not in kept}
+                yield group, name, None, None, chosen
 
 
 def _setting(

@@ -9,7 +9,7 @@ import yaml
 
 from stages.comparisons import made_under
 from stages.evaluate import pose_diagnostics
-from stages.report import overview, paired_report, provenance, tradeoff_report
+from stages.report import overview, paired_report, priced_report, provenance, tradeoff_report
 from stages.report.effect_tables import decision_rows, simulation_rows
 from stages.report.options import ReportOptions
 from stages.report.overview import Group
@@ -113,7 +113,9 @@ def comparison_groups(settings: list[Row], growth: Path | None, poses: list[Row]
     if settings:
         sentence, figures, tables = tradeoff_report.sweep_part(settings, poses)
         tables += paired_report.paired_tables(settings)
+        told, charts, of_effects = priced_report.priced_part(settings)
         more = tradeoff_report.sequence_tables(settings)
+        sentence, tables, figures = f"{sentence} {told}".strip(), [*tables, *of_effects], [*figures, *charts]
         groups.append(Group("tradeoff", "Accuracy against time", tables, more, figures, sentence))
     if growth:
         figures, tables = tradeoff_report.growth_part(read_rows(growth))

@@ -6,7 +6,7 @@ from stages.comparisons import paired
 from stages.report.tradeoff_report import TITLES
 from stages.shared.tables import Column, Row, Table
 
-GROUPS = ("claims",)
+GROUPS = ("claims", "effects")
 """Groups of the sweep whose runs are compared with the configured one sequence by sequence."""
 NOTE = (
     "Change from the configured run to this one, paired by sequence: mean, and in brackets its "

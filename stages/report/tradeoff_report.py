@@ -22,6 +22,7 @@ TITLES = {
     "masks": "Effect of masks on pose error",
     "baselines": "COLMAP, every variant",
     "claims": "Claims of the paper",
+    "effects": "Effects: those decided on, all of them, none",
 }
 CHOICES = ("presets", "knobs")
 """Groups of settings that a user chooses from; the Pareto front is over these. The other groups show the effect of an

@@ -14,6 +14,7 @@ from stages.evaluate import summaries
 from stages.evaluate.score_images import SPLITS
 from stages.report import paired_report, provenance, tradeoff_report
 from stages.results import scene_tables
+from stages.results.blocks import made_by, with_block
 from stages.results.options import ResultsOptions
 from stages.results.scene_tables import PARTS
 from stages.results.scorecard import score_rows
@@ -54,7 +55,7 @@ def main(
     with atomic(output) as partial:
         partial.write_text(page(rows, block, results))
     if readme:
-        text = with_block(readme, block)
+        text = with_block(readme, block, (BEGIN, END))
         with atomic(readme) as partial:
             partial.write_text(text)
     return f"{len(rows)} sequences"
@@ -62,11 +63,8 @@ def main(
 
 def summary(rows: Sequence[Row], command: str) -> str:
     """The lines between the marks: provenance, counts, and the headline figures of each part."""
-    parts, about = scene_tables.parts_of(rows), provenance.about_run()
-    commit, _, changed = about["commit"].partition(" ")
-    where = f"commit {commit[:12]} {changed}".strip()
-    made = [f"`{command}`"] if command else []
-    lines = [f"{', '.join([*made, about['written'], where, about['machine']])}; {threads_of(rows)}.", ""]
+    parts = scene_tables.parts_of(rows)
+    lines = [f"{made_by(command)}; {threads_of(rows)}.", ""]
     lines += [f"- {PARTS[split]}: {scene_tables.counts(part)}" for split, part in parts.items()]
     table = scene_tables.figure_table(parts, scene_tables.HEADLINE)
     return "\n".join([BEGIN, *lines, "", table.markdown(), END])
@@ -78,20 +76,6 @@ def threads_of(rows: Sequence[Row]) -> str:
         max((row[key] for row in rows if row.get(key)), default=None) for key in ("threads", "colmap_threads")
     )
     return f"our stages on at most {ours} threads, COLMAP on {colmap or 'none: it did not run'}"
-
-
-def with_block(readme: Path, block: str) -> str:
-    """The text of a file with the lines between the marks replaced.
-
-    Raises:
-        InputError: if a mark is missing.
-    """
-    text = readme.read_text()
-    before, begin, rest = text.partition(BEGIN)
-    _, end, after = rest.partition(END)
-    if not begin or not end:
-        raise InputError(readme, f"the lines '{BEGIN}' and '{END}'", "none", "put them where the summary belongs")
-    return before + block + after
 
 
 def page(rows: Sequence[Row], block: str, results: Path) -> str:

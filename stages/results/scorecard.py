@@ -56,7 +56,7 @@ def score_row(folder: Path) -> Row:
     row: Row = {"frames": len(read_json(folder / "sequence.json")["numbers"])}
     row |= _camera_scores(tables["poses"]) | _mask_scores(tables["masks"]) | _image_scores(tables["images"])
     row |= {key: sum(line[key] for line in times) for key in ("wall_s", "cpu_s")}
-    old = [stage for stage in stages if not _is_current(folder / f"stats/{stage}.json")]
+    old = [stage for stage in stages if not is_current(folder / f"stats/{stage}.json")]
     return row | {"threads": max(line["threads"] for line in times), "old": ", ".join(old) or None}
 
 
@@ -66,7 +66,7 @@ def _estimates_masks(stats: Path) -> bool:
     return source in ESTIMATED_MASKS[:2]
 
 
-def _is_current(stats: Path) -> bool:
+def is_current(stats: Path) -> bool:
     """Whether a stage ran with the code of this checkout."""
     content = read_json(stats)
     return bool(content["code"] == code_digest(f"stages.{content['stage']}"))
