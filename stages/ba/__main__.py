@@ -6,7 +6,7 @@ from typing import Annotated
 
 import numpy as np
 
-from stages.ba import cuts, diagnostics, from_truth, given, outputs, rounds, shutter
+from stages.ba import checkpoint, cuts, diagnostics, from_truth, given, outputs, rounds, shutter
 from stages.ba.depth import DepthMaps, depth_maps, joined
 from stages.ba.given_depth import given_depth_maps
 from stages.ba.graph import (
@@ -69,6 +69,29 @@ def main(
         before = rounds.complete(previous_poses, previous_depth, previous_convergence, previous_figure)
         if rounds.has_converged(before) and rounds.is_same(areas, read_static_areas(previous_masks, frames, matches)):
             return rounds.carry_over(frames, before, rounds.Results(poses, depth, convergence, figure), trajectory)
+    results = rounds.Results(poses, depth, convergence, figure)
+    handed = [of_sequence(name, frames.name) for name in (options.intrinsics, options.poses_from)]
+    files = [sequence, flow, masks, previous_poses, *(file for file in handed if file.exists())]
+    inputs = [file for file in files if file is not None]
+    with checkpoint.kept(poses, inputs, options):
+        return _run(frames, matches, areas, masks is not None, previous_poses, results, trajectory, options)
+
+
+def _run(
+    frames: Sequence,
+    matches: Matches,
+    areas: np.ndarray,
+    with_masks: bool,
+    previous_poses: Path | None,
+    results: rounds.Results,
+    trajectory: Path,
+    options: BAOptions,
+) -> str:
+    """Estimate and write all results; these in words.
+
+    Args:
+        areas: static area [T, height, width] on the flow grid; with_masks: whether masks leave it.
+    """
     known = given.known_cameras(frames, options, matches.scale)
     static, ignored = trusted_static_areas(areas)
     everything = with_texture(matches.graph(options.stride_px, known), read_texture(frames, matches.size))
@@ -84,7 +107,7 @@ def main(
     flags = cuts.warnings(matches.shot, frames.numbers) + doubts + solution.flags
     flags += _round_warnings(solution, static[matches.shot], ignored[matches.shot], previous_poses)
     _log(frames.name, solution, flags)
-    trusted = ~ignored & (solution.static is None or masks is None)
+    trusted = ~ignored & (solution.static is None or not with_masks)
     if solution.static is not None:
         static, graph = solution.static, mask_graph(everything, solution.static)
     maps = _depth_maps(matches, known, graph, static, solution, options)
@@ -94,11 +117,12 @@ def main(
     maps, told = _taken_depth(maps, solution.state, known, frames, stride_px, options)
     cameras = replace(outputs.cameras_of(solution, graph, frames, matches.scale), masks_trusted=trusted)
     started = {"from_previous_round": previous is not None or known.fixed} | told
-    write_cameras(poses, cameras, outputs.pose_metadata(solution, flags, static[matches.shot], options) | started)
+    about = outputs.pose_metadata(solution, flags, static[matches.shot], options) | started
+    write_cameras(results.poses, cameras, about)
     write_tum(trajectory, cameras, frames.stamps)
-    outputs.write_depth(depth, maps, frames, stride_px)
-    outputs.write_convergence(convergence, solution)
-    outputs.draw(figure, frames.name, solution, graph, cameras, maps)
+    outputs.write_depth(results.depth, maps, frames, stride_px)
+    outputs.write_convergence(results.convergence, solution)
+    outputs.draw(results.figure, frames.name, solution, graph, cameras, maps)
     return f"{has_pose(cameras).sum()} of {len(frames.numbers)} frames, camera {solution.camera}, " + (
         f"focal length {_focal_in_words(cameras.Ks[:, 0, 0])} px ({solution.focal['decision']})"
     )

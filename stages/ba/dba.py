@@ -1,12 +1,13 @@
 """Dense bundle adjustment: Levenberg-Marquardt on a graduated Geman-McClure cost; steps that raise it are rejected."""
 
 import time
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
-from stages.ba import residuals
+from stages.ba import checkpoint, residuals
 from stages.ba.arguments import geometry, lens_px, observations, undistorted
 from stages.ba.graph import FlowGraph
 from stages.ba.proposal import from_prior, propose
@@ -85,26 +86,58 @@ def solve(
     Returns:
         the best state, in the gauge of `State`, and one `Step` per iteration.
     """
-    steps: list[Step] = []
-    damping = 1e-3
-    state = normalise(state) if unknowns.translation else state
-    for level in schedule:
-        cost = _objective(graph, state, level.sigma_px, unknowns, prior)
-        for _ in range(level.iterations):
+    run = _Run(normalise(state) if unknowns.translation else state)
+    before = checkpoint.begin()
+    if before is not None:
+        run = _restored(*before)
+        if before[1].get("finished"):
+            return run.state, run.steps
+    for number, level in enumerate(schedule):
+        if number < run.level:
+            continue
+        cost = _objective(graph, run.state, level.sigma_px, unknowns, prior)
+        while run.iteration < level.iterations:
             start_s = time.perf_counter()
-            proposal, size = propose(graph, state, level.sigma_px, damping, unknowns, prior)
+            proposal, size = propose(graph, run.state, level.sigma_px, run.damping, unknowns, prior)
             proposed = _objective(graph, proposal, level.sigma_px, unknowns, prior) if proposal else np.inf
             accepted = proposal is not None and proposed <= cost
             gain = (cost - proposed) / max(cost, 1e-300)
             if accepted and proposal:
-                state, cost, damping = proposal, proposed, max(damping / 5, 1e-7)
+                run.state, cost, run.damping = proposal, proposed, max(run.damping / 5, 1e-7)
             else:
-                damping *= 8
-            seconds = time.perf_counter() - start_s
-            steps.append(Step(phase, level.sigma_px, cost, size, damping, state.focal_px, accepted, seconds))
-            if (accepted and gain < level.gain) or damping > MAX_DAMPING:
+                run.damping *= 8
+            seconds, focal_px = time.perf_counter() - start_s, run.state.focal_px
+            run.steps.append(Step(phase, level.sigma_px, cost, size, run.damping, focal_px, accepted, seconds))
+            run.iteration += 1
+            if (accepted and gain < level.gain) or run.damping > MAX_DAMPING:
                 break
-    return normalise(state) if unknowns.translation else state, steps
+            checkpoint.save_sometimes(run.capture)
+        run.level, run.iteration = number + 1, 0
+    if unknowns.translation:
+        run.state = normalise(run.state)
+    checkpoint.finished(run.capture)
+    return run.state, run.steps
+
+
+@dataclass
+class _Run:
+    """A solve under way: its state, damping and steps; the level it is at, and the iterations done there."""
+
+    state: State
+    damping: float = 1e-3
+    level: int = 0
+    iteration: int = 0
+    steps: list[Step] = field(default_factory=list)
+
+    def capture(self) -> checkpoint.Kept:
+        """What a checkpoint keeps of it."""
+        about = {"damping": self.damping, "level": self.level, "iteration": self.iteration}
+        return checkpoint.arrays_of(self.state), about | {"steps": [asdict(step) for step in self.steps]}
+
+
+def _restored(arrays: Mapping[str, np.ndarray], about: Mapping[str, Any]) -> _Run:
+    steps = [Step(**step) for step in about["steps"]]
+    return _Run(checkpoint.state_of(arrays), about["damping"], about["level"], about["iteration"], steps)
 
 
 def _objective(graph: FlowGraph, state: State, sigma_px: float, unknowns: Unknowns, prior: FocalPrior) -> float:

@@ -5,13 +5,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from stages.ba import dba, twoview
+from stages.ba import checkpoint, dba, twoview
 from stages.ba.graph import MIN_MATCHES, FlowGraph
 from stages.ba.state import FocalPrior, Level, State, Step, Unknowns
 from stages.shared import lie
+from stages.shared.log import progress
 
 SWEEP = np.geomspace(0.02, 10.0, 8)
 """Inverse depths, relative to the median, from which the search for a pixel's depth starts."""
+LONG = 200
+"""A chain of more pairs than this shows its progress."""
 COST_MARGIN = 0.15
 """Among solutions whose cost exceeds the lowest by at most this share, the smoothest is chosen, not the cheapest."""
 
@@ -46,6 +49,11 @@ class Candidate:
 
 
 def chain(graph: FlowGraph, hypothesis: Hypothesis, seed: int) -> np.ndarray:
+    """Camera poses [T, 4, 4] chained from pairs `step` frames apart, or those that the checkpoint has kept."""
+    return checkpoint.array(lambda: _chain(graph, hypothesis, seed))
+
+
+def _chain(graph: FlowGraph, hypothesis: Hypothesis, seed: int) -> np.ndarray:
     """Camera poses [T, 4, 4] chained from pairs `step` frames apart.
 
     The scale of each pair follows from the frame shared with the pair before: its inverse depths in both pairs differ
@@ -55,7 +63,8 @@ def chain(graph: FlowGraph, hypothesis: Hypothesis, seed: int) -> np.ndarray:
     cam_from_world = np.tile(np.eye(4), (graph.T, 1, 1))
     velocity, scale = np.zeros(6), 1.0
     previous: tuple[int, twoview.TwoView] | None = None
-    for i, j in pair_chain(graph, hypothesis.step):
+    pairs = pair_chain(graph, hypothesis.step)
+    for i, j in progress(pairs, f"pairs {hypothesis.step} apart") if len(pairs) > LONG else pairs:
         focals = hypothesis.focals_px(i, j)
         rays = twoview.pair_rays(graph, i, j, *focals)
         pair = twoview.estimate_motion(*rays, focals[0], hypothesis.threshold_px, seed)
@@ -108,7 +117,7 @@ def search_depth(graph: FlowGraph, state: State, sigma_px: float) -> State:
     candidates = np.concatenate(
         [state.inverse_depth[None], np.broadcast_to(SWEEP[:, None, None], (len(SWEEP), *shape))]
     )
-    inverse_depth, _ = dba.sweep(graph, state, candidates, sigma_px)
+    inverse_depth = checkpoint.array(lambda: dba.sweep(graph, state, candidates, sigma_px)[0])
     return replace(state, inverse_depth=inverse_depth)
 
 
