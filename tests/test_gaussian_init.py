@@ -142,3 +142,7 @@ def test_the_cap_raises_the_stride() -> None:
     cloud, stride_px = cloud_within(seen, truth.true_motion(), CANONICAL, 1, 4, 0, max_gaussians=1000)
     assert len(cloud.means) <= 1000
     assert stride_px > 1
+    whole = initial_cloud(seen, truth.true_motion(), CANONICAL, stride_px, K=4, sh_degree=0)
+    assert torch.equal(cloud.means, whole.means)  # what is given up early is given up anyway
+    finer = initial_cloud(seen, truth.true_motion(), CANONICAL, stride_px - 1, K=4, sh_degree=0)
+    assert len(finer.means) > 1000

@@ -105,6 +105,7 @@ def lift_dynamic(
     K: int,
     births: list[int],
     most: int = sys.maxsize,
+    useless: int = sys.maxsize,
 ) -> tuple[Points, np.ndarray]:
     """Lifted points of masked pixels that no dynamic point covers yet, and their canonical positions [n, 3].
 
@@ -112,10 +113,13 @@ def lift_dynamic(
         order: indices of the frames. stride_px: distance between lifted pixels, px. K: control points per Gaussian.
         births: frames whose masked pixels are all lifted, covered or not; points then have life spans.
         most: frames other than `births` add none beyond this many points.
+        useless: beyond so many points the rest of the frames is left out, as the caller has no use for the result.
     """
     parts: list[Points] = []
     canonical: list[np.ndarray] = []
     for f in order:
+        if parts and sum(map(len, canonical)) > useless:
+            break
         need, adds = seen.masks[f], bool(parts) and f not in births
         if adds:
             alpha = _dynamic_alpha(seen, f, join(parts), np.concatenate(canonical), deformation, K, births)
@@ -243,14 +247,18 @@ def initial_cloud(
     if births:  # a mover that passes by may show between these frames only
         order = births + [f for f in frames if f not in births and seen.masked[f]]
         most = max_gaussians - len(static.frames)
-    dynamic, means = lift_dynamic(seen, order, stride_px, deformation, K, births, most)
+    left = max_gaussians - int((~claimed).sum() + found.sum())
+    dynamic, means = lift_dynamic(seen, order, stride_px, deformation, K, births, most, left)
     rest = torch.as_tensor(means, dtype=torch.float32)
 
     def moved(f: int) -> np.ndarray:
         with torch.no_grad():
             return np.asarray(skin(rest, float(seen.times[f]), deformation, K).double().numpy())
 
-    moves = dynamic_share(seen, moved, widened) >= static_share(seen, dynamic.positions, widened)
+    if len(means) > left:  # too many, whatever the votes
+        moves = np.ones(len(means), bool)
+    else:
+        moves = dynamic_share(seen, moved, widened) >= static_share(seen, dynamic.positions, widened)
     points = join([static[~claimed], static[claimed][found], dynamic])
     positions = np.concatenate([
         static.positions[~claimed], recovered[found], np.where(moves[:, None], means, dynamic.positions)
