@@ -4,6 +4,7 @@ import base64
 import json
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import gaussian_scene as truth
@@ -25,7 +26,14 @@ from stages.splatting.model_files import scene_tensors
 from stages.splatting.pose_table import PoseTable
 from stages.viewer import __main__ as viewer_stage
 from stages.viewer.instances import at_pixels, elected, instance_votes
-from stages.viewer.packing import pack_scene, quantised_pairs, quantised_sh, to_blob
+from stages.viewer.packing import (
+    MOTION_BYTES,
+    moments_of_motion,
+    pack_scene,
+    quantised_pairs,
+    quantised_sh,
+    to_blob,
+)
 from stages.viewer.page import PICTURE_BUDGET_BYTES, encoded, render_page
 
 SIZE = (truth.WIDTH, truth.HEIGHT)
@@ -198,6 +206,14 @@ def test_the_page_of_50_000_gaussians_and_50_frames_is_below_8_mb() -> None:
     pictures = encoded(image[..., :3] for image in noise)
     assert sum(map(len, pictures)) < PICTURE_BUDGET_BYTES
     assert len(render_page("large", arrays, {}, (640, 216), pictures).encode()) < 8e6
+
+
+@pytest.mark.parametrize(("T", "P", "moments"), [(50, 1000, 50), (1000, 1000, 120), (1000, 100, 1000)])
+def test_motions_of_a_long_clip_are_packed_at_fewer_moments(T: int, P: int, moments: int) -> None:
+    scene: Any = SimpleNamespace(deformation=SimpleNamespace(points=np.zeros((P, 3))))
+    found = moments_of_motion(scene, np.linspace(0, 1, T))
+    np.testing.assert_allclose(found, np.linspace(0, 1, moments))
+    assert 20 * P * len(found) <= MOTION_BYTES
 
 
 def test_packed_weights_sum_to_one_and_lose_little() -> None:
