@@ -5,7 +5,7 @@ Held-out frames are not used: a track crosses them with the longer flow edge bet
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import cv2
 import numpy as np
@@ -16,6 +16,7 @@ from stages.shared.warp import bilinear
 DISAGREEMENT_PX, DISAGREEMENT_PER_PX = 1.0, 0.05
 """A track ends where forward and backward flow differ by more than this: a floor plus a share of the motion. Flow
 confidence is too strict here: it keeps the few pixels that poses need, and only half to a sixth of a mover's."""
+HELD_EDGES = 128
 MIN_FRAMES = 3
 """A track seen in fewer training frames hardly separates motion from noise; it is used only where no other passes."""
 
@@ -39,9 +40,14 @@ class Links:
     missing: list[tuple[int, int]]
     release: Callable[[], None]
 
+    @cached_property
+    def _edge(self) -> Callable[[int], np.ndarray]:
+        """The flow of an edge; those used last are kept, as tracks of neighbouring frames pass the same ones."""
+        return lru_cache(HELD_EDGES)(lambda row: np.asarray(self.flow[row]))
+
     def motion(self, way: int, step: int, uv: np.ndarray) -> np.ndarray:
         """Flow [n, 2] of a step at pixels uv [n, 2] of the frame that it leaves."""
-        field = self.flow[self.rows[way, step]]
+        field = self._edge(int(self.rows[way, step]))
         low = np.maximum(np.floor(uv.min(axis=0)).astype(int) - 1, 0)
         high = np.maximum(np.ceil(uv.max(axis=0)).astype(int) + 2, low + 1)
         low = np.minimum(low, np.array(field.shape[1::-1]) - 1)
