@@ -18,7 +18,6 @@ tested on what a stage holds and cannot give back (`benchmarks/resident.py`).
 
 import argparse
 import contextlib
-import json
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -33,6 +32,7 @@ from stages.comparisons import growth, scaling, tradeoff_charts
 from stages.configuration import config as configuration
 from stages.configuration import datasets
 from stages.report.provenance import about_run
+from stages.shared.artifacts import read_json
 from stages.shared.chain import STAGES
 from stages.shared.errors import InputError
 from stages.shared.tables import Column, Row, Table
@@ -40,12 +40,20 @@ from stages.shared.tables import Column, Row, Table
 ORDER = (*STAGES[:-1], "viewer", STAGES[-1])
 GOAL_MB, GOAL_EXPONENT = 6000.0, 1.1
 WIDTH_PX, HEIGHT_PX = 512, 218
+SAMPLES = "resident.json"
 UNMEASURED: dict[str, Any] = {
     "pixels": {"flow.max_width_px": []},
     "gaussians": {"gaussians.stride_px": []},
     "control points": {"control.control_points": []},
 }
 """The other axes of the scaling, switched off."""
+WARM_UP = {
+    "inspect": {"max_frames": 5},
+    "control": {"steps": 5},
+    "gaussians": {"steps": 5},
+    "colmap": {"time_limit_s": 1},
+}
+"""Options of a run that compiles the kernels; the smallest number of frames would pay for them otherwise."""
 MEASURES = {
     "cpu_s": ("CPU, s", 1),
     "wall_s": ("wall, s", 1),
@@ -61,8 +69,8 @@ rounds, memory is the highest of any round. Resident: anonymous and shared pages
 what a stage needs; with mapped files: the peak of the process (`ru_maxrss`) with pages of memory-mapped files, which
 the kernel takes back when memory is short. Written: all that a stage wrote, also what is removed later. Exponents: of a
 power of the number of frames beside a fixed part, with the range that fits within 5 %, as in the growth part of the
-report. Goals: at most {GOAL_MB:.0f} MB resident, and an exponent of CPU seconds of at most {GOAL_EXPONENT}.
-MB are 1e6 bytes."""
+report. The row `all` holds sums of seconds and disk, and the highest memory. Goals: at most {GOAL_MB:.0f} MB
+resident, and an exponent of CPU seconds of at most {GOAL_EXPONENT}. MB are 1e6 bytes."""
 
 
 def clip_options(scene: str, folder: Path, width: int, height: int) -> dict[str, Any]:
@@ -103,22 +111,19 @@ def setting_of(count: int, length: int) -> str:
 
 
 def run(folder: Path, home: Path, options: Mapping[str, Any], settings: Sequence[str], words: Sequence[str]) -> None:
-    """Run all stages under each setting in turn; the samples of memory are kept in resident.json."""
-    kept = folder / "resident.json"
-    peaks = json.loads(kept.read_text()) if kept.is_file() else {}
+    """Compile the kernels, then run all stages under each setting in turn; SAMPLES keeps the samples of memory."""
+    (folder / "warm").mkdir(exist_ok=True)
+    snakemake(folder / "warm", WARM_UP, "--cores", "all")
     within = home.relative_to(folder)
     targets = [[f"{within}/{setting}stats/{last}.json" for last in ("viewer", "evaluate")] for setting in settings]
     for asked in [*targets, *([["scaling"]] if "" in settings else [])]:
-        try:
-            with watched(folder, peaks):
-                snakemake(folder, options, "--cores", "all", *asked, *words)
-        finally:
-            kept.write_text(json.dumps(peaks, indent=1))
+        with watched(folder, folder / SAMPLES):
+            snakemake(folder, options, "--cores", "all", *asked, *words)
 
 
 def measured(folder: Path, home: Path, settings: Sequence[str]) -> list[Row]:
     """A row per stage and number of frames, from the time files: as of the scaling, with `resident_mb` in addition."""
-    peaks = json.loads((folder / "resident.json").read_text())
+    peaks = read_json(folder / SAMPLES)
     rows = []
     for setting in settings:
         found = sorted((home / setting).glob("stats/*.json")) + sorted((home / setting).glob("round*/stats/*.json"))

@@ -5,6 +5,8 @@ import threading
 from collections.abc import Iterator
 from pathlib import Path
 
+from stages.shared.artifacts import read_json, write_json
+
 INTERVAL_S = 0.25
 KIB = 2**10 / 1e6
 """Megabytes (1e6 bytes) in a kB of /proc."""
@@ -15,15 +17,16 @@ takes them back without writing whenever memory is short, so a peak with them te
 
 
 @contextlib.contextmanager
-def watched(folder: Path, peaks: dict[str, float]) -> Iterator[None]:
+def watched(folder: Path, kept: Path) -> Iterator[None]:
     """Sample the stages that run in `folder` while the block lasts.
 
     Args:
-        peaks: receives the highest sample of every job in MB (1e6 bytes), by the path behind its `--stats`. A job that
-            runs again begins anew. Peaks shorter than INTERVAL_S may be missed.
+        kept: JSON file that receives the highest sample of every job in MB (1e6 bytes), by the path behind its
+            `--stats`, beside those that it holds. It is written whenever a job ends, so that a kill loses no finished
+            job's. A job that runs again begins anew. Peaks shorter than INTERVAL_S may be missed.
     """
     stopped = threading.Event()
-    sampler = threading.Thread(target=_sample, args=[folder.resolve(), peaks, stopped], daemon=True)
+    sampler = threading.Thread(target=_sample, args=[folder.resolve(), kept, stopped], daemon=True)
     sampler.start()
     try:
         yield
@@ -32,12 +35,18 @@ def watched(folder: Path, peaks: dict[str, float]) -> Iterator[None]:
         sampler.join()
 
 
-def _sample(folder: Path, peaks: dict[str, float], stopped: threading.Event) -> None:
+def _sample(folder: Path, kept: Path, stopped: threading.Event) -> None:
+    peaks: dict[str, float] = read_json(kept) if kept.is_file() else {}
     before: set[str] = set()
-    while not stopped.wait(INTERVAL_S):
+    while True:
+        last = stopped.wait(INTERVAL_S)
         now = held_mb(folder)
         for job, megabytes in now.items():
             peaks[job] = max(megabytes, peaks.get(job, 0.0) if job in before else 0.0)
+        if last or before - now.keys():
+            write_json(kept, peaks)
+        if last:
+            return
         before = set(now)
 
 

@@ -9,8 +9,9 @@ from typing import Any
 import pytest
 
 from benchmarks import bench_long
-from benchmarks.resident import held_mb
+from benchmarks.resident import held_mb, watched
 from stages.comparisons import growth, tradeoff_charts
+from stages.shared.artifacts import read_json
 from stages.shared.errors import InputError
 
 HOLDS_40_READS_60_MB = """
@@ -31,12 +32,14 @@ def test_pages_of_mapped_files_are_not_counted_as_held(tmp_path: Path) -> None:
     with subprocess.Popen(command, cwd=tmp_path, **pipes) as stage:
         assert stage.stdout
         stage.stdout.readline()
-        found = held_mb(tmp_path)
+        with watched(tmp_path, tmp_path / "resident.json"):
+            found = held_mb(tmp_path)
         elsewhere = held_mb(tmp_path.parent)
         stage.communicate(b"\n")
     assert list(found) == ["stats/flow.json"]
     assert 40 <= found["stats/flow.json"] < 70
     assert not elsewhere
+    assert read_json(tmp_path / "resident.json")["stats/flow.json"] == pytest.approx(found["stats/flow.json"], rel=0.01)
 
 
 def row(n: int, stage: str, cpu_s: float, resident_mb: float | None) -> dict[str, Any]:
@@ -79,7 +82,8 @@ def test_two_numbers_of_frames_determine_no_exponent() -> None:
 def test_the_chart_is_drawn_from_the_same_rows() -> None:
     found = bench_long.with_all(rows())
     panels = {label: growth.series_of(found, "frames", measure) for measure, label in bench_long.PANELS.items()}
-    assert tradeoff_charts.draw_growths(panels, "frames", {"resident memory (MB)": 6000}).startswith(b"\x89PNG")
+    for shown in (panels, panels | {"resident memory (MB)": {}}):  # nothing sampled
+        assert tradeoff_charts.draw_growths(shown, "frames", {"resident memory (MB)": 6000}).startswith(b"\x89PNG")
 
 
 def test_a_scene_is_taken_by_name_or_file_and_kept_as_it_was_drawn(tmp_path: Path) -> None:

@@ -110,12 +110,12 @@ def draw_growths(
     its stages, the total over all, is drawn in bold.
 
     Args:
-        panels: the series by label of the vertical axis. axis: what grows.
+        panels: the series by label of the vertical axis; one without any is left out. axis: what grows.
         limits: a horizontal line by label of the panel.
     """
     largest = dict.fromkeys(stage for series in panels.values() for stage in _largest(series))
     with figure((3.7 * len(panels), 4.0), "png") as (fig, done):
-        for k, (label, series) in enumerate(panels.items()):
+        for k, (label, series) in enumerate((label, series) for label, series in panels.items() if series):
             axes = fig.add_subplot(1, len(panels), k + 1)
             total = list(series)[-1]
             for j, stage in enumerate(largest):
