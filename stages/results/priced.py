@@ -83,7 +83,7 @@ def _older(results: Path, scenes: Sequence[Scene]) -> list[str]:
 
 def summary(scenes: Sequence[Scene], missing: Sequence[str], older: Sequence[str], command: str) -> str:
     """Where the figures come from, what is left out, and the three goals."""
-    lines = [f"{made_by(command)}; {len(scenes)} scenes.", ""]
+    lines = [f"{made_by(command)}; {len(scenes)} scene{'s' * (len(scenes) != 1)}.", ""]
     lines += [f"Without results of all three settings, and left out: {', '.join(missing)}.", ""] if missing else []
     lines += [f"Made by other code than that of this commit: {', '.join(older)}.", ""] if older else []
     return "\n".join([*lines, *(f"- {found.words()}" for found in priced.statements(scenes))])
