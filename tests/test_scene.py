@@ -46,6 +46,15 @@ def test_a_moving_square_is_dynamic() -> None:
     assert decision["statistic"] == pytest.approx(evidence.inside_px / 2**0.5, rel=0.1)  # both components of the flow
 
 
+def test_a_mover_too_fast_for_long_edges_is_seen_over_short_ones() -> None:
+    """Its flow over the longest edges is nowhere sure, which says nothing against its motion."""
+    seen = observe()
+    blind = (np.abs(seen.offsets) == 2)[:, None, None] & seen.dynamic[seen.edges[:, 0]]
+    evidence = geometry.dynamic_evidence(replace(seen, confidence=np.where(blind, 0, seen.confidence)))
+    assert rules.decide_dynamic(evidence, "auto")["needed"]
+    assert evidence.inside_px == pytest.approx(0.08 * 90 / 4, rel=0.1)  # one frame
+
+
 def test_masks_on_the_wall_are_a_false_alarm() -> None:
     masks = np.zeros((clip.T, clip.H, clip.W), bool)
     masks[:, 50:60, 5:30] = True  # the square never gets here

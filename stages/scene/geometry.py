@@ -58,11 +58,15 @@ def dynamic_evidence(seen: Observed) -> MaskEvidence:
     """What a rigid plane's motion of each region buys over a static scene, and how many pixels masks cover.
 
     The longest edges up to LONGEST frames are used: slow motion adds up over them; over longer ones too little is
-    still in view.
+    still in view. Where the flow of no region can be trusted over these, as that of fast movers, shorter ones are used.
     """
     distances = np.abs(seen.offsets)
-    offset = distances[distances <= LONGEST].max(initial=distances.min(initial=LONGEST))
-    regions, inside, outside = moving_regions(seen, offset), [], []
+    offsets = np.unique(distances[distances <= LONGEST])[::-1].tolist() or [distances.min(initial=LONGEST)]
+    for offset in offsets:
+        regions = moving_regions(seen, offset)
+        if regions:
+            break
+    inside, outside = [], []
     for edge in _spread_edges(seen, offset):
         residual = np.linalg.norm(_static_residual(seen, edge), axis=-1)
         trusted = seen.confidence[edge] >= MIN_CONFIDENCE
