@@ -5,11 +5,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from stages.configuration.config import Config
+from stages.configuration.datasets import scene_files
 from stages.shared import lie
 from stages.shared.cameras import pixel_grid
 from stages.shared.drawing import spread
 from stages.simulate import exact_motion, frames, raycast
 from stages.simulate.frames import Stage
+from stages.simulate.keyframes import camera_path
 from stages.simulate.scene import load_scene
 
 REPO = Path(__file__).resolve().parents[1]
@@ -133,3 +136,17 @@ def test_movers_along_the_line_of_travel_obey_the_static_epipolar_geometry(
     distance_px = np.abs((end * lines).sum(axis=1)) / np.linalg.norm(lines[:, :2], axis=1)
     assert len(uv) > 30
     assert distance_px.max() < 0.5
+
+
+def test_the_long_walk_returns_and_runs_by_name_alone() -> None:
+    assert "long_walk" not in scene_files(Config(scenes="all"))
+    assert "long_walk" not in scene_files(Config(scenes="tuned"))
+    scene = load_scene(scene_files(Config(scenes=["long_walk"]))["long_walk"])
+    assert scene.split == "tuned"
+    assert scene.frames == 1000
+    path = camera_path(scene, seed=0)
+    centres = np.array([path(frame).centre for frame in range(0, 1000, 5)])
+    walked = np.append(0, np.cumsum(np.linalg.norm(np.diff(centres, axis=0), axis=1)))
+    apart = np.linalg.norm(centres[:, None] - centres[None], axis=2)
+    again = (np.abs(walked[:, None] - walked) > 30) & (apart < 1.5)
+    assert again.any(axis=1)[-60:].all(), "the second lap lies beside the first"

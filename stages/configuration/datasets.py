@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from stages.video.index import Index
 
 SCENES = Path(__file__).parents[1] / "simulate" / "scenes"
-"""The scene library."""
+"""The scene library; its folder `long` holds scenes of a thousand frames, which run only by their names."""
 EARLY_FRAMES = 1000
 """Up to this many frames, all image headers are checked before any work; beyond, those of each first frame alone.
 
@@ -117,10 +117,13 @@ def video_shots(config: Config) -> dict[str, VideoShot]:
 def scene_files(config: Config) -> dict[str, Path]:
     """The scene files to render, by name: the whole library, one split of it, or chosen names and YAML files.
 
+    Long scenes belong to neither the whole nor a split: they are chosen by name.
+
     Raises:
         InputError: for a file that does not exist or a name that is not in the library.
     """
     library = {path.stem: path for path in sorted(SCENES.glob("*.yaml"))}
+    named_alone = {path.stem: path for path in sorted(SCENES.glob("long/*.yaml"))}
     if config.scenes == "all":
         return library
     if isinstance(config.scenes, str):
@@ -128,9 +131,11 @@ def scene_files(config: Config) -> dict[str, Path]:
     own = {Path(name).stem: Path(name) for name in config.scenes if name.endswith((".yaml", ".yml"))}
     for path in own.values():
         if not path.is_file():
-            raise InputError(path, "a scene file", "nothing there", f"library scenes: {', '.join(library)}")
+            raise InputError(
+                path, "a scene file", "nothing there", f"library scenes: {', '.join(library | named_alone)}"
+            )
     named = [name for name in config.scenes if not name.endswith((".yaml", ".yml"))]
-    return choose(named, library, SCENES) | own
+    return choose(named, library | named_alone, SCENES) | own
 
 
 @functools.cache
