@@ -96,8 +96,10 @@ def _match(
     done = (edge for count in passes.match(matcher, T, options, parts, scene) for edge in range(count))
     for _ in progress(done, "flow, edges", total):
         pass
+    if options.loops == "auto" and isinstance(matcher, Estimate):
+        passes.close_loops(matcher, T, parts, scene)
     cv2.setNumThreads(threads)
-    return parts.totals() | facts
+    return {"loops": 0, "frames_in_loops": 0} | parts.totals() | facts
 
 
 def _given(path: str | None, frames: Sequence, rgb: Images, grid: tuple[int, int]) -> dict[Edge, GivenFlow]:

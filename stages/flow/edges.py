@@ -16,6 +16,8 @@ MIN_COVISIBLE = 0.3
 CONSISTENT_PX = 1.5
 """A track is lost where forward and backward flow of a step disagree by more than this."""
 TRACK_STRIDE_PX = 8
+LOOPS_PER_FRAME = 2
+"""Loops (stages.flow.loops) that a frame may take part in."""
 
 
 def edge_list(T: int, offsets: Sequence[int]) -> list[Edge]:
@@ -39,6 +41,11 @@ def most_edges(T: int, offsets: Sequence[int], per_frame: int) -> int:
     rungs = [rung for rung in LADDER if rung > max(near, default=0)]
     short = sum(T - offset for offset in near)
     return 2 * (short + sum(min(per_frame, sum(i + rung < T for rung in rungs)) for i in range(T)))
+
+
+def most_loops(T: int) -> int:
+    """Largest possible number of directed edges that loops add to T frames."""
+    return LOOPS_PER_FRAME * T if LADDER[-1] + 1 < T else 0
 
 
 def long_edges(
@@ -90,25 +97,26 @@ def _covisible(
         if hops is None:
             return
         if points is None:
-            points = _grid(*flow[hops[0]].shape[:2])
+            points = track_points(*flow[hops[0]].shape[:2])
             enough = MIN_COVISIBLE * len(points)
         for hop in hops:
-            points = _advanced(points, flow[hop], flow[hop[::-1]])
+            moved, kept = tracked(points, flow[hop], flow[hop[::-1]])
+            points = moved[kept]
         if len(points) < enough:
             return
         at = i + rung
         yield at
 
 
-def _grid(h: int, w: int) -> np.ndarray:
+def track_points(h: int, w: int) -> np.ndarray:
     """Every TRACK_STRIDE_PX-th pixel (u, v), [n, 2] float32."""
     return pixel_grid(h, w)[::TRACK_STRIDE_PX, ::TRACK_STRIDE_PX].reshape(-1, 2).astype(np.float32)
 
 
-def _advanced(points: np.ndarray, forward: np.ndarray, backward: np.ndarray) -> np.ndarray:
-    """Points [n, 2] px moved along one edge, without those that leave it or fail the forward-backward check: [m, 2]."""
+def tracked(points: np.ndarray, forward: np.ndarray, backward: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Points [n, 2] px moved along one edge, and which of them [n] stay in it and pass the forward-backward check."""
     h, w = forward.shape[:2]
     moved = points + bilinear(forward, points)
     inside = ((moved >= 0) & (moved <= (w - 1, h - 1))).all(axis=1)
     found_back = np.linalg.norm(moved + bilinear(backward, moved) - points, axis=1) < CONSISTENT_PX
-    return np.asarray(moved[inside & found_back])
+    return moved, inside & found_back

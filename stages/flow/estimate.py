@@ -10,6 +10,7 @@ from stages.flow.averaging import Frames
 from stages.flow.confidence import flow_confidence
 from stages.flow.dis import estimate_flow
 from stages.flow.edges import Edge
+from stages.flow.loops import find_loops, loop_flow
 from stages.flow.matches import restarted_pair
 from stages.flow.passes import Flows
 from stages.given.flow import GivenFlow
@@ -48,6 +49,12 @@ class Estimate:
         at_hand = ChainMap(self.known, cast(Flows, near), cast(Flows, far))
         estimated = self._estimated([edge for edge in edges if edge not in self.known], at_hand)
         return {edge: self.known[edge] if edge in self.known else estimated[edge] for edge in edges}
+
+    def loops(self, near: Mapping[Edge, np.ndarray]) -> Flows:
+        """Of frames too far apart for a chain that show the same place, by what they show (stages.flow.loops)."""
+        frames = self.frames
+        found = loop_flow(frames.rgb, frames.grey, find_loops(frames.grey, near), frames.finest_scale)
+        return {edge: of for edge, of in found.items() if edge not in self.others}
 
     def confidence(self, edge: Edge, flow: Flows) -> np.ndarray:
         """As `flow_confidence`, or as the user states it; zero where given flow is not known."""

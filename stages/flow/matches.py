@@ -28,6 +28,8 @@ EPIPOLAR_PX, ITERATIONS, PROBABILITY = 1.0, 2000, 0.999
 RESIDUAL_WINDOW_PX = 9
 _ONE_AT_A_TIME = threading.Lock()
 """Interpolators share state between threads: concurrent calls can return different flow."""
+Features = tuple[np.ndarray, np.ndarray]
+"""Keypoints [n, 2] px of a frame and their RootSIFT descriptors [n, 128]."""
 
 
 def restarted_pair(
@@ -63,7 +65,12 @@ def _is_lost(flow: np.ndarray, back: np.ndarray, source: np.ndarray, target: np.
 
 def sparse_matches(source: np.ndarray, target: np.ndarray) -> np.ndarray:
     """Mutual SIFT matches between grey frames [h, w] uint8 that pass the ratio test: [n, 2, 2], (source, target) px."""
-    (here, first), (there, second) = (_features(frame) for frame in (source, target))
+    return matched(features(source), features(target))
+
+
+def matched(source: Features, target: Features) -> np.ndarray:
+    """Mutual matches between the features of two frames that pass the ratio test: [n, 2, 2], (source, target) px."""
+    (here, first), (there, second) = source, target
     if min(len(here), len(there)) < 2:
         return np.zeros((0, 2, 2), np.float32)
     similarity = first @ second.T
@@ -107,6 +114,17 @@ def restarted(
     Returns:
         None if the interpolator rejects the matches (too sparse or clustered).
     """
+    other = flow_from_matches(rgb, grey, matches, finest_scale)
+    if other is None:
+        return None
+    better = _residual(other, grey[0], grey[1]) < _residual(flow, grey[0], grey[1])
+    return np.where(better[..., None], other, flow)
+
+
+def flow_from_matches(
+    rgb: tuple[np.ndarray, np.ndarray], grey: tuple[np.ndarray, np.ndarray], matches: np.ndarray, finest_scale: int
+) -> np.ndarray | None:
+    """Flow [h, w, 2] px searched from interpolated matches; arguments and result as in `restarted`."""
     here, there = np.ascontiguousarray(matches[:, 0]), np.ascontiguousarray(matches[:, 1])
     try:
         with _ONE_AT_A_TIME:
@@ -114,12 +132,10 @@ def restarted(
             start = cv2.ximgproc.createRICInterpolator().interpolate(rgb[0], here, rgb[1], there)
     except cv2.error:
         return None
-    other = solve_pair(grey[0], grey[1], start, finest_scale)
-    better = _residual(other, grey[0], grey[1]) < _residual(flow, grey[0], grey[1])
-    return np.where(better[..., None], other, flow)
+    return solve_pair(grey[0], grey[1], start, finest_scale)
 
 
-def _features(frame: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def features(frame: np.ndarray) -> Features:
     """Keypoints [n, 2] px and their RootSIFT descriptors [n, 128] (Arandjelovic and Zisserman, CVPR 2012)."""
     found, descriptors = cv2.SIFT.create(KEYPOINTS, contrastThreshold=CONTRAST, edgeThreshold=EDGE).detectAndCompute(
         frame, None

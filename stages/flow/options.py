@@ -25,6 +25,11 @@ class FlowOptions(Options):
         description="long edges per frame, both ways: at most so many later frames, 8 to 64 frames ahead, the furthest"
         " that still show 30 % of the frame; each costs time",
     )
+    loops: Literal["auto", "no"] = Field(
+        "auto",
+        description="frames more than 64 apart that show the same place again: auto: found, checked and joined, at most"
+        " two edges each; no: none",
+    )
     max_width_px: int = Field(512, ge=64, description="wider frames are reduced to this width before matching")
     finest_scale: int = Field(
         0,

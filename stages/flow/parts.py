@@ -6,7 +6,7 @@ and its flow at full precision, from which longer edges are chained, as long as 
 
 import json
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, cast
 
@@ -24,7 +24,7 @@ ORIGIN = "origin.json"
 
 
 class Window(Mapping[Edge, np.ndarray]):
-    """Flow [h, w, 2] px of the edges that end in the latest blocks, read from their files.
+    """Flow [h, w, 2] px, float32, of the edges that end in the latest blocks, read from their files.
 
     An edge ends at the later of its frames.
     """
@@ -52,7 +52,7 @@ class Window(Mapping[Edge, np.ndarray]):
 
     def __getitem__(self, edge: Edge) -> np.ndarray:
         stop, row = self._rows[edge]
-        return self._blocks[stop][1]["flow"][row]
+        return self._blocks[stop][1]["flow"][row].astype(np.float32, copy=False)
 
     def __contains__(self, edge: object) -> bool:
         return edge in self._rows
@@ -68,7 +68,7 @@ class Parts:
     """The files of a run beside its output. Only a run of the same origin goes on from them.
 
     Attributes:
-        windows: by kind of edge, near or far.
+        windows: by kind of edge, near, far or loop.
     """
 
     def __init__(self, output: Path, origin: str) -> None:
@@ -79,7 +79,7 @@ class Parts:
             shutil.rmtree(self.folder)
         self.folder.mkdir(parents=True, exist_ok=True)
         write_json(found, {"origin": origin})
-        self.windows = {kind: Window() for kind in ("near", "far")}
+        self.windows = {kind: Window() for kind in ("near", "far", "loop")}
 
     def resume(self, kind: str, run: range) -> int | None:
         """Take over a block of edges that an earlier run has finished; their number, None if there is none."""
@@ -99,6 +99,14 @@ class Parts:
             self.windows[kind].add(run, self._exact(kind, run))
         columns = {**_ends(list(edges)), **packed} if edges else {"source": np.zeros(0, np.int64)}
         write_dense(self._file(kind, run), columns, {"edges": len(edges), **facts})
+
+    def kept(self, kind: str) -> Window:
+        """Flow of all edges of a kind that are done, as pairs.arrow will hold it."""
+        window = Window()
+        for n, path in enumerate(self._finished([kind])):
+            if read_metadata(path)["edges"]:
+                window.add(range(n, n + 1), path)
+        return window
 
     def totals(self) -> dict[str, Any]:
         """The sums of the facts over all blocks."""
@@ -127,8 +135,8 @@ class Parts:
         """Delete the files: the run is done."""
         shutil.rmtree(self.folder)
 
-    def _finished(self) -> list[Path]:
-        return [path for kind in self.windows for path in sorted(self.folder.glob(f"{kind}_*.arrow"))]
+    def _finished(self, kinds: Iterable[str] | None = None) -> list[Path]:
+        return [path for kind in kinds or self.windows for path in sorted(self.folder.glob(f"{kind}_*.arrow"))]
 
     def _file(self, kind: str, run: range) -> Path:
         return self.folder / f"{kind}_{run.start:06d}.arrow"

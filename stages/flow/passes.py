@@ -5,7 +5,7 @@ all edges of a clip by increasing length: an edge is searched from flow between 
 """
 
 from collections.abc import Iterator, Mapping
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 import pyarrow as pa
@@ -17,6 +17,9 @@ from stages.flow.parts import Parts, Window
 from stages.shared.masks import within
 from stages.shared.packing import Packed, pack
 from stages.shared.threads import threaded
+
+if TYPE_CHECKING:
+    from stages.flow.estimate import Estimate
 
 Flows = dict[Edge, np.ndarray]
 
@@ -67,6 +70,17 @@ def match(matcher: Matcher, T: int, options: FlowOptions, parts: Parts, scene: n
         for window in (near, far):
             window.release()
         yield done
+
+
+def close_loops(estimate: "Estimate", T: int, parts: Parts, scene: np.ndarray | None) -> None:
+    """Match frames that show a place again, once all near flow is known; arguments and results as in `match`."""
+    if parts.resume("loop", range(T)) is None:
+        near = parts.kept("near")
+        flow = estimate.loops(near)
+        packed, sure = _packed(estimate, flow, scene)
+        ends = {i for i, _ in flow}
+        parts.add("loop", range(T), flow, packed, loops=len(flow) // 2, frames_in_loops=len(ends), confident=sure)
+        near.release()
 
 
 def _steps(T: int, reach: int) -> Iterator[tuple[str, range]]:

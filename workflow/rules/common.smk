@@ -28,7 +28,7 @@ from stages.configuration import (
     required_truth,
     settings,
 )
-from stages.flow.edges import most_edges
+from stages.flow.edges import most_edges, most_loops
 from stages.shared.artifacts import write_json
 from stages.shared.chain import MEASURED
 from stages.shared.devices import takes_gpu

@@ -42,6 +42,7 @@ def held(setting, name):
     frames = len(sequence.frames)
     frames = frames if limit == "all" else min(frames, limit)
     edges = most_edges(frames, config.flow.offsets, config.flow.long_edges)
+    edges += most_loops(frames) if config.flow.loops == "auto" else 0
     edges += given_inputs.added_edges(config, sequence)
     grid = reduced_size(*size, config.flow.max_width_px)
     return Held(
