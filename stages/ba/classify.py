@@ -8,7 +8,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from stages.ba import twoview
-from stages.ba.graph import MIN_MATCHES, MIN_WEIGHT, FlowGraph
+from stages.ba.graph import MIN_MATCHES, MIN_WEIGHT, REACH, FlowGraph
 from stages.ba.rotation import FOCALS
 
 NOISE_RATIO = 2.47
@@ -89,9 +89,10 @@ class Statistics:
 
 
 def longest_step(graph: FlowGraph) -> int:
-    """The largest frame distance that is still matched well."""
+    """The largest frame distance, of at most REACH frames, that is still matched well."""
     length, confident = np.abs(graph.target - graph.source), (graph.weights > MIN_WEIGHT).sum(axis=1)
-    usual = {step: float(np.median(confident[length == step])) for step in np.unique(length).tolist()}
+    steps = np.unique(length[length <= REACH]).tolist()
+    usual = {step: float(np.median(confident[length == step])) for step in steps}
     return max(step for step, count in usual.items() if count >= MATCHED * usual[min(usual)])
 
 

@@ -4,7 +4,7 @@ from dataclasses import asdict, replace
 
 import numpy as np
 
-from stages.ba import classify, dba, diagnostics, initialise, rotation, shutter, trim, zoom
+from stages.ba import classify, dba, diagnostics, initialise, loops, rotation, shutter, trim, zoom
 from stages.ba.classify import Statistics
 from stages.ba.graph import MIN_MATCHES, FlowGraph, favour_distance, shared_matches
 from stages.ba.initialise import Candidate
@@ -76,7 +76,9 @@ def _estimate(problem: Problem, options: BAOptions) -> Estimate:
     found = start.candidate
     cameras = found.state
     state = initialise.initial_state(graph, cameras.cam_from_world, cameras.focal_px, FINE_PX[0], cameras.zoom)
-    refined, focal = _refine(problem, statistics, replace(found, state=state), prior)
+    closed = loops.close(graph, state, prior)
+    graph, problem = closed.graph, replace(problem, graph=closed.graph)
+    refined, focal = _refine(problem, statistics, replace(found, state=closed.state), prior)
     rolling = _rolling(graph, refined.state, focal, prior, options)
     if rolling.decision == "rolling":
         turned = classify.measure(
@@ -92,9 +94,9 @@ def _estimate(problem: Problem, options: BAOptions) -> Estimate:
         graph = problem.graph
     residual_px = median_residual(graph, refined.state)
     against = diagnostics.of_solution(replace(found, state=refined.state), start.others, statistics, residual_px)
-    steps = [step for candidate in (*start.others, found) for step in candidate.steps] + refined.steps
+    steps = [step for candidate in (*start.others, found) for step in candidate.steps] + closed.steps + refined.steps
     solution = _finish(problem, statistics, refined.state, focal, against, steps)
-    numbers = solution.statistics | {"roughness": found.roughness}
+    numbers = solution.statistics | {"roughness": found.roughness} | closed.facts
     solution = replace(solution, static=start.static, statistics=numbers, flags=start.flags + solution.flags)
     evidence = start.zoom or NOT_TESTED
     if turning and turning.zoom.decision == "not observable" and refined.state.zoom is None:

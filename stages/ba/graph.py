@@ -21,6 +21,8 @@ EDGES = 64
 """Edges whose dense flow is held at the same time."""
 MIN_MATCHES = 50
 """Smallest number of confident matches that link two frames."""
+REACH = 64
+"""Edges over more frames than this join frames that see a place again."""
 
 
 @dataclass(frozen=True)
@@ -171,8 +173,11 @@ def with_texture(graph: FlowGraph, texture: Iterable[np.ndarray]) -> FlowGraph:
 
 
 def favour_distance(graph: FlowGraph) -> FlowGraph:
-    """The graph with weights multiplied by the frame distance, relative to its mean over the edges, and by texture."""
-    distance = np.abs(graph.target - graph.source).astype(np.float32)
+    """The graph with weights multiplied by the frame distance, relative to its mean over the edges, and by texture.
+
+    That of edges over more than REACH frames counts as REACH: their flow is as good as over a long edge, not better.
+    """
+    distance = np.minimum(np.abs(graph.target - graph.source), REACH).astype(np.float32)
     weights = graph.weights * (distance / distance.mean())[:, None]
     return replace(graph, weights=weights if graph.texture is None else weights * graph.texture[graph.source])
 
