@@ -8,8 +8,9 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from stages.ba import twoview
-from stages.ba.graph import MIN_MATCHES, MIN_WEIGHT, REACH, FlowGraph
+from stages.ba.graph import MIN_MATCHES, MIN_WEIGHT, FlowGraph
 from stages.ba.rotation import FOCALS
+from stages.shared.flow_pairs import REACH
 
 NOISE_RATIO = 2.47
 """Ratio of the median residuals of a rotation and of epipolar geometry if the residuals are noise alone.

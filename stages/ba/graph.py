@@ -8,6 +8,7 @@ import numpy as np
 
 from stages.shared.cameras import frame_from_grid, grid_from_frame, pixel_grid
 from stages.shared.finite import require_finite
+from stages.shared.flow_pairs import REACH
 from stages.shared.images import reduce
 from stages.shared.warp import bilinear
 
@@ -21,8 +22,6 @@ EDGES = 64
 """Edges whose dense flow is held at the same time."""
 MIN_MATCHES = 50
 """Smallest number of confident matches that link two frames."""
-REACH = 64
-"""Edges over more frames than this join frames that see a place again."""
 
 
 @dataclass(frozen=True)

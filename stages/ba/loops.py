@@ -18,9 +18,10 @@ from scipy.sparse.linalg import spsolve
 
 from stages.ba import dba, initialise
 from stages.ba.dba import FocalPrior, Level, State, Step, Unknowns
-from stages.ba.graph import MIN_MATCHES, MIN_WEIGHT, REACH, FlowGraph
+from stages.ba.graph import MIN_MATCHES, MIN_WEIGHT, FlowGraph
 from stages.shared import lie
 from stages.shared.cameras import grid_from_frame
+from stages.shared.flow_pairs import REACH
 from stages.shared.warp import bilinear
 
 NEAREST = 0.02
@@ -36,6 +37,10 @@ KERNEL = 5.0
 """Last scale of the kernel on a loop, in standard deviations."""
 GROWTH, STEPS = 2.0, 4
 """Factor between scales of the kernel, and the Gauss-Newton steps at each."""
+MAX_STEP, HALVINGS = 0.5, 4
+"""Largest angle, rad, and logarithm of the scale of a step; how short it is tried, by halves, before it is refused."""
+MAX_TURN, MAX_SCALE, MAX_GAP = 1.0, 1.5, 0.5
+"""No drift: a loop that the path misses by more than this angle, rad, log of the scale, or share of its length."""
 WIDE = (Level(4.0, 6, 1e-3), Level(2.0, 6, 1e-3))
 """Robust scales at which the closed path is adjusted first: what is left of the error is a few pixels."""
 
@@ -82,8 +87,8 @@ class Closed:
     Attributes:
         graph: without the edges of loops that were left out.
         state: the solution; steps: of its adjustment.
-        facts: for the metadata of the poses: `loops` joined and `loops_left_out`, pairs of frames; `loop_gap`, the
-            median gap before, as a share of the path between. Empty if there are no loops.
+        facts: for the metadata of the poses: `loops` joined and `loops_left_out`, pairs of frames; `loop_gap_percent`,
+            the median gap before, in % of the path between. Empty if there are no loops.
     """
 
     graph: FlowGraph
@@ -103,6 +108,8 @@ def close(graph: FlowGraph, state: State, prior: FocalPrior) -> Closed:
         return Closed(replace(graph, weights=weights), state, [], {"loops": 0, "loops_left_out": len(edges) // 2})
     which = np.array(list(measured), int)
     between = Similarities(*(np.concatenate(part) for part in zip(*measured.values(), strict=True)))
+    near = _is_drift(state.cam_from_world, _pairs(graph, which), between)
+    which, between = which[near], between.at(np.flatnonzero(near))
     solved, weights = spread(state.cam_from_world, _pairs(graph, which), between)
     gaps = _gaps(state.cam_from_world, _pairs(graph, which), between)[weights > 0.5]
     joined = which[weights > 0.5]
@@ -114,7 +121,7 @@ def close(graph: FlowGraph, state: State, prior: FocalPrior) -> Closed:
     pairs = [{tuple(sorted(pair)) for pair in _pairs(graph, of).tolist()} for of in (edges, joined)]
     facts: dict[str, float] = {"loops": len(pairs[1]), "loops_left_out": len(pairs[0] - pairs[1])}
     if len(gaps):
-        facts["loop_gap"] = float(np.median(gaps))
+        facts["loop_gap_percent"] = 100 * float(np.median(gaps))
     return Closed(graph, adjusted.state, adjusted.steps, facts)
 
 
@@ -174,6 +181,9 @@ def spread(cam_from_world: np.ndarray, pairs: np.ndarray, measured: Similarities
     sigmas = np.concatenate([sigmas, np.tile(LOOP_SIGMA, (len(pairs), 1))])
     between = Similarities(*(np.concatenate(part) for part in zip(motion, measured, strict=True)))
 
+    def cost(at: Similarities, weights: np.ndarray) -> float:
+        return float((weights[:, None] * (_errors(at, edges, between) / sigmas) ** 2).sum())
+
     def away() -> np.ndarray:
         return np.asarray(np.linalg.norm(_errors(at, edges, between)[T - 1 :] / LOOP_SIGMA, axis=1))
 
@@ -181,7 +191,9 @@ def spread(cam_from_world: np.ndarray, pairs: np.ndarray, measured: Similarities
     for scale in KERNEL * GROWTH ** np.arange(np.ceil(widenings), -1, -1):
         for _ in range(STEPS):
             weights[T - 1 :] = 1 / (1 + (away() / scale) ** 2) ** 2
-            at = _moved(at, edges, between, np.sqrt(weights)[:, None] / sigmas)
+            step = _step(at, edges, between, np.sqrt(weights)[:, None] / sigmas)
+            tried = [_moved(at, share * step) for share in 0.5 ** np.arange(HALVINGS)]
+            at = min([at, *tried], key=lambda state: cost(state, weights))
     return at, 1 / (1 + (away() / KERNEL) ** 2) ** 2
 
 
@@ -199,28 +211,47 @@ def _gaps(cam_from_world: np.ndarray, pairs: np.ndarray, measured: Similarities)
     return np.asarray(gap / np.maximum(np.abs(walked[pairs[:, 1]] - walked[pairs[:, 0]]), 1e-12))
 
 
+def _is_drift(cam_from_world: np.ndarray, pairs: np.ndarray, measured: Similarities) -> np.ndarray:
+    """Which loops [L] the path misses by no more than its drift can be."""
+    at = Similarities(np.ones(len(cam_from_world)), cam_from_world[:, :3, :3], cam_from_world[:, :3, 3])
+    errors = np.abs(_errors(at, pairs, measured))
+    turn, scale = np.linalg.norm(errors[:, 3:6], axis=1), errors[:, 6]
+    return (turn < MAX_TURN) & (scale < MAX_SCALE) & (_gaps(cam_from_world, pairs, measured) < MAX_GAP)
+
+
 def _errors(at: Similarities, edges: np.ndarray, between: Similarities) -> np.ndarray:
     """Errors [E, 7] of the edges: translation, rotation, logarithm of the scale."""
     return (between @ at.at(edges[:, 0]) @ at.at(edges[:, 1]).inverse()).log()
 
 
-def _moved(at: Similarities, edges: np.ndarray, between: Similarities, scaling: np.ndarray) -> Similarities:
-    """After a Gauss-Newton step. Derivatives are those at zero error, which the steps approach.
+def _moved(at: Similarities, step: np.ndarray) -> Similarities:
+    """After a step [T, 7] on the left of each."""
+    return Similarities(np.exp(step[:, 6]), lie.exp_so3(step[:, 3:6]), step[:, :3]) @ at
+
+
+def _step(at: Similarities, edges: np.ndarray, between: Similarities, scaling: np.ndarray) -> np.ndarray:
+    """Gauss-Newton step [T, 7], zero for the first pose, no part of it larger than MAX_STEP in angle and scale.
+
+    The derivatives are exact but for those of an error's rotation vector, which are those at zero.
 
     Args:
         scaling: [E, 7], roots of the weights over the standard deviations.
     """
     E, T = len(edges), len(at.s)
+    left = between @ at.at(edges[:, 0]) @ at.at(edges[:, 1]).inverse()
+    of_error = np.tile(np.eye(7), (E, 1, 1))
+    of_error[:, :3, 3:6], of_error[:, :3, 6] = -lie.skew(left.t), left.t
+    of_source = scaling[:, :, None] * (of_error @ between.adjoint())
+    of_target = -scaling[:, :, None] * (of_error @ left.adjoint())
     rows = np.arange(7 * E).reshape(E, 7)
-    of_source, of_target = scaling[:, :, None] * between.adjoint(), -scaling[:, :, None] * np.eye(7)
     values, indices = [], []
     for block, end in ((of_source, 0), (of_target, 1)):
         columns = 7 * edges[:, end, None] + np.arange(7)
         indices.append(np.stack(np.broadcast_arrays(rows[:, :, None], columns[:, None, :])).reshape(2, -1))
         values.append(block.ravel())
     J = sparse.csr_matrix((np.concatenate(values), np.concatenate(indices, axis=1)), (7 * E, 7 * T))[:, 7:]
-    normal, gradient = J.T @ J, J.T @ (scaling * _errors(at, edges, between)).ravel()
+    normal, gradient = J.T @ J, J.T @ (scaling * left.log()).ravel()
     step = np.zeros((T, 7))
     damped = normal + 1e-9 * sparse.diags(normal.diagonal())
     step[1:] = spsolve(damped.tocsc(), -gradient).reshape(-1, 7)
-    return Similarities(np.exp(step[:, 6]), lie.exp_so3(step[:, 3:6]), step[:, :3]) @ at
+    return np.asarray(step * min(1.0, MAX_STEP / max(float(np.abs(step[:, 3:]).max()), 1e-12)))

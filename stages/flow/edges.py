@@ -5,12 +5,13 @@ from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 import numpy as np
 
 from stages.shared.cameras import pixel_grid
+from stages.shared.flow_pairs import REACH
 from stages.shared.warp import bilinear
 
 Edge = tuple[int, int]
 
-LADDER = (8, 12, 16, 24, 32, 48, 64)
-"""Frame distances of long edges."""
+LADDER = (8, 12, 16, 24, 32, 48, REACH)
+"""Frame distances of long edges, up to REACH."""
 MIN_COVISIBLE = 0.3
 """Least share of a frame's pixels that can be tracked to the target of a long edge."""
 CONSISTENT_PX = 1.5
@@ -45,7 +46,7 @@ def most_edges(T: int, offsets: Sequence[int], per_frame: int) -> int:
 
 def most_loops(T: int) -> int:
     """Largest possible number of directed edges that loops add to T frames."""
-    return LOOPS_PER_FRAME * T if LADDER[-1] + 1 < T else 0
+    return LOOPS_PER_FRAME * T if T > REACH + 1 else 0
 
 
 def long_edges(

@@ -14,14 +14,15 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from stages.flow.edges import LADDER, LOOPS_PER_FRAME, Edge, path, track_points, tracked
+from stages.flow.edges import LOOPS_PER_FRAME, Edge, path, track_points, tracked
 from stages.flow.frames import Images
 from stages.flow.matches import Features, features, flow_from_matches, matched
+from stages.shared.flow_pairs import REACH
 from stages.shared.sampson import sampson_distances
 from stages.shared.threads import threaded
 from stages.shared.warp import bilinear
 
-FAR = LADDER[-1]
+FAR = REACH
 """Frames up to this distance are joined by long edges, as long as what they show can be tracked."""
 MOVED, LOST, CUT = 0.08, 0.25, 0.05
 """A new station: the median point has moved by MOVED of the frame's width since the last one, or LOST of the points are

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 import pyarrow as pa
 
-from stages.flow.edges import LADDER, Edge, edges_ending, long_edges
+from stages.flow.edges import LADDER, Edge, edges_ending, long_edges, most_loops
 from stages.flow.frames import blocks
 from stages.flow.options import FlowOptions
 from stages.flow.parts import Parts, Window
@@ -73,8 +73,8 @@ def match(matcher: Matcher, T: int, options: FlowOptions, parts: Parts, scene: n
 
 
 def close_loops(estimate: "Estimate", T: int, parts: Parts, scene: np.ndarray | None) -> None:
-    """Match frames that show a place again, once all near flow is known; arguments and results as in `match`."""
-    if parts.resume("loop", range(T)) is None:
+    """Match frames that show a place again, once all near flow is known; arguments as in `match`."""
+    if most_loops(T) and parts.resume("loop", range(T)) is None:
         near = parts.kept("near")
         flow = estimate.loops(near)
         packed, sure = _packed(estimate, flow, scene)

@@ -15,6 +15,8 @@ from stages.shared.threads import threaded
 
 ResultT = TypeVar("ResultT")
 MIN_WEIGHT = 0.1
+REACH = 64
+"""Edges over more frames than this join frames that see a place again, where other things may stand by now."""
 BLOCK = 8
 """Frames whose flow is held at the same time."""
 
