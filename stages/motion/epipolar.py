@@ -7,7 +7,7 @@ import cv2
 import numba
 import numpy as np
 
-from stages.shared.flow_pairs import FlowPairs
+from stages.shared.flow_pairs import REACH, FlowPairs
 from stages.shared.sampson import sampson_distances
 from stages.shared.threads import threaded
 
@@ -40,7 +40,7 @@ def flat_share(pairs: FlowPairs, seed: int) -> float:
     Near 1 there is no parallax: the camera only turns, hardly moves, or looks at a plane. Then the epipole is
     undetermined and a fit would place it to explain moving objects. 1 without matches.
     """
-    forward = [(i, j) for i, j in pairs.edges if i < j]
+    forward = [(i, j) for i, j in pairs.edges if 0 < j - i <= REACH]
 
     def share(pair: tuple[int, int]) -> float | None:
         x, y = _confident(pairs, pair)
@@ -61,7 +61,7 @@ def two_view_evidence(pairs: FlowPairs, T: int, parallax: bool, seed: int) -> Ev
     """
     fit, errors = (fit_fundamental, epipolar_errors) if parallax else (fit_homography, homography_errors)
     params = _usac(ransac_threshold_px(pairs), seed)
-    forward = [(i, j) for i, j in pairs.edges if i < j]
+    forward = [(i, j) for i, j in pairs.edges if 0 < j - i <= REACH]
 
     def fitted(pair: tuple[int, int]) -> tuple[np.ndarray, float] | None:
         x, y = _confident(pairs, pair)
@@ -74,7 +74,7 @@ def two_view_evidence(pairs: FlowPairs, T: int, parallax: bool, seed: int) -> Ev
         residual, weight = (np.zeros(pairs.pixels.shape[:2], np.float32) for _ in range(2))
         for e in pairs.leaving(frame, frame + 1):
             i, j = frame, int(pairs.target[e])
-            found = fits[min(i, j), max(i, j)]
+            found = fits.get((min(i, j), max(i, j)))
             if found is not None:
                 model, sigma_px = found
                 its_model = model if i < j else model.T if parallax else np.linalg.inv(model)

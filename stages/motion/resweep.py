@@ -13,7 +13,7 @@ import numpy as np
 from stages.motion.epipolar import Evidence
 from stages.shared.cameras import grid_from_frame, pixel_grid, projection, static_flow
 from stages.shared.finite import require_finite
-from stages.shared.flow_pairs import FlowPairs
+from stages.shared.flow_pairs import REACH, FlowPairs
 from stages.shared.threads import spread, threaded
 from stages.shared.warp import bilinear
 
@@ -37,7 +37,8 @@ def camera_evidence(
 
     The scale follows the median residual: with a fixed one, masks grow without bound on noisy flow and slow motion is
     missed where flow is good.
-    The weight of an edge is proportional to its frame distance: slow motion shows over many frames only.
+    The weight of an edge is proportional to its frame distance: slow motion shows over many frames only. What
+    has changed when a place is seen again is no evidence.
 
     Args:
         cam_from_world: [T, 4, 4]; Ks: [T, 3, 3] on the flow grid; start: [T, h, w] inverse depth.
@@ -47,7 +48,8 @@ def camera_evidence(
     A, b = projections(pairs, cam_from_world, Ks)
     b = unit * b
     distance = np.abs(pairs.source - pairs.target)
-    importance = (distance / distance.mean()).astype(np.float32)
+    distance = np.where(distance <= REACH, distance, 0)
+    importance = (distance / distance[distance > 0].mean()).astype(np.float32)
 
     def solved(first: int, last: int, sigma_px: float, stride: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Residual and inverse depth of a run of frames on every `stride`-th pixel, and their weights on all."""
