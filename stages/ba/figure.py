@@ -22,12 +22,19 @@ CLIPPED_PX, BINS = 3.0, 60
 
 
 def draw(
-    path: Path, centres: np.ndarray, steps: Sequence[Step], inverse_depth: np.ndarray, errors_px: np.ndarray, title: str
+    path: Path,
+    centres: np.ndarray,
+    steps: Sequence[Step],
+    inverse_depth: np.ndarray,
+    errors_px: np.ndarray,
+    title: str,
+    loops: np.ndarray,
 ) -> None:
     """Write the picture.
 
     Args:
         centres: [T, 3] camera centres; inverse_depth: [T, h, w]; errors_px: [n] reprojection errors of static matches.
+        loops: [L, 2] frames that are joined at a place seen again.
     """
     low, high = np.percentile(inverse_depth, (1, 99))
     shown = spread(len(inverse_depth), FRAMES)
@@ -38,8 +45,9 @@ def draw(
     image = Image.new("RGB", (size[0] * SCALE, size[1] * SCALE), "white")
     pen = ImageDraw.Draw(image)
     _write(pen, (size[0] / 2, TITLE_PX / 2), title, 15)
-    _draw_path(pen, 0, centres[:, [0, 2]], "camera from above (z over x), first frame green")
-    _draw_path(pen, 1, centres[:, [2, 1]] * (1, -1), "camera from the side (-y over z)")
+    above = "camera from above (z over x), first frame green" + (", loops red" if len(loops) else "")
+    _draw_path(pen, 0, centres[:, [0, 2]], above, loops)
+    _draw_path(pen, 1, centres[:, [2, 1]] * (1, -1), "camera from the side (-y over z)", loops)
     _draw_convergence(pen, 2, steps)
     _draw_histogram(pen, 3, errors_px)
     for column, k in enumerate(shown):
@@ -51,11 +59,13 @@ def draw(
     write_figure(path, np.asarray(image.reduce(SCALE)))
 
 
-def _draw_path(pen: ImageDraw.ImageDraw, column: int, points: np.ndarray, title: str) -> None:
-    """Points [T, 2] on axes of one scale, the first one marked."""
+def _draw_path(pen: ImageDraw.ImageDraw, column: int, points: np.ndarray, title: str, loops: np.ndarray) -> None:
+    """Points [T, 2] on axes of one scale, the first one marked, and a chord for each of the `loops` [L, 2]."""
     middle, reach = (points.min(axis=0) + points.max(axis=0)) / 2, max(float(np.ptp(points, axis=0).max()), 1e-9)
     at = _draw_axes(pen, column, (middle - 0.55 * reach, middle + 0.55 * reach), title)
     pen.line(at(points), COLOURS[0], SCALE)
+    for pair in loops:
+        pen.line(at(points[pair]), COLOURS[3], SCALE)
     for k, (x, y) in enumerate(at(points)):
         radius = (2 if k else 4) * SCALE
         pen.ellipse((x - radius, y - radius, x + radius, y + radius), COLOURS[0] if k else COLOURS[2])

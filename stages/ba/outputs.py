@@ -14,9 +14,12 @@ from stages.ba.problem import Estimate
 from stages.ba.uncertainty import CORRELATION
 from stages.shared.artifacts import write_dense, write_table
 from stages.shared.cameras import Cameras, intrinsics, make_cameras, scale_intrinsics
+from stages.shared.flow_pairs import REACH
 from stages.shared.sequences import Sequence
 
 STATUS = {"moving": "estimated", "near-still": "near-still", "rotating": "rotation-only", "failed": "failed"}
+JOINED_PX = 3.0
+"""A loop is drawn if the median of its matches is at least as near as this."""
 GAUGE = "the first camera is the world; the median inverse depth of the solver's pixels is 1"
 
 
@@ -80,6 +83,9 @@ def write_convergence(path: Path, solution: Estimate) -> None:
 
 def draw(path: Path, name: str, solution: Estimate, graph: FlowGraph, cameras: Cameras, maps: DepthMaps) -> None:
     """Draw path, convergence, depth and residuals for the report."""
-    errors = dba.errors_px(graph, solution.state)[graph.weights > MIN_WEIGHT]
+    every, sure = dba.errors_px(graph, solution.state), graph.weights > MIN_WEIGHT
+    far = np.flatnonzero(graph.target - graph.source > REACH)
+    joined = [e for e in far if sure[e].any() and np.median(every[e][sure[e]]) < JOINED_PX]
+    loops = np.stack([graph.source[joined], graph.target[joined]], axis=1)
     title = f"{name}: camera {solution.camera}, focal length {solution.focal['decision']}"
-    figure.draw(path, cameras.centres, solution.steps, maps.inverse_depth, errors, title)
+    figure.draw(path, cameras.centres, solution.steps, maps.inverse_depth, every[sure], title, loops)

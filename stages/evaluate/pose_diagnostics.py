@@ -11,7 +11,7 @@ from stages.shared.tables import Column, Row, Table, read_rows
 
 DECISIONS = (
     *("camera", "focal", "focal_reason", "focal_sigma_percent", "zoom", "zoom_reason"),
-    *("shutter", "shutter_reason", "warnings", "flags"),
+    *("shutter", "shutter_reason", "loops", "warnings", "flags"),
 )
 ZOOM_NUMBERS = ("gain", "threshold", "gain_sigma", "change", "change_sigma")
 SHUTTER_NUMBERS = ("gain", "threshold", "gain_sigma", "readout", "readout_sigma")
@@ -25,6 +25,7 @@ COLUMNS = (
     Column("zoom_reason", "why", long=True),
     Column("shutter", "shutter"),
     Column("shutter_reason", "why", long=True),
+    Column("loops", "pairs of frames at a place seen again"),
     Column("warnings", "warnings"),
     Column("flags", "warnings in words", long=True),
 )
@@ -81,6 +82,22 @@ STATISTICS: Mapping[str, tuple[str, str, str]] = {
         "mean |a| / mean |v|",
         "Among initialisations that fit equally well the smoothest is taken. A rough path of a moving camera is a "
         "warning.",
+    ),
+    "loops": (
+        "pairs of frames joined at a place seen again",
+        "",
+        "Frames more than 64 apart, found by their looks and checked by geometry. The error of the path between them "
+        "is spread over it before the adjustment.",
+    ),
+    "loops_left_out": (
+        "such pairs left out",
+        "",
+        "Others contradict them, or they bend the path beyond its drift.",
+    ),
+    "loop_gap_percent": (
+        "gap of the path where it closed, median",
+        "% of the path between",
+        "The drift of the path before: what closing removed.",
     ),
     "residual_px": (
         "residual of the solution, median",
@@ -165,15 +182,24 @@ def decisions(metadata: Mapping[str, Any]) -> Row:
         "zoom_reason": metadata.get("zoom", {}).get("reason") or None,
         "shutter": metadata.get("rolling_shutter", {}).get("decision"),
         "shutter_reason": metadata.get("rolling_shutter", {}).get("reason") or None,
+        "loops": _loops(metadata.get("statistics") or {}),
         "warnings": len(flags),
         "flags": "; ".join(flags) or None,
     }
 
 
+def _loops(statistics: Mapping[str, Any]) -> str | None:
+    """The number of loops, and of those left out, in words; None where the clip has none."""
+    if "loops" not in statistics:
+        return None
+    left_out = statistics["loops_left_out"]
+    return f"{statistics['loops']} joined" + (f", {left_out} left out" if left_out else "")
+
+
 def decision_table(poses: Sequence[Row]) -> Table:
     """The decisions of the last round on every sequence, from the rows of the pose table."""
     ours = (row for row in poses if row["method"] == "ours" and row.get("camera"))
-    rows = [{key: row[key] for key in ("sequence", *DECISIONS)} for row in ours]
+    rows = [{key: row.get(key) for key in ("sequence", *DECISIONS)} for row in ours]
     note = (
         "From the statistics of the bundle adjustment alone, after the last round. If a focal length was held, the "
         "predicted error is that of estimating it."

@@ -61,6 +61,7 @@ def main(
     write_figure(figure, _picture(rgb, read_dense(output)))
     parts.remove()
     told = f" ({len(given)} given, {edges - len(given)} estimated)" if given else ""
+    told += f", {facts['loops']} of them at places seen again" if facts["loops"] else ""
     return f"{edges} pairs{told}, {facts['confident_share']:.0%} of the pixels confident"
 
 
