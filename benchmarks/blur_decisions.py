@@ -15,7 +15,7 @@ import numpy as np
 from stages.flow import __main__ as flow_stage
 from stages.flow.options import FlowOptions
 from stages.inspect import __main__ as inspect_stage
-from stages.inspect.options import InspectOptions
+from stages.inspect.options import PartOptions
 from stages.scene import blur_rules
 from stages.scene.observed import Observed
 from stages.scene.shutter import shutter_evidence
@@ -50,7 +50,7 @@ def observe(scene: Scene, folder: Path) -> Observed:
         shown = frames.to_srgb(frames.final(stage, k, moment, seen, clean))
         images.write_image(folder / f"scene/frame_{k + 1:04d}.png", shown)
     sequence, pairs = folder / "sequence.json", folder / "pairs.arrow"
-    inspect_stage.main(folder / "scene", sequence, folder / "inspect.png", InspectOptions())
+    inspect_stage.main(folder / "scene", sequence, folder / "inspect.png", PartOptions())
     flow_stage.main(sequence, pairs, folder / "flow.png", FLOW)
     columns, is_training = read_dense(pairs), ~held_out(scene.frames, SplitOptions())
     training = np.flatnonzero(is_training)

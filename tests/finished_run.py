@@ -8,7 +8,7 @@ import numpy as np
 from stages.evaluate import __main__ as evaluate_stage
 from stages.evaluate.options import EvaluateOptions
 from stages.inspect import __main__ as inspect_stage
-from stages.inspect.options import InspectOptions
+from stages.inspect.options import PartOptions
 from stages.shared import lie, sintel
 from stages.shared.artifacts import write_dense, write_json, write_model, write_table
 from stages.shared.cameras import centred_intrinsics, make_cameras, pixel_grid, project, unproject, write_cameras
@@ -185,7 +185,7 @@ def finish(root: Path, name: str = "wall", truth: bool = True) -> Path:
     """Dataset, results of all stages and their evaluation; returns the result folder."""
     frames = write_dataset(root, name, truth)
     folder = root / "results" / name
-    inspect_stage.main(frames, folder / "sequence.json", folder / "figures" / "inspect.png", InspectOptions())
+    inspect_stage.main(frames, folder / "sequence.json", folder / "figures" / "inspect.png", PartOptions())
     write_results(folder)
     score(folder)
     return folder

@@ -17,7 +17,7 @@ from conftest import REPO, run_snakemake, write_frames
 from stages.configuration import config as configuration
 from stages.configuration import datasets
 from stages.inspect import __main__ as inspect_stage
-from stages.inspect.options import InspectOptions
+from stages.inspect.options import PartOptions
 from stages.shared import sintel
 from stages.shared.errors import InputError
 from stages.shared.images import read_rgb
@@ -236,7 +236,7 @@ def test_a_linked_sequence_keeps_its_name(tmp_path: Path) -> None:
     link = tmp_path / "data" / "clip"
     link.symlink_to(target, target_is_directory=True)
     assert list(sequence_folders(tmp_path / "data", "final")) == list(sequence_folders(link, "final")) == ["clip"]
-    inspect_stage.main(link, tmp_path / "sequence.json", tmp_path / "inspect.png", InspectOptions())
+    inspect_stage.main(link, tmp_path / "sequence.json", tmp_path / "inspect.png", PartOptions())
     assert read_sequence(tmp_path / "sequence.json").name == "clip"
 
 

@@ -19,7 +19,7 @@ from stages.gaussians.inputs import without
 from stages.gaussians.lifting import lift
 from stages.gaussians.optimise import Trainer
 from stages.inspect import __main__ as inspect_stage
-from stages.inspect.options import InspectOptions
+from stages.inspect.options import PartOptions
 from stages.motion import __main__ as motion_stage
 from stages.motion.options import MotionOptions
 from stages.segment import __main__ as segment_stage
@@ -110,7 +110,7 @@ def write_clip(folder: Path, frames: list[np.ndarray]) -> Path:
 
 
 def inspected(folder: Path, output: Path, **options: object) -> Path:
-    inspect_stage.main(folder, output / "sequence.json", output / "inspect.png", InspectOptions(**options))  # type: ignore[arg-type]
+    inspect_stage.main(folder, output / "sequence.json", output / "inspect.png", PartOptions(**options))  # type: ignore[arg-type]
     return output / "sequence.json"
 
 

@@ -19,7 +19,7 @@ from stages.evaluate import trajectory
 from stages.evaluate.ground_truth import true_cameras
 from stages.evaluate.score_poses import colmap_candidates
 from stages.inspect import __main__ as inspect_stage
-from stages.inspect.options import InspectOptions
+from stages.inspect.options import PartOptions
 from stages.shared.artifacts import read_metadata, read_table, write_json
 from stages.shared.cameras import centred_intrinsics
 from stages.shared.images import write_image
@@ -29,7 +29,7 @@ BOTH = ("global", "incremental")
 
 
 def _inspect(frames: Path, folder: Path) -> Path:
-    inspect_stage.main(frames, folder / "sequence.json", folder / "inspect.png", InspectOptions())
+    inspect_stage.main(frames, folder / "sequence.json", folder / "inspect.png", PartOptions())
     return folder / "sequence.json"
 
 

@@ -22,7 +22,7 @@ from stages.flow.options import FlowOptions
 from stages.gaussians import __main__ as gaussians_stage
 from stages.gaussians.options import GaussiansOptions
 from stages.inspect import __main__ as inspect_stage
-from stages.inspect.options import InspectOptions
+from stages.inspect.options import PartOptions
 from stages.motion import __main__ as motion_stage
 from stages.motion.options import MotionOptions
 from stages.render import __main__ as render_stage
@@ -46,7 +46,7 @@ def reconstruct(frames: Path, folder: Path) -> None:
     def at(**names: str) -> dict[str, Any]:
         return {name: folder / path for name, path in names.items()}
 
-    inspect_stage.main(frames, **at(output="sequence.json", figure="figures/inspect.png"), options=InspectOptions())
+    inspect_stage.main(frames, **at(output="sequence.json", figure="figures/inspect.png"), options=PartOptions())
     frames_and = at(sequence="sequence.json", flow=FLOW)
     flow_stage.main(**at(sequence="sequence.json", output=FLOW, figure="figures/flow.png"), options=FlowOptions())
     motion_stage.main(**frames_and, **at(output=PRIOR, figure="figures/motion.png"), options=MotionOptions())

@@ -17,7 +17,7 @@ from test_report import CHROMIUM
 from stages.ba import __main__ as ba_stage
 from stages.ba.options import BAOptions
 from stages.inspect import __main__ as inspect_stage
-from stages.inspect.options import InspectOptions
+from stages.inspect.options import PartOptions
 from stages.report import __main__ as report_stage
 from stages.report.options import ReportOptions
 from stages.shared import sintel
@@ -47,7 +47,7 @@ def reconstruct(root: Path, name: str, motion: str) -> Path:
     cameras.mkdir(parents=True)
     for k, pose in enumerate(scene.cam_from_world, start=1):
         sintel.write_cam(cameras / f"frame_{k:04d}.cam", scene.K, pose[:3])
-    inspect_stage.main(frames, folder / "sequence.json", folder / "figures/inspect.png", InspectOptions())
+    inspect_stage.main(frames, folder / "sequence.json", folder / "figures/inspect.png", PartOptions())
     run.write_results(folder)
     source, target, flow, confidence = flow_arrays(scene)
     columns = {"source": source, "target": target, "flow": flow.astype(np.float16), "confidence": confidence}

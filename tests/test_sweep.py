@@ -11,7 +11,7 @@ from conftest import write_frames
 from stages.comparisons import scaling, sweep
 from stages.comparisons.training_speed import compare_training
 from stages.inspect import __main__ as inspect_stage
-from stages.inspect.options import InspectOptions
+from stages.inspect.options import PartOptions
 from stages.shared.artifacts import read_metadata, write_dense, write_json, write_model, write_table
 from stages.shared.sequences import read_sequence
 from stages.shared.tables import read_rows, write_rows
@@ -143,12 +143,12 @@ def test_sizes_come_from_the_artifacts(tmp_path: Path, axis: str, size: int) -> 
 def test_a_limit_of_frames_cuts_the_sequence_and_its_truth(tmp_path: Path) -> None:
     folder = write_frames(tmp_path / "training/final/clip", count=6)
     write_frames(tmp_path / "training/motion_mask/clip", count=6)
-    inspect_stage.main(folder, tmp_path / "sequence.json", tmp_path / "figure.png", InspectOptions(max_frames=4))
+    inspect_stage.main(folder, tmp_path / "sequence.json", tmp_path / "figure.png", PartOptions(max_frames=4))
     sequence = read_sequence(tmp_path / "sequence.json")
     assert sequence.numbers == [1, 2, 3, 4]
     assert [path.name for path in sequence.frames] == [f"frame_000{n}.png" for n in (1, 2, 3, 4)]
     assert sorted(sequence.truth["motion_mask"]) == [1, 2, 3, 4]
-    inspect_stage.main(folder, tmp_path / "all.json", tmp_path / "figure.png", InspectOptions(max_frames=99))
+    inspect_stage.main(folder, tmp_path / "all.json", tmp_path / "figure.png", PartOptions(max_frames=99))
     assert read_sequence(tmp_path / "all.json").numbers == [1, 2, 3, 4, 5, 6]
 
 

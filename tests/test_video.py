@@ -13,7 +13,7 @@ from encoded_video import SIZE, encode, encode_sound, moving
 from stages.configuration import config as configuration
 from stages.configuration import datasets
 from stages.inspect import __main__ as inspect_stage
-from stages.inspect.options import InspectOptions
+from stages.inspect.options import PartOptions
 from stages.shared.artifacts import read_json
 from stages.shared.errors import InputError
 from stages.shared.images import read_rgb
@@ -277,7 +277,7 @@ def test_a_folder_of_videos(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     folders = datasets.frame_folders(config, shots)
     assert folders == {name: f"decoded/data/{name}" for name in ("a", "b_shot1", "b_shot2")}
     sequences = datasets.find_sequences(config, folders, shots)
-    assert (sequences["b_shot2"].numbers, sequences["a"].width) == ([1, 2, 3, 4], SIZE[0])
+    assert (sequences["b_shot2"].numbers, sequences["a"].width) == ([5, 6, 7, 8], SIZE[0])  # counted over the clip
     monkeypatch.undo()
     monkeypatch.chdir(tmp_path)
     assert list(planned({"dataset": "data", "sequences": ["b_shot2"]})) == ["b_shot2"]
@@ -325,7 +325,7 @@ def test_times_and_warnings_reach_the_sequence(tmp_path: Path) -> None:
         tmp_path / "frames",
         tmp_path / "sequence.json",
         tmp_path / "inspect.png",
-        InspectOptions(max_frames=7),
+        PartOptions(max_frames=7),
         tmp_path / "frames.json",
     )
     sequence = read_sequence(tmp_path / "sequence.json")

@@ -11,6 +11,7 @@ from stages.ba.options import BAOptions
 from stages.ba.problem import Estimate, Problem
 from stages.ba.start import PoseGuess
 from stages.shared import lie
+from stages.shared.sequences import number_ranges, runs_of
 
 MIN_FRAMES = 3
 """Fewer frames than this are no shot: two frames of noise may match by chance."""
@@ -77,9 +78,11 @@ def warnings(frames: np.ndarray, numbers: list[int]) -> list[str]:
     """A warning if only some frames [T] of a sequence with these frame numbers [T] form the shot; else none."""
     if frames.all():
         return []
-    left_out = _ranges([number for number, kept in zip(numbers, frames, strict=True) if not kept])
-    advice = "split the sequence there if it is cut, or leave out what shows nothing"
-    return [f"unobserved: frames {left_out} share too few confident matches with the others; {advice}"]
+    parts = [[n for n, kept in zip(numbers, frames, strict=True) if kept == solved] for solved in (True, False)]
+    shots = sorted(run for part in parts for run in runs_of(part) if run[1] - run[0] + 1 >= MIN_FRAMES)
+    listed = ", ".join(f"[{first}, {last}]" for first, last in shots)
+    advice = f"if the clip is cut there, give its shots as in `shots: [{listed}]`; else leave out what shows nothing"
+    return [f"unobserved: frames {number_ranges(parts[1])} share too few confident matches with the others; {advice}"]
 
 
 def _cut_out_guess(guess: PoseGuess, inside: slice) -> PoseGuess:
@@ -119,11 +122,3 @@ def _put_back(part: Estimate, inside: slice, frames: np.ndarray) -> Estimate:
     zoom = None if part.state.zoom is None else padded(part.state.zoom)
     state = replace(part.state, cam_from_world=poses, inverse_depth=inverse_depth, zoom=zoom)
     return replace(part, state=state, covariance=covariance, static=static)
-
-
-def _ranges(numbers: list[int]) -> str:
-    """Ascending numbers in words, as "3-5, 8"."""
-    breaks = [k for k in range(1, len(numbers)) if numbers[k] != numbers[k - 1] + 1]
-    starts, stops = [0, *breaks], [*breaks, len(numbers)]
-    runs = [(numbers[start], numbers[stop - 1]) for start, stop in zip(starts, stops, strict=True)]
-    return ", ".join(f"{first}-{last}" if last > first else f"{first}" for first, last in runs)

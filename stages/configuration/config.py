@@ -9,6 +9,7 @@ from stages.ba.options import BAOptions
 from stages.colmap.options import ColmapOptions
 from stages.configuration.comparison_options import ScalingOptions, SweepOptions
 from stages.configuration.presets import FIXED_ALL, FIXED_POSES, PRESETS, Preset, override, value_of
+from stages.configuration.shots import Stated, read_option
 from stages.control.options import ControlOptions
 from stages.evaluate.options import EvaluateOptions
 from stages.export.options import ExportOptions
@@ -42,6 +43,11 @@ class Config(Options):
     )
     pass_: Literal["clean", "final"] = Field("final", alias="pass", description="which MPI-Sintel pass to read")
     sequences: Literal["all"] | list[str] = Field("all", description="'all' or a list of names within the dataset")
+    shots: Stated | dict[str, Stated] = Field(
+        "auto",
+        description="shots of a clip, each a sequence of its own: auto: find the cuts; no: the clip is one shot; or "
+        "the first and last frame of each, as in [[1, 40], [41, 90]]; or one of these for each clip by its name",
+    )
     preset: Preset = Field("balanced", description="fast, balanced or accurate; your own values win over the preset's")
     rounds: int = Field(
         3,
@@ -79,6 +85,11 @@ class Config(Options):
     report: ReportOptions = ReportOptions()
     sweep: SweepOptions = SweepOptions()
     scaling: ScalingOptions = ScalingOptions()
+
+    @field_validator("shots", mode="before")
+    @classmethod
+    def _read_shots(cls, value: Any) -> Any:
+        return read_option(value)
 
     @field_validator("scenes", "sequences")
     @classmethod

@@ -6,12 +6,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from stages.configuration import shots as clip_shots
 from stages.configuration.config import SIMULATED, Config
 from stages.shared.errors import InputError
 from stages.shared.sequences import Sequence, check_headers, choose, list_sequence, sequence_folders, video_files
 
 if TYPE_CHECKING:
     from stages.video.index import Index
+    from stages.video.shots import Shot
 
 SCENES = Path(__file__).parents[1] / "simulate" / "scenes"
 """The scene library; its folder `long` holds scenes of a thousand frames, which run only by their names."""
@@ -48,7 +50,7 @@ def find_sequences(
         scenes = scene_files(config)
         return {name: _promised(name, scenes[name]) for name in folders}
     if shots:
-        return {name: _decoded(name, Path(folders[name]), shots[name].index) for name in folders}
+        return {name: _decoded(name, Path(folders[name]), shots[name]) for name in folders}
     sequences = {name: list_sequence(name, Path(folder)) for name, folder in folders.items()}
     if headers and sum(len(sequence.frames) for sequence in sequences.values()) <= EARLY_FRAMES:
         for sequence in sequences.values():
@@ -56,8 +58,26 @@ def find_sequences(
     return sequences
 
 
+def divided(
+    config: Config, sequences: Mapping[str, Sequence], shots: Mapping[str, "VideoShot"]
+) -> tuple[dict[str, Sequence], dict[str, clip_shots.Part]]:
+    """The sequences, where a folder of frames holds several shots those of each, and what each is a part of.
+
+    Cuts are looked for in folders of frames that exist: scenes have none.
+
+    Raises:
+        InputError: for an unknown sequence, or stated shots outside of their clip.
+    """
+    if shots:
+        return dict(sequences), {}
+    kept = None if config.dataset == SIMULATED else decoded_folder(config) / ".index"
+    return clip_shots.divided(sequences, config.shots, config.sequences, kept)
+
+
 def frame_folders(config: Config, shots: Mapping[str, "VideoShot"]) -> dict[str, str]:
-    """The folder of frames of every chosen sequence; under simulated/ for a scene, under decoded/ for a video.
+    """The folder of frames of every chosen clip, and of every shot of a video.
+
+    Those of scenes are under simulated/, those of videos under decoded/.
 
     Args:
         shots: `video_shots`, which reads the indexes of all videos.
@@ -69,23 +89,38 @@ def frame_folders(config: Config, shots: Mapping[str, "VideoShot"]) -> dict[str,
     if config.dataset == SIMULATED:
         folders = {name: Path(SIMULATED, "training", config.pass_, name) for name in scene_files(config)}
     elif shots:
-        folders = {name: _decoded_folder(config) / name for name in shots}
+        folders = {name: decoded_folder(config) / name for name in shots}
     else:
         folders = sequence_folders(dataset, config.pass_)
-    chosen = {name: str(folder) for name, folder in choose(config.sequences, folders, dataset).items()}
+    if not shots:
+        clip_shots.check_names(config.shots, folders)
+    wanted = config.sequences if config.sequences == "all" else _wanted(config.sequences, folders, shots)
+    chosen = {name: str(folder) for name, folder in choose(wanted, folders, dataset).items()}
     for name in (dataset_name(config), *chosen):
         if set("{}") & set(name):
             raise InputError(dataset, "names without braces", f"'{name}'", "rename the file or folder")
     return chosen
 
 
+def _wanted(names: list[str], folders: Mapping[str, Path], shots: Mapping[str, "VideoShot"]) -> list[str]:
+    """The names of folders of frames for chosen sequences: all shots of a named video, the folder of a named shot."""
+    of_video = {name: [shot for shot, of in shots.items() if of.video.stem == name] for name in names}
+    listed = (of_video[name] or [clip_shots.clip_of(name, folders)] for name in names)
+    return list(dict.fromkeys(folder for some in listed for folder in some))
+
+
 @dataclass(frozen=True)
 class VideoShot:
-    """A sequence of a video: its shot `number`, 1, 2, ..., and the index of all shots."""
+    """A sequence of a video.
+
+    Attributes:
+        index: of the whole video. shot: the frames of the sequence. flags: with which the script decodes them.
+    """
 
     video: Path
-    number: int
     index: "Index"
+    shot: "Shot"
+    flags: str
 
 
 def video_shots(config: Config) -> dict[str, VideoShot]:
@@ -97,21 +132,38 @@ def video_shots(config: Config) -> dict[str, VideoShot]:
     videos = {} if config.dataset == SIMULATED else video_files(Path(config.dataset))
     if not videos:
         return {}
-    from stages.video.index import load_index
-
-    kept = _decoded_folder(config) / ".index"
+    kept = decoded_folder(config) / ".index"
+    clip_shots.check_names(config.shots, videos)
     if config.sequences != "all":
         names = config.sequences
         named = [stem for stem in videos if any(name == stem or name.startswith(f"{stem}_shot") for name in names)]
         videos = {stem: videos[stem] for stem in named} or videos  # an unknown name is told from all that there are
     shots: dict[str, VideoShot] = {}
-    for video in videos.values():
-        index = load_index(video, config.video, kept)
-        for number, name in enumerate(index.shots, start=1):
+    for clip, video in videos.items():
+        for name, shot in _shots_of(video, clip_shots.of_clip(config.shots, clip, videos), config, kept).items():
             if name in shots:
                 raise InputError(video, "a name of its own", f"a shot '{name}' of {shots[name].video}", "rename one")
-            shots[name] = VideoShot(video, number, index)
+            shots[name] = shot
     return shots
+
+
+def _shots_of(video: Path, stated: clip_shots.Stated, config: Config, kept: Path) -> dict[str, VideoShot]:
+    """The sequences of one video: its shots between cuts, those that the user states, or all of it."""
+    from stages.video.index import load_index
+    from stages.video.shots import cut_out
+
+    index = load_index(video, config.video, kept, cuts=stated == "auto")
+    if not isinstance(stated, list):
+        found = enumerate(index.shots.items(), start=1)
+        flags = "" if stated == "auto" else " --no-cuts"
+        return {name: VideoShot(video, index, shot, f"--shot {k}{flags}") for k, (name, shot) in found}
+    (whole,) = index.shots.values()
+    clip_shots.check_ranges(stated, 1, len(whole.pts), video.name)
+    names = clip_shots.names_of(video.stem, len(stated))
+    return {
+        name: VideoShot(video, index, cut_out(whole, first, last), f"--no-cuts --first {first} --last {last}")
+        for name, (first, last) in zip(names, stated, strict=True)
+    }
 
 
 def scene_files(config: Config) -> dict[str, Path]:
@@ -153,16 +205,16 @@ def zooms(config: Config, name: str) -> bool:
     return len({key.zoom for key in load_scene(scene_files(config)[name]).camera.keys}) > 1
 
 
-def _decoded_folder(config: Config) -> Path:
+def decoded_folder(config: Config) -> Path:
     """Where frames of videos are written, a folder per sequence."""
     return Path("decoded", dataset_name(config))
 
 
-def _decoded(name: str, folder: Path, index: "Index") -> Sequence:
-    times_s = index.shots[name].times_s
-    numbers = list(range(1, len(times_s) + 1))
+def _decoded(name: str, folder: Path, of: VideoShot) -> Sequence:
+    times_s, first = of.shot.times_s, of.shot.first
+    numbers = list(range(first, first + len(times_s)))
     frames = [folder / f"frame_{n:04d}.png" for n in numbers]
-    return Sequence(name, frames, numbers, index.width, index.height, times_s=times_s)
+    return Sequence(name, frames, numbers, of.index.width, of.index.height, times_s=times_s)
 
 
 def _promised(name: str, scene: Path) -> Sequence:

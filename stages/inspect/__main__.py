@@ -10,7 +10,7 @@ import numpy as np
 
 from stages.inspect.blur import blurred, detail
 from stages.inspect.burnt_in import Found, Watch
-from stages.inspect.options import InspectOptions
+from stages.inspect.options import InspectOptions, PartOptions
 from stages.shared import cli, sintel
 from stages.shared.artifacts import read_json, write_json
 from stages.shared.cli import In, Out
@@ -19,14 +19,14 @@ from stages.shared.errors import InputError
 from stages.shared.images import read_mask, read_rgb, write_figure, write_image
 from stages.shared.log import logger, progress
 from stages.shared.masks import read_burnt_in, read_sized_mask
-from stages.shared.sequences import Sequence, check_sequence, folder_name, sequence_to_json
+from stages.shared.sequences import MIN_FRAMES, Sequence, check_sequence, folder_name, sequence_to_json
 
 
 def main(
     frames: Annotated[Path, In("folder of PNG or JPG frames; MPI-Sintel truth is found beside it")],
     output: Annotated[Path, Out("sequence.json: frames, size, conversions, truth and its gaps")],
     figure: Annotated[Path, Out("picture for the report")],
-    options: InspectOptions,
+    options: PartOptions,
     video: Annotated[Path | None, In("what `video` found, if the frames are of one: time stamps, warnings")] = None,
 ) -> str:
     """Check all files of one sequence, so that no later stage fails on them.
@@ -34,8 +34,11 @@ def main(
     A mask of what is burnt into the frames, if there is anything, is written beside the output as burnt_in.png.
     """
     sequence, source = check_sequence(folder_name(frames), frames), str(frames)
+    clip = {"name": sequence.name, "left_out": options.left_out}
+    sequence = one_shot(sequence, options)
     if video:
         about = read_json(video)
+        clip = about["clip"]
         source = about["video"]
         sequence = replace(sequence, times_s=about["times_s"], warnings=about["warnings"] + sequence.warnings)
     sequence = first_frames(sequence, options)
@@ -49,18 +52,42 @@ def main(
     for warning in sequence.warnings:
         logger.warning("%s: %s", source, warning)
     write_figure(figure, draw(sequence))
-    facts = {"frames_sha256": digest, "missing_truth": missing_truth(sequence), "burnt_in_search": search}
+    facts = {"clip": clip, "frames_sha256": digest, "missing_truth": missing_truth(sequence), "burnt_in_search": search}
     write_json(output, sequence_to_json(sequence) | facts)
     return f"{len(sequence.frames)} frames of {sequence.width} x {sequence.height} px"
+
+
+def one_shot(sequence: Sequence, options: PartOptions) -> Sequence:
+    """The frames of one shot of a folder, with their ground truth.
+
+    Raises:
+        InputError: if the folder has fewer than three of these frames.
+    """
+    if options.first is None or options.last is None:
+        return sequence
+    numbers, first, last = sequence.numbers, options.first, options.last
+    if first < numbers[0] or last > numbers[-1] or last - first + 1 < MIN_FRAMES:
+        folder, expected = (
+            sequence.frames[0].parent,
+            f"at least {MIN_FRAMES} frames within {numbers[0]} to {numbers[-1]}",
+        )
+        raise InputError(folder, expected, f"{first} to {last}", "correct --first and --last")
+    warnings = [*sequence.warnings, options.left_out] if options.left_out else sequence.warnings
+    inside = slice(first - numbers[0], last - numbers[0] + 1)
+    return replace(_of_frames(sequence, inside), name=options.name or sequence.name, warnings=warnings)
 
 
 def first_frames(sequence: Sequence, options: InspectOptions) -> Sequence:
     """The sequence reduced to its first `max_frames` frames, with their ground truth."""
     if options.max_frames == "all":
         return sequence
-    numbers = sequence.numbers[: options.max_frames]
+    return _of_frames(sequence, slice(options.max_frames))
+
+
+def _of_frames(sequence: Sequence, inside: slice) -> Sequence:
+    numbers = sequence.numbers[inside]
     truth = {kind: {n: path for n, path in files.items() if n in numbers} for kind, files in sequence.truth.items()}
-    frames, times_s = sequence.frames[: options.max_frames], sequence.times_s and sequence.times_s[: options.max_frames]
+    frames, times_s = sequence.frames[inside], sequence.times_s and sequence.times_s[inside]
     return replace(sequence, frames=frames, numbers=numbers, truth=truth, times_s=times_s)
 
 

@@ -27,3 +27,14 @@ class InspectOptions(Options):
         if isinstance(value, Path) and not value.is_file():
             raise ValueError("auto, no, or an existing file")
         return value
+
+
+class PartOptions(InspectOptions):
+    """Options of this script; those of a shot, which the workflow chooses, are flags only."""
+
+    name: str | None = Field(None, description="name of the sequence; that of the folder if not given")
+    first: int | None = Field(
+        None, ge=0, description="number of the first frame, if the sequence is a shot of the folder"
+    )
+    last: int | None = Field(None, ge=0, description="number of the last frame of the shot")
+    left_out: str = Field("", description="what is in no shot of the folder, in words")

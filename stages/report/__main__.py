@@ -10,6 +10,7 @@ import yaml
 from stages.comparisons import made_under
 from stages.evaluate import pose_diagnostics
 from stages.report import overview, paired_report, priced_report, provenance, tradeoff_report
+from stages.report.clips import clip_of, shot_lines
 from stages.report.effect_tables import decision_rows, simulation_rows
 from stages.report.options import ReportOptions
 from stages.report.overview import Group
@@ -64,6 +65,7 @@ def main(
         title=options.title,
         summary=overview.summary(rows),
         tiles=overview.tiles(rows),
+        clips=shot_lines(sequences),
         given=given_lines(sequences),
         problems=overview.problems(rows, names),
         groups=groups,
@@ -134,7 +136,7 @@ def gather(folders: list[Path], manifests: Path | None) -> tuple[dict[str, list[
                 protocols[kind] = read_metadata(path).get("protocol", "")
     rows["decisions"] = [row for folder in folders for row in decision_rows(folder)]
     rows["statistics"] = [row for folder in folders for row in pose_diagnostics.statistic_rows(folder)]
-    rows["simulation"] = [row for folder in folders for row in simulation_rows(manifests, folder.name)]
+    rows["simulation"] = [row for folder in folders for row in simulation_rows(manifests, folder.name, clip_of(folder))]
     return rows, protocols
 
 

@@ -11,9 +11,9 @@ JUDGED = ("needed", "statistic", "interval", "threshold", "unit", "seconds", "ev
 """What every decision has; the rest are settings of the effect."""
 
 
-def simulation_rows(manifests: Path | None, name: str) -> list[Row]:
-    """A row per effect that the simulator rendered or left out, from the manifest `<manifests>/<name>.json`."""
-    path = manifests / f"{name}.json" if manifests else None
+def simulation_rows(manifests: Path | None, name: str, clip: str) -> list[Row]:
+    """A row per effect that the simulator rendered or left out of a sequence, from `<manifests>/<clip>.json`."""
+    path = manifests / f"{clip}.json" if manifests else None
     if path is None or not path.exists():
         return []
     content = read_json(path)

@@ -11,9 +11,12 @@ from stages.video.options import VideoOptions
 
 
 class DecodeOptions(VideoOptions):
-    """Options of this script; `shot` is a flag only."""
+    """Options of this script; those that choose the shot are flags only."""
 
     shot: int = Field(1, ge=1, description="which shot of the video, by its number, if cuts divide it")
+    cuts: bool = Field(True, description="look for cuts; else the video is one shot")
+    first: int | None = Field(None, ge=1, description="number of the first frame, of a part of the shot")
+    last: int | None = Field(None, ge=1, description="number of the last frame of that part")
 
 
 def main(
@@ -30,11 +33,15 @@ def main(
     from stages.shared.log import logger, progress
     from stages.video import decode
     from stages.video.index import load_index
+    from stages.video.shots import cut_out
 
-    index = load_index(video, VideoOptions(**options.model_dump(exclude={"shot"})), indexes)
+    looked = VideoOptions(**options.model_dump(include=set(VideoOptions.model_fields)))
+    index = load_index(video, looked, indexes, options.cuts)
     if options.shot > len(index.shots):
         raise InputError(video, f"a shot {options.shot}", f"{len(index.shots)}", "choose another --shot")
-    name, shot = list(index.shots.items())[options.shot - 1]
+    shot, name = list(index.shots.values())[options.shot - 1], output.name
+    if options.first is not None and options.last is not None:
+        shot = cut_out(shot, options.first, options.last)
     for warning in index.warnings:
         logger.info("%s: %s", video, warning)  # `inspect` warns of them
     header, wanted, number = decode.read_header(video), set(shot.pts), 0
@@ -42,15 +49,19 @@ def main(
         frames = decode.read_frames(video, shot.times_s[0], shot.times_s[-1])
         used = (frame for frame in frames if frame.pts in wanted)
         for number, frame in enumerate(progress(used, name, len(wanted)), start=1):
-            write_image(
-                folder / f"frame_{number:04d}.png", decode.upright(frame, header, index.bars_px, options.max_width)
-            )
+            path = folder / f"frame_{shot.first + number - 1:04d}.png"
+            write_image(path, decode.upright(frame, header, index.bars_px, options.max_width))
         if number != len(wanted):
             advice = "the file has changed since it was indexed: run again"
             raise InputError(video, f"{len(wanted)} frames", f"{number}", advice)
     write_json(
         findings,
-        {"name": name, "times_s": shot.times_s, "warnings": index.warnings}
+        {
+            "name": name,
+            "clip": {"name": video.stem, "left_out": ""},
+            "times_s": shot.times_s,
+            "warnings": index.warnings,
+        }
         | index.findings
         | {"bars_px": index.bars_px},
     )

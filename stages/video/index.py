@@ -48,26 +48,29 @@ class Index:
     warnings: list[str] = field(default_factory=list)
 
 
-def load_index(video: Path, options: VideoOptions, cache: Path | None = None) -> Index:
+def load_index(video: Path, options: VideoOptions, cache: Path | None = None, cuts: bool = True) -> Index:
     """The index of a video, from the folder `cache` if it is there and still true, else made and kept there.
+
+    Args:
+        cuts: whether to look for cuts; else the video is one shot.
 
     Raises:
         InputError: as `make_index`.
     """
-    file = cache and cache / f"{video.stem}-{_key(video, options)}.json"
+    file = cache and cache / f"{video.stem}-{_key(video, options, cuts)}.json"
     if file and file.is_file():
         content = read_json(file)
         content.pop("format_version")
         shots = {name: Shot(**shot) for name, shot in content.pop("shots").items()}
         return Index(shots=shots, bars_px=tuple(content.pop("bars_px")), **content)
-    index = make_index(video, options)
+    index = make_index(video, options, cuts)
     if file:
         write_json(file, asdict(index))
     return index
 
 
-def make_index(video: Path, options: VideoOptions) -> Index:
-    """Look through a video.
+def make_index(video: Path, options: VideoOptions, cuts: bool = True) -> Index:
+    """Look through a video, for its cuts too if `cuts`.
 
     Raises:
         InputError: for a file that is no video, is incomplete, ends before `start`, changes the size of its frames, or
@@ -96,7 +99,7 @@ def make_index(video: Path, options: VideoOptions) -> Index:
 
     expected = _expected_frames(header, options)
     limit = None if options.max_frames == "all" else options.max_frames
-    found = find_shots(progress(looks(), f"reading {video.name}", expected), options.every, limit)
+    found = find_shots(progress(looks(), f"reading {video.name}", expected), options.every, limit, cuts)
     _refuse_incomplete(video, header, options, found)
     bars_px = brightest.bars_px()
     width, height = decode.upright_size(first[0], header, bars_px, options.max_width)
@@ -206,7 +209,9 @@ def _warnings(
     if found.left_out_s:
         runs = spans(found.left_out_s, 2 * options.every * _interval_s(header, found))
         parts = [f"{a:.3f}" if a == b else f"{a:.3f}..{b:.3f}" for a, b in runs]
-        warnings.append(f"shots of fewer than {MIN_FRAMES} frames, or flashes, are left out: {_few(parts)} s")
+        warnings.append(
+            f"shots of fewer than {MIN_FRAMES} frames, flashes and blank frames are left out: {_few(parts)} s"
+        )
     if not found.complete:
         warnings.append(_cut_off(header, found, options))
     return warnings
@@ -244,8 +249,15 @@ def _few(words: list[str], most: int = 8) -> str:
     return ", ".join(words[:most]) + (f" and {len(words) - most} more" if len(words) > most else "")
 
 
-def _key(video: Path, options: VideoOptions) -> str:
+def _key(video: Path, options: VideoOptions, cuts: bool) -> str:
     """A digest of all that an index depends on: the file, by its size and time, the options and the code."""
     status = video.stat()
-    about = [str(video.resolve()), status.st_size, status.st_mtime_ns, options.model_dump(), code_digest(__name__)]
+    about = [
+        str(video.resolve()),
+        status.st_size,
+        status.st_mtime_ns,
+        options.model_dump(),
+        cuts,
+        code_digest(__name__),
+    ]
     return hashlib.sha256(json.dumps(about).encode()).hexdigest()[:12]

@@ -11,12 +11,18 @@ from stages.shared.images import reduce, reduced_size
 from stages.shared.sequences import MIN_FRAMES
 
 CUT_WIDTH_PX = 128
-SAME_SHOT = 0.3
-"""Least correlation of a frame with the one before, warped onto it, within a shot.
+SAME_SHOT, SAME_SHOT_FINE = 0.35, 0.48
+"""Least correlation of a frame with the one before, warped onto it, within a shot: by coarse flow, and by fine flow.
 
-Of 970 pairs of neighbouring frames of 40 clips (the scene library, Sintel, one hand-held) the least was 0.61, at half
-the frame rate 0.31; of 600 pairs of frames of different clips the largest was 0.25.
+Fine flow also makes frames of different clips alike. Of 870 pairs of neighbouring frames of 24 clips (the tuned scenes,
+Sintel, one hand-held) the least was 0.53 by the flow that fits best; of 300 pairs of frames of different clips the
+largest were 0.25 by coarse and 0.34 by fine flow, and 0.45 between smooth random textures.
 """
+FOREIGN = 5
+"""Up to so many frames between frames that continue each other are no shot: flashes, broken frames, a mover that fills
+the view."""
+BLANK = 2.0
+"""Variance within windows of frames that show nothing, as between fades."""
 WINDOW_PX = 9
 NOISE = 4.0
 """Variance that noise and coding may have; it keeps dark and flat areas from deciding."""
@@ -41,20 +47,29 @@ class Shot:
 
     Attributes:
         pts, times_s: of the frames used. seen: number of frames, with those that are not used.
+        first: number of its first frame among those used of the clip, from 1 on. blank: whether it shows nothing.
     """
 
     pts: list[int] = field(default_factory=list)
     times_s: list[float] = field(default_factory=list)
     seen: int = 0
+    first: int = 1
+    blank: bool = False
+
+
+def cut_out(shot: Shot, first: int, last: int) -> Shot:
+    """The frames `first` to `last` of a shot, by their numbers."""
+    inside = slice(first - shot.first, last - shot.first + 1)
+    return Shot(shot.pts[inside], shot.times_s[inside], last - first + 1, first)
 
 
 @dataclass
 class Found:
-    """The shots of a video, and what was left out.
+    """The shots of a clip, and what was left out.
 
     Attributes:
         shots: of at least three frames. times_s: of all frames looked at. duplicates_s: times of repeated frames.
-        cuts_s: times of the first frames after cuts. left_out_s: times of the frames of shorter shots.
+        cuts_s: times of the first frames after cuts. left_out_s: times of the frames of shorter and of blank shots.
         complete: false if frames are left because `max_frames` were found.
     """
 
@@ -66,70 +81,160 @@ class Found:
     complete: bool = True
 
 
-def find_shots(looks: Iterable[Look], every: int, max_frames: int | None) -> Found:
+class Cutter:
+    """Divides a clip at its cuts, one frame after the other.
+
+    Up to FOREIGN frames between frames that continue each other are no shot, and blank frames are one of their own.
+    """
+
+    def __init__(self) -> None:
+        self.parts: list[Shot] = []
+        self.cuts_s: list[float] = []
+        self.left_out_s: list[float] = []
+        self._before: np.ndarray | None = None
+        self._left: tuple[int, np.ndarray] | None = None
+
+    def part_of(self, look: Look) -> Shot:
+        """The part to which the next frame belongs; a new one after a cut."""
+        grey = look.grey
+        small = reduce(grey, reduced_size(grey.shape[1], grey.shape[0], CUT_WIDTH_PX))
+        before, self._before = self._before, small
+        if self._returns(small):
+            return self.parts[-1]
+        blank = shows_nothing(small)
+        if before is None or blank != self.parts[-1].blank or not (blank or continues(before, small)):
+            if before is not None:
+                self.cuts_s.append(look.time_s)
+                if self._left is None:
+                    self._left = len(self.parts), before
+            self.parts.append(Shot(blank=blank))
+        return self.parts[-1]
+
+    def _returns(self, small: np.ndarray) -> bool:
+        """Whether a frame continues the shot that was left a few frames ago; what came between is left out then."""
+        if self._left is None:
+            return False
+        count, last = self._left
+        foreign = self.parts[count:]
+        if sum(part.seen for part in foreign) > FOREIGN:
+            self._left = None
+            return False
+        if not continues_coarsely(last, small):
+            return False
+        self.left_out_s += [time for part in foreign for time in part.times_s]
+        del self.parts[count:], self.cuts_s[len(self.cuts_s) - len(foreign) :]
+        self._left = None
+        return True
+
+
+def find_shots(
+    looks: Iterable[Look], every: int = 1, max_frames: int | None = None, cuts: bool = True, repeated: bool = False
+) -> Found:
     """Divide frames at cuts, and take one in `every` that does not repeat the last one taken.
 
-    Cuts are looked for between all frames, however many are used: at a distance frames of one shot differ as well. One
-    or two foreign frames between frames that continue each other, a flash or a broken frame, are left out, and no cut.
+    Cuts are looked for between all frames, however many are used: at a distance frames of one shot differ as well.
 
     Args:
         max_frames: stop after so many frames; None: take all.
+        cuts: whether to look for cuts; else all frames are one shot. repeated: take also frames that repeat others.
     """
-    found = Found()
-    parts: list[Shot] = []
-    before = parted = kept = None
+    found, cutter = Found(), Cutter()
+    one, shot = Shot(), None
+    kept: np.ndarray | None = None
+    taken = 0
     for look in looks:
-        small = reduce(look.grey, reduced_size(look.grey.shape[1], look.grey.shape[0], CUT_WIDTH_PX))
-        if before is None or not continues(before, small):
-            if parted is not None and parts[-1].seen < MIN_FRAMES and continues(parted, small):
-                found.left_out_s += parts.pop().times_s
-                found.cuts_s.pop()
-            else:
-                found.cuts_s += [look.time_s] if parts else []
-                parts.append(Shot())
-                parted = before
+        before, shot = shot, cutter.part_of(look) if cuts else one
+        if shot is not before:
             kept = None
-        shot, before = parts[-1], small
         found.times_s.append(look.time_s)
         shot.seen += 1
         if (shot.seen - 1) % every:
             continue
-        if kept is not None and repeats(kept, look.grey):
+        if not repeated and kept is not None and repeats(kept, look.grey):
             found.duplicates_s.append(look.time_s)
             continue
-        if max_frames is not None and sum(len(part.pts) for part in parts) >= max_frames:
+        if max_frames is not None and taken >= max_frames:
             found.complete = False
             break
+        taken += 1
+        shot.first = shot.first if shot.pts else taken
         shot.pts.append(look.pts)
         shot.times_s.append(look.time_s)
         kept = look.grey
-    found.shots = [part for part in parts if len(part.pts) >= MIN_FRAMES]
-    found.left_out_s += [time for part in parts if len(part.pts) < MIN_FRAMES for time in part.times_s]
+    _choose(found, cutter.parts if cuts else [one])
+    found.cuts_s, found.left_out_s = cutter.cuts_s, cutter.left_out_s + found.left_out_s
     return found
+
+
+def _choose(found: Found, parts: list[Shot]) -> None:
+    """Put the parts that are long enough under the shots found: those that show something, if there are any."""
+    long = [part for part in parts if len(part.pts) >= MIN_FRAMES]
+    found.shots = [part for part in long if not part.blank] or long
+    found.left_out_s = [time for part in parts if part not in found.shots for time in part.times_s]
 
 
 def continues(before: np.ndarray, after: np.ndarray) -> bool:
     """Whether a frame [h, w] uint8 continues the one before, by their correlation once warped by the flow between them.
 
-    The correlation is that of windows about their means, which does not depend on exposure.
+    The correlation is that of windows about their means, which does not depend on exposure. Coarse flow decides nearly
+    all pairs. Where it does not fit, it starts from the best translation, as fast pans need it; then fine flow is
+    searched, both ways, for fast movers and few pixels in common.
     """
-    flow = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_FAST).calc(after, before, None)
+    fine = cv2.DISOPTICAL_FLOW_PRESET_MEDIUM
+    return (
+        continues_coarsely(before, after)
+        or warped_correlation(before, after, fine) >= SAME_SHOT_FINE
+        or warped_correlation(after, before, fine) >= SAME_SHOT_FINE
+    )
+
+
+def continues_coarsely(before: np.ndarray, after: np.ndarray) -> bool:
+    """As `continues`, without fine flow."""
+    coarse = cv2.DISOPTICAL_FLOW_PRESET_FAST
+    return (
+        warped_correlation(before, after, coarse) >= SAME_SHOT
+        or warped_correlation(before, after, coarse, translation(before, after)) >= SAME_SHOT
+    )
+
+
+def warped_correlation(
+    before: np.ndarray, after: np.ndarray, preset: int, start_px: tuple[float, float] = (0, 0)
+) -> float:
+    """Correlation of a frame [h, w] uint8 with the one before, warped by DIS flow from a first translation (x, y)."""
+    start = np.broadcast_to(np.array(start_px, np.float32), (*after.shape, 2)).copy()
+    flow = cv2.DISOpticalFlow.create(preset).calc(after, before, start)
     v, u = np.indices(after.shape, np.float32)
     warped = cv2.remap(before, u + flow[..., 0], v + flow[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return correlation(warped, after) >= SAME_SHOT
+    return correlation(warped, after)
+
+
+def translation(before: np.ndarray, after: np.ndarray) -> tuple[float, float]:
+    """The translation (x, y) px from `after` to `before` at which they correlate most in their details."""
+    first, second = (
+        image.astype(np.float32) - cv2.blur(image.astype(np.float32), (WINDOW_PX, WINDOW_PX))
+        for image in (before, after)
+    )
+    (x, y), _ = cv2.phaseCorrelate(first, second, cv2.createHanningWindow(after.shape[::-1], cv2.CV_32F))
+    return -x, -y
+
+
+def shows_nothing(image: np.ndarray) -> bool:
+    """Whether an image [h, w] uint8 is flat, as all black or all white."""
+    return variance(image.astype(np.float32)) < BLANK
+
+
+def variance(image: np.ndarray) -> float:
+    """Variance of an image [h, w] float32 within windows, over all of them together."""
+    size = WINDOW_PX, WINDOW_PX
+    return float(np.mean(cv2.blur(image * image, size) - cv2.blur(image, size) ** 2))
 
 
 def correlation(first: np.ndarray, second: np.ndarray) -> float:
     """Correlation of two images [h, w] within windows, over all of them together; 1 for flat images."""
     a, b = first.astype(np.float32), second.astype(np.float32)
-    means = [cv2.blur(image, (WINDOW_PX, WINDOW_PX)) for image in (a, b)]
-    products = (a * b, a * a, b * b)
-    expected = (means[0] * means[1], means[0] ** 2, means[1] ** 2)
-    shared, of_a, of_b = (
-        float(np.mean(cv2.blur(product, (WINDOW_PX, WINDOW_PX)) - mean)) + NOISE
-        for product, mean in zip(products, expected, strict=True)
-    )
-    return shared / float(np.sqrt(of_a * of_b))
+    size = WINDOW_PX, WINDOW_PX
+    shared = float(np.mean(cv2.blur(a * b, size) - cv2.blur(a, size) * cv2.blur(b, size))) + NOISE
+    return shared / float(np.sqrt((variance(a) + NOISE) * (variance(b) + NOISE)))
 
 
 def repeats(kept: np.ndarray, image: np.ndarray) -> bool:

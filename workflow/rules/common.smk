@@ -67,11 +67,12 @@ try:
     CONFIGURED = settings.configured(config, MINE)
     CONFIG = CONFIGURED.config
     VIDEO_SHOTS = datasets.video_shots(CONFIG)
-    FOLDERS = datasets.frame_folders(CONFIG, VIDEO_SHOTS)
+    CLIPS = datasets.frame_folders(CONFIG, VIDEO_SHOTS)
     # Jobs on a cluster read this file again; checking all headers once is enough.
-    SEQUENCES = datasets.find_sequences(
-        CONFIG, FOLDERS, VIDEO_SHOTS, headers=workflow.is_main_process
+    WHOLE = datasets.find_sequences(
+        CONFIG, CLIPS, VIDEO_SHOTS, headers=workflow.is_main_process
     )
+    SEQUENCES, PARTS = datasets.divided(CONFIG, WHOLE, VIDEO_SHOTS)
     SWEPT, SCALED = settings.compared(config, MINE)
     SWEPT_SEQUENCES = settings.choose_sequences(CONFIG.sweep, SEQUENCES)
     SCALED_SEQUENCES = settings.choose_sequences(CONFIG.scaling, SEQUENCES)
@@ -89,6 +90,7 @@ except InputError as error:
     sys.stderr.write(f"{error}\n")
     sys.exit(2)
 
+FOLDERS = CLIPS | {name: CLIPS[part.clip] for name, part in PARTS.items()}
 DATASET = datasets.dataset_name(CONFIG)
 SETTINGS = {setting.folder: setting for setting in [CONFIGURED, *SWEPT, *SCALED]}
 EVERY_SETTING = list(SETTINGS.values())
@@ -242,7 +244,10 @@ def optional_flags(*names):
 
 def scene_file(wildcards):
     """The scene file of a simulated sequence."""
-    return datasets.scene_files(CONFIG)[known_sequence(wildcards)]
+    scenes = datasets.scene_files(CONFIG)
+    if wildcards.seq not in scenes:
+        raise WorkflowError(f"no scene is called '{wildcards.seq}'")
+    return scenes[wildcards.seq]
 
 
 def video_file(wildcards):
@@ -265,12 +270,24 @@ def frame_source(wildcards):
     """
     name = known_sequence(wildcards)
     if CONFIG.dataset == configuration.SIMULATED:
-        return {"manifest": f"simulated/{name}.json"}
+        return {"manifest": f"simulated/{Path(FOLDERS[name]).name}.json"}
     if name in VIDEO_SHOTS:
         return {"frames": FOLDERS[name], "video": f"{FOLDERS[name]}.json"}
     folder = Path(FOLDERS[name])
     truth = truth_folders(folder).values()
     return {"frames": str(folder), "truth": [str(folder) for folder in truth]}
+
+
+def part_flags(wildcards):
+    """The flags of `inspect` for a shot of a folder of frames; none for a folder that is one sequence."""
+    name = known_sequence(wildcards)
+    if name not in PARTS:
+        return ""
+    part = PARTS[name]
+    left_out = f" --left-out {shlex.quote(part.left_out)}" if part.left_out else ""
+    return (
+        f"--name {shlex.quote(name)} --first {part.first} --last {part.last}{left_out}"
+    )
 
 
 def burnt_in_mask(wildcards):

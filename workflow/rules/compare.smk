@@ -23,7 +23,7 @@ def can_run(sequence, setting):
     if CONFIG.dataset == configuration.SIMULATED:
         return not (
             required_truth.takes_one_camera(setting)
-            and datasets.zooms(CONFIG, sequence)
+            and datasets.zooms(CONFIG, Path(FOLDERS[sequence]).name)
         )
     return not required_truth.lacks_truth(setting, with_truth(sequence))
 

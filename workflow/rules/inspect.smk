@@ -25,6 +25,7 @@ rule inspect:
         times=frame_times,
         flags=flags("inspect"),
         video=optional_flags("video"),
+        part=part_flags,
     shell:
         "{{ python -m stages.inspect --frames {params.folder:q} --output {output.sequence:q}"
-        " --figure {output.figure:q} {params.video} {params.flags} --log {log:q} --stats {output.stats:q}; }} 2>> {log:q}"
+        " --figure {output.figure:q} {params.video} {params.part} {params.flags} --log {log:q} --stats {output.stats:q}; }} 2>> {log:q}"

@@ -36,8 +36,8 @@ def tell_disk(jobs):
 
 @functools.cache
 def held(setting, name):
-    """The pixels of a sequence and of its flow under a setting; cached like the flags."""
-    sequence, config = SEQUENCES[name], setting.config
+    """The pixels of a sequence, or of a clip of several, and of its flow under a setting; cached like the flags."""
+    sequence, config = SEQUENCES.get(name) or WHOLE[name], setting.config
     size, limit = (sequence.width, sequence.height), config.inspect.max_frames
     frames = len(sequence.frames)
     frames = frames if limit == "all" else min(frames, limit)

@@ -18,8 +18,8 @@ rule video:
     params:
         code=code_digest("stages.video"),
         flags=flags("video"),
-        shot=lambda wildcards: VIDEO_SHOTS[wildcards.seq].number,
+        shot=lambda wildcards: VIDEO_SHOTS[wildcards.seq].flags,
     shell:
         "{{ python -m stages.video --video {input.video:q} --output {output.frames:q} --findings {output.findings:q}"
-        " --indexes decoded/{wildcards.dataset:q}/.index --shot {params.shot} {params.flags}"
+        " --indexes decoded/{wildcards.dataset:q}/.index {params.shot} {params.flags}"
         " --log {log:q} --stats {output.stats:q}; }} 2>> {log:q}"
