@@ -21,11 +21,12 @@ largest were 0.25 by coarse and 0.34 by fine flow, and 0.45 between smooth rando
 FOREIGN = 5
 """Up to so many frames between frames that continue each other are no shot: flashes, broken frames, a mover that fills
 the view."""
-BLANK = 2.0
-"""Variance within windows of frames that show nothing, as between fades."""
 WINDOW_PX = 9
 NOISE = 4.0
 """Variance that noise and coding may have; it keeps dark and flat areas from deciding."""
+BLANK = 2 * NOISE
+"""Variance within windows of frames that show nothing, as between fades: at less, noise makes any two frames alike. The
+least of the tuned scenes is 28, in fog."""
 DUPLICATE_LEVELS = 4.0
 BLOCK_PX = 16
 """A frame repeats the last one used if no block of this size, of a frame 512 px wide, changes by more than these grey
@@ -99,13 +100,13 @@ class Cutter:
         grey = look.grey
         small = reduce(grey, reduced_size(grey.shape[1], grey.shape[0], CUT_WIDTH_PX))
         before, self._before = self._before, small
-        if self._returns(small):
-            return self.parts[-1]
         blank = shows_nothing(small)
+        if not blank and self._returns(small):
+            return self.parts[-1]
         if before is None or blank != self.parts[-1].blank or not (blank or continues(before, small)):
             if before is not None:
                 self.cuts_s.append(look.time_s)
-                if self._left is None:
+                if self._left is None and not self.parts[-1].blank:
                     self._left = len(self.parts), before
             self.parts.append(Shot(blank=blank))
         return self.parts[-1]
