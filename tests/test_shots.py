@@ -2,6 +2,7 @@
 
 import re
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -11,8 +12,9 @@ from conftest import REPO, run_snakemake
 from encoded_video import encode, moving
 from test_video import SIZE
 
+from stages.ba import cuts
 from stages.configuration import config as configuration
-from stages.configuration import datasets
+from stages.configuration import datasets, given_inputs
 from stages.inspect import __main__ as inspect_stage
 from stages.inspect.options import PartOptions
 from stages.report.clips import shot_lines
@@ -182,3 +184,25 @@ def test_the_plan_has_a_job_per_shot_and_none_more(tmp_path: Path) -> None:
     jobs = Counter(re.findall(r"log: logs/data/(\w+)/", plan.stdout + plan.stderr))
     rounds = 3 * 3
     assert jobs == dict.fromkeys(("one", "two_shot1", "two_shot2"), rounds + 3)  # and inspect, flow, lens
+
+
+def test_the_safety_net_names_the_shots_to_state() -> None:
+    solved = np.arange(90) < 40
+    (said,) = cuts.warnings(solved, list(range(11, 101)))
+    assert "frames 51-100 share too few" in said
+    assert "`shots: [[11, 50], [51, 100]]`" in said
+
+
+def test_given_files_of_a_clip_serve_its_shots(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Frames keep their numbers, so that one folder of masks is right for all shots of a clip, not for two."""
+    monkeypatch.chdir(tmp_path)
+    write(tmp_path / "data" / "clip", texture(10, 0))
+    masks = write(tmp_path / "masks", [np.zeros((72, 128), np.uint8)] * 10)
+    values = {"dataset": "data", "shots": [[1, 4], [6, 10]], "segment": {"source": str(masks)}}
+    config = configuration.load(values)
+    whole = datasets.find_sequences(config, datasets.frame_folders(config, {}), {})
+    shots, _ = datasets.divided(config, whole, {})
+    given_inputs.check([(config, shots.values())])
+    other = replace(whole["clip"], name="b", frames=[tmp_path / "b" / path.name for path in whole["clip"].frames])
+    with pytest.raises(InputError, match=r"\{sequence\} in the path"):
+        given_inputs.check([(config, [*shots.values(), other])])

@@ -59,7 +59,7 @@ def check(runs: Iterable[tuple[Config, Iterable[Sequence]]]) -> None:
             near = difflib.get_close_matches(path, allowed, n=1)
             advice = f"did you mean '{near[0]}'?" if near else f"correct '{option}'"
             raise InputError(where, f"{', '.join([*allowed, 'or a path that exists'])}", f"'{path}'", advice)
-        if PLACEHOLDER not in path and len(of_name) > 1:
+        if PLACEHOLDER not in path and len(set(map(_clip, of_name.values()))) > 1:
             expected = f"{PLACEHOLDER} in the path, for the names of {len(of_name)} sequences"
             advice = f"write it where the names differ, as in folder/{PLACEHOLDER}, or choose one of `sequences:`"
             raise InputError(where, expected, f"'{path}'", advice)
@@ -83,6 +83,12 @@ def digest(config: Config, section: str, sequence: Sequence) -> str:
     paths = [of_sequence(path, sequence.name) for path in given(config, section).values()]
     found = [file for path in paths for file in (sorted(path.iterdir()) if path.is_dir() else [path]) if file.is_file()]
     return frames_digest(found) if found else ""
+
+
+def _clip(sequence: Sequence) -> str:
+    """What tells clips apart: the folder of the frames, which shots of one clip share; of scenes their name."""
+    folder = sequence.frames[0].parent
+    return sequence.name if folder == Path() else str(folder)
 
 
 def _used(config: Config, sequence: Sequence) -> Sequence:
