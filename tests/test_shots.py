@@ -8,7 +8,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from conftest import REPO, run_snakemake
+import yaml
+from conftest import REPO, run_snakemake, write_scenes
 from encoded_video import encode, moving
 from test_video import SIZE
 
@@ -21,6 +22,7 @@ from stages.report.clips import shot_lines
 from stages.shared.artifacts import read_json
 from stages.shared.errors import InputError
 from stages.shared.sequences import read_sequence
+from stages.shared.tables import read_rows
 from stages.video import __main__ as video_stage
 from stages.video.folders import find_ranges
 
@@ -52,7 +54,8 @@ def test_cuts_are_found_to_the_frame() -> None:
 
 def test_a_whip_pan_is_no_cut() -> None:
     """Coarse flow finds no shift of a third of the view; a translation does."""
-    assert ranges(texture(8, 0, step=42)) == [(1, 8)]
+    steady = texture(72, 0)
+    assert ranges([steady[k] for k in (0, 1, 2, 3, 4, 25, 46, 67, 68, 69, 70, 71)]) == [(1, 12)]
 
 
 def test_exposure_jumps_noise_and_repeated_frames_are_no_cut() -> None:
@@ -206,3 +209,30 @@ def test_given_files_of_a_clip_serve_its_shots(tmp_path: Path, monkeypatch: pyte
     other = replace(whole["clip"], name="b", frames=[tmp_path / "b" / path.name for path in whole["clip"].frames])
     with pytest.raises(InputError, match=r"\{sequence\} in the path"):
         given_inputs.check([(config, [*shots.values(), other])])
+
+
+@pytest.mark.long
+def test_both_shots_of_a_clip_are_solved_and_scored(tmp_path: Path) -> None:
+    """The whole pipeline on a scene in two shots: each has its poses, its scores against the truth, and its section."""
+    write_scenes(tmp_path, 12, 256, 112)
+    options = {
+        "dataset": "simulated",
+        "scenes": ["still.yaml"],
+        "shots": [[1, 6], [7, 12]],
+        "preset": "fast",
+        "rounds": 1,
+        "control": {"steps": 20},
+        "gaussians": {"steps": 20},
+        "render": {"novel_views": 2},
+        "colmap": {"window": 2},
+    }
+    (tmp_path / "mine.yaml").write_text(yaml.safe_dump(options))
+    run = run_snakemake(tmp_path, "-s", str(REPO / "Snakefile"), "--configfile", "mine.yaml")
+    assert run.returncode == 0, run.stderr[-4000:]
+    for k in (1, 2):
+        rows = read_rows(tmp_path / f"results/simulated/still_shot{k}/eval/poses.parquet")
+        ours = next(row for row in rows if row["method"] == "ours")
+        assert (ours["registered"], ours["total"]) == (6, 6)
+        assert ours["ate_percent"] < 5
+    page = (tmp_path / "results/simulated/report/index.html").read_text()
+    assert "Shots of still: 2 shots, still_shot1 (frames 1-6), still_shot2 (frames 7-12)" in page

@@ -10,7 +10,7 @@ def clip_of(folder: Path) -> str:
     """The name of the clip to which the sequence of a result folder belongs; its own if it is no shot of another."""
     file = folder / "sequence.json"
     content = read_json(file) if file.exists() else {}
-    return str(content.get("clip", {}).get("name", folder.name))
+    return str(content["clip"]["name"]) if content.get("name") == folder.name and "clip" in content else folder.name
 
 
 def shot_lines(folders: list[Path]) -> list[str]:
