@@ -17,8 +17,8 @@ from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
 from stages.ba import dba, initialise
-from stages.ba.dba import FocalPrior, Level, State, Step, Unknowns
 from stages.ba.graph import MIN_MATCHES, MIN_WEIGHT, FlowGraph
+from stages.ba.state import FocalPrior, Level, State, Step, Unknowns
 from stages.shared import lie
 from stages.shared.cameras import grid_from_frame
 from stages.shared.flow_pairs import REACH
