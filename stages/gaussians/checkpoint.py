@@ -1,6 +1,5 @@
 """Checkpoints of the training: a killed run resumes from the last one and ends with the same result, bit for bit."""
 
-import hashlib
 import time
 from pathlib import Path
 
@@ -11,7 +10,7 @@ from stages.gaussians.densify import GradientRecord, select
 from stages.gaussians.optimise import History, Trainer
 from stages.gaussians.options import GaussiansOptions
 from stages.shared.artifacts import read_metadata, read_model, write_model
-from stages.shared.digest import code_digest
+from stages.shared.digest import origin
 from stages.shared.log import logger
 
 INTERVAL_S = 20.0
@@ -22,7 +21,7 @@ class Checkpoint:
 
     def __init__(self, model: Path, inputs: list[Path], options: GaussiansOptions) -> None:
         self.path = model.with_name(f".{model.stem}.checkpoint.safetensors")
-        self.origin = _fingerprint(inputs, options)
+        self.origin = origin("stages.gaussians", inputs, options)
         self.saved_s = time.perf_counter()
 
     def resume(self, trainer: Trainer) -> None:
@@ -85,11 +84,3 @@ def restore(trainer: Trainer, arrays: dict[str, np.ndarray], n_static: int) -> N
     trainer.record = GradientRecord(state["record.total"], state["record.views"])
     trainer.history = History(**{name: arrays[f"history.{name}"].tolist() for name in vars(trainer.history)})
     trainer.step = trainer.history.step[-1]
-
-
-def _fingerprint(inputs: list[Path], options: GaussiansOptions) -> str:
-    digest = hashlib.sha256(options.model_dump_json().encode() + code_digest("stages.gaussians").encode())
-    for path in inputs:
-        for file in sorted(filter(Path.is_file, path.rglob("*"))) if path.is_dir() else [path]:
-            digest.update(file.name.encode() + file.read_bytes())
-    return digest.hexdigest()

@@ -16,6 +16,7 @@ here. Training held no more in 150 steps than in 5, `control` as much in 100 as 
 8 frames with all formats. The bases of `motion`, `ba` and `gaussians` leave room for a process that compiles kernels.
 `simulate` and `report`, which read no sequence, have a constant.
 `motion` was measured on 300 frames of 512 x 288 px with flow that was drawn, and on 200 of 320 x 136.
+`flow` and `segment` were measured on 12, 50 and 300 frames of 512 x 218 px; of the 300, `flow` until 208 were matched.
 `video` was measured on 20 and 90 frames of 1920 x 1080, whose peaks are alike, and on 40 of 3840 x 2160, on 4 threads;
 its pixels are those of a frame not yet reduced.
 """
@@ -24,6 +25,8 @@ from dataclasses import dataclass
 
 MARGIN = 1.15
 """Factor on the fitted memory: peaks vary with the content of the frames, mostly by up to a tenth."""
+WINDOW = 80
+"""Frames whose flow `flow` and `segment` hold at a time, about: they work on a window of the clip."""
 RETRY = 1.5
 """Factor on the memory from one attempt of a job to the next."""
 
@@ -37,12 +40,14 @@ class Held:
         frames: in all frames at full size.
         frame: in one frame at full size.
         grid: in all frames on the flow grid.
+        window: in the flow of the edges of at most WINDOW frames.
     """
 
     edges: int = 0
     frames: int = 0
     frame: int = 0
     grid: int = 0
+    window: int = 0
 
 
 @dataclass(frozen=True)
@@ -53,16 +58,18 @@ class Need:
     per_edges: float = 0
     per_frames: float = 0
     per_frame: float = 0
+    per_grid: float = 0
+    per_window: float = 0
 
 
 NEEDS = {
     "simulate": Need(520),
     "video": Need(170, per_frame=30),
     "inspect": Need(135, per_frame=17),
-    "flow": Need(150, per_edges=18.5),
+    "flow": Need(430, per_window=5.2),
     "lens": Need(270, per_edges=26, per_frame=40),
     "motion": Need(420, per_edges=2.4),
-    "segment": Need(230, per_edges=9.2),
+    "segment": Need(250, per_grid=6, per_window=6),
     "ba": Need(380, per_edges=8.9),
     "scene": Need(215, per_edges=19.2),
     "control": Need(535, per_edges=8.1),
@@ -80,4 +87,5 @@ def megabytes(stage: str, held: Held, attempt: int = 1) -> int:
     """The megabytes (1e6 bytes) that a job of a stage asks for at its first, second, ... attempt."""
     need = NEEDS[stage]
     pixels = need.per_edges * held.edges + need.per_frames * held.frames + need.per_frame * held.frame
+    pixels += need.per_grid * held.grid + need.per_window * held.window
     return round(MARGIN * (need.base_mb + pixels / 1e6) * RETRY ** (attempt - 1))

@@ -36,7 +36,7 @@ from stages.shared.digest import code_digest
 from stages.shared.disk import megabytes_written, told
 from stages.shared.errors import InputError
 from stages.shared.images import reduced_size
-from stages.shared.memory import Held, megabytes
+from stages.shared.memory import WINDOW, Held, megabytes
 from stages.shared.sequences import find_truth, frames_digest, truth_folders
 
 # A plan of a thousand sequences consists of a million permanent objects. Searching all of them for garbage again and

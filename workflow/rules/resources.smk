@@ -41,15 +41,17 @@ def held(setting, name):
     size, limit = (sequence.width, sequence.height), config.inspect.max_frames
     frames = len(sequence.frames)
     frames = frames if limit == "all" else min(frames, limit)
-    edges = most_edges(frames, config.flow.offsets, config.flow.long_edges)
-    edges += most_loops(frames) if config.flow.loops == "auto" else 0
-    edges += given_inputs.added_edges(config, sequence)
-    grid = reduced_size(*size, config.flow.max_width_px)
+    per_frame = config.flow.offsets, config.flow.long_edges
+    extra = given_inputs.added_edges(config, sequence)
+    window = most_edges(min(frames, WINDOW), *per_frame) + extra
+    extra += most_loops(frames) if config.flow.loops == "auto" else 0
+    grid = math.prod(reduced_size(*size, config.flow.max_width_px))
     return Held(
-        edges=edges * math.prod(grid),
+        edges=(most_edges(frames, *per_frame) + extra) * grid,
         frames=frames * math.prod(size),
         frame=math.prod(size),
-        grid=frames * math.prod(grid),
+        grid=frames * grid,
+        window=window * grid,
     )
 
 
