@@ -66,7 +66,7 @@ NEEDS = {
     "simulate": Need(520),
     "video": Need(170, per_frame=30),
     "inspect": Need(135, per_frame=17),
-    "flow": Need(430, per_window=5.2),
+    "flow": Need(370, per_window=6),
     "lens": Need(270, per_edges=26, per_frame=40),
     "motion": Need(420, per_edges=2.4),
     "segment": Need(250, per_grid=6, per_window=6),
