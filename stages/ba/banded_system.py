@@ -112,14 +112,16 @@ class BandedSystem:
             if u.any():
                 self.along.append((strength * float(u @ u / squared), u / np.linalg.norm(u)))
 
-    def step(self, damping: float) -> np.ndarray:
-        """Step of all unknowns with Levenberg-Marquardt damping; zero for those that are not free.
+    def step(self, damping: float, ridge: float) -> np.ndarray:
+        """Step of all unknowns with Levenberg-Marquardt damping, and a share `ridge` of the mean curvature.
+
+        It is zero for those that are not free.
 
         Raises:
             numpy.linalg.LinAlgError: if the damped system is not positive definite.
         """
         diagonal = self._free_diagonal()
-        factor = Factor(self, damping * diagonal + 1e-9 * diagonal.mean() + 1e-300)
+        factor = Factor(self, damping * diagonal + ridge * diagonal.mean() + 1e-300)
         step, free = np.zeros(len(self.at.place)), self.at.place >= 0
         step[free] = factor.solve(self.rhs)[self.at.place[free]]
         return step

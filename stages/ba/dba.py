@@ -10,7 +10,7 @@ import numpy as np
 from stages.ba import checkpoint, residuals
 from stages.ba.arguments import geometry, lens_px, observations, undistorted
 from stages.ba.graph import FlowGraph
-from stages.ba.proposal import from_prior, propose
+from stages.ba.proposal import DENSE_FRAMES, from_prior, propose
 from stages.ba.state import (
     DEPTH_PRIOR,
     INVERSE_DEPTHS,
@@ -26,6 +26,12 @@ from stages.shared import lie
 REFINEMENTS = 2
 """Gauss-Newton steps from every candidate of a sweep for inverse depths."""
 MAX_DAMPING = 1e4
+RELIEF, RELIEF_OF_LONG = (5.0, 1e-7), (3.0, 1e-12)
+"""What damping is divided by after a step that is taken, and its least value; of more than DENSE_FRAMES frames.
+
+The curvature of the slow bends of a path falls with the fourth power of its length. From a path of 1000 frames bent by
+0.55 % of its length, 30 steps lead to 0.13 % with the first pair, to 0.026 % with (10, 1e-12), and to 0.013 %.
+"""
 
 
 def normalise(state: State) -> State:
@@ -86,6 +92,7 @@ def solve(
     Returns:
         the best state, in the gauge of `State`, and one `Step` per iteration.
     """
+    relief, least = RELIEF if graph.T <= DENSE_FRAMES else RELIEF_OF_LONG
     run = _Run(normalise(state) if unknowns.translation else state)
     before = checkpoint.begin()
     if before is not None:
@@ -103,7 +110,7 @@ def solve(
             accepted = proposal is not None and proposed <= cost
             gain = (cost - proposed) / max(cost, 1e-300)
             if accepted and proposal:
-                run.state, cost, run.damping = proposal, proposed, max(run.damping / 5, 1e-7)
+                run.state, cost, run.damping = proposal, proposed, max(run.damping / relief, least)
             else:
                 run.damping *= 8
             seconds, focal_px = time.perf_counter() - start_s, run.state.focal_px

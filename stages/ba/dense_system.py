@@ -34,14 +34,16 @@ class DenseSystem:
         if squared > 0:
             self.S += strength * np.outer(direction, direction) / squared
 
-    def step(self, damping: float) -> np.ndarray:
-        """Step of all unknowns with Levenberg-Marquardt damping; zero for those that are not free.
+    def step(self, damping: float, ridge: float) -> np.ndarray:
+        """Step of all unknowns with Levenberg-Marquardt damping, and a share `ridge` of the mean curvature.
+
+        It is zero for those that are not free.
 
         Raises:
             numpy.linalg.LinAlgError: if the damped system is not positive definite.
         """
         A = self.S[np.ix_(self.free, self.free)]
-        A = A + np.diag(damping * np.diag(A) + 1e-9 * np.trace(A) / len(A) + 1e-300)
+        A = A + np.diag(damping * np.diag(A) + ridge * np.trace(A) / len(A) + 1e-300)
         step = np.zeros(len(self.rhs))
         step[self.free] = cho_solve(cho_factor(A, check_finite=False), self.rhs[self.free], check_finite=False)
         return step

@@ -29,6 +29,9 @@ DENSE_FRAMES = 100
 1 ms of 50 frames, 5 of 100 and 22 of 200 (one thread, edges over up to 5 frames), in a band with its making 2, 2 and 3.
 """
 
+RIDGE, RIDGE_OF_LONG = 1e-9, 1e-12
+"""Curvature in every direction, relative to the mean: the slow bends of a long path have less than the first."""
+
 System = DenseSystem | BandedSystem
 
 
@@ -47,7 +50,7 @@ def propose(
     if unknowns.zoom:
         system.stiffen(prior.weight / T, _of_focals(len(system.diagonal), T))
     try:
-        step = system.step(damping)
+        step = system.step(damping, RIDGE if T <= DENSE_FRAMES else RIDGE_OF_LONG)
     except np.linalg.LinAlgError:
         return None, 0.0
     focals = slice(6 * T, 7 * T if unknowns.zoom else 6 * T + 1)

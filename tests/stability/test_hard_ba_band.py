@@ -21,9 +21,10 @@ ZOOM = Unknowns(focal=True, zoom=True)
 
 @pytest.fixture(autouse=True)
 def _no_dense_default() -> Iterator[None]:
-    before = proposal.DENSE_FRAMES
+    before = proposal.DENSE_FRAMES, proposal.RIDGE_OF_LONG
+    proposal.RIDGE_OF_LONG = proposal.RIDGE
     yield
-    proposal.DENSE_FRAMES = before
+    proposal.DENSE_FRAMES, proposal.RIDGE_OF_LONG = before
 
 
 @pytest.fixture(scope="module")
