@@ -76,11 +76,18 @@ def test_frames_are_computed_once_as_far_as_there_is_room() -> None:
         squares[5]
 
 
+def test_the_mean_colour_of_a_long_clip_is_not_rounded_off() -> None:
+    """A sum in single precision stops growing at 2^24 times the size of what is added: 0.12 in place of 0.3."""
+    frames = Computed(140, lambda _: np.full((500, 600, 3), 0.3, np.float32))
+    seen = TrainingFrames(frames, *[np.zeros((140, 1, 1))] * 3, *[np.zeros(140)] * 3)
+    np.testing.assert_allclose(seen.mean_colour, 0.3, rtol=1e-6)
+
+
 def test_figures_of_all_training_frames_are_those_of_the_array() -> None:
     seen = observations(list(range(CLIP_FRAMES)))
     assert isinstance(seen.images, np.ndarray)
     assert isinstance(seen.masks, np.ndarray)
-    np.testing.assert_array_equal(seen.mean_colour, seen.images.mean(axis=(0, 1, 2)))
+    np.testing.assert_allclose(seen.mean_colour, seen.images.mean(axis=(0, 1, 2), dtype=float), rtol=1e-6)
     np.testing.assert_array_equal(seen.masked, seen.masks.sum(axis=(1, 2)))
     assert seen.median_depth == float(np.median(torch.as_tensor(seen.depths)))
     assert isinstance(seen, TrainingFrames)

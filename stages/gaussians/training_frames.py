@@ -62,10 +62,9 @@ class TrainingFrames:
     @cached_property
     def mean_colour(self) -> np.ndarray:
         """Mean [3] of all pixels, float32."""
-        sums = np.zeros((0, 3), np.float32)
-        for f in range(len(self.images)):
-            sums = np.concatenate([sums, self.images[f].reshape(-1, 3)]).sum(axis=0, keepdims=True)
-        return np.asarray(sums[0] / (len(self.images) * self.size[0] * self.size[1]))
+        F = len(self.images)
+        means = [self.images[f].mean(axis=(0, 1), dtype=float) for f in range(F)]  # float32 holds no sum of 1e7 pixels
+        return np.mean(means, axis=0).astype(np.float32)
 
     def picture(self, f: int) -> Moments:
         """The moments of frame f, 0..F-1."""
