@@ -7,13 +7,13 @@ px, preset fast), of a real clip (24 frames of 854 x 480 px, and the same enlarg
     python -m benchmarks.bench_memory --frames 24 --width 1920 --height 1080 --until render --config rounds=1
     python -m benchmarks.bench_memory --frames 300 --width 1920 --height 1080 --until control --config rounds=1
 
-Of the 300 frames, `inspect` to `control` asked for 1.04 to 1.26 times what they used (`inspect` with its base of today:
-1.28, by calculation). Their training is larger than the
-machine of the measurements: it ran on 75 of them, as many as of a clip of 86 frames (8.2 GB used, 1.24 times as much
-asked); 24.9 GB for all follow from there and from 24 frames, 1.3 times as much is asked. `evaluate` was measured on 24
-frames of 1080p at most, `colmap` on small frames alone. What `control` holds grows with what moves: 8 % of the pixels
-here. Training held no more in 150 steps than in 5, `control` as much in 100 as in 5. `export` was measured on
-8 frames with all formats. The bases of `motion`, `ba` and `gaussians` leave room for a process that compiles kernels.
+Of the 300 frames, `inspect` to `ba` asked for 1.04 to 1.26 times what they used (`inspect` with its base of today:
+1.28, by calculation). `scene`, `control`, `gaussians` and `evaluate`, which read frames and flow as they need them,
+were measured on few frames since; how they grow follows from what they keep, by calculation: of `gaussians` 39 bytes
+per pixel of the training frames up to 2 GB (`inputs.PICTURE_BYTES`, `optimise.TARGET_BYTES`), of `scene` 29 bytes per
+pixel of the flow grid (`HELD_BYTES`) and the motion of 48 frames. `colmap` was measured on small frames alone. What
+`control` holds grows with what moves: 8 % of the pixels were assumed. `export` was measured on 8 frames with all
+formats. The bases of `motion`, `ba` and `gaussians` leave room for a process that compiles kernels.
 `simulate` and `report`, which read no sequence, have a constant.
 `motion` was measured on 300 frames of 512 x 288 px with flow that was drawn, and on 200 of 320 x 136.
 `flow` and `segment` were measured on 12, 50 and 300 frames of 512 x 218 px; of the 300, `flow` until 208 were matched.
@@ -52,7 +52,10 @@ class Held:
 
 @dataclass(frozen=True)
 class Need:
-    """Memory of a stage: constant megabytes, and bytes per pixel of each kind in `Held`."""
+    """Memory of a stage: constant megabytes, and bytes per pixel of each kind in `Held`.
+
+    What is kept of all frames in order not to read it again has a limit of its own, in megabytes.
+    """
 
     base_mb: float
     per_edges: float = 0
@@ -60,6 +63,9 @@ class Need:
     per_frame: float = 0
     per_grid: float = 0
     per_window: float = 0
+    kept_frames: float = 0
+    kept_grid: float = 0
+    kept_mb: float = 0
 
 
 NEEDS = {
@@ -71,13 +77,13 @@ NEEDS = {
     "motion": Need(420, per_edges=2.4),
     "segment": Need(250, per_grid=6, per_window=6),
     "ba": Need(380, per_edges=8.9),
-    "scene": Need(215, per_edges=19.2),
-    "control": Need(535, per_edges=8.1),
-    "gaussians": Need(785, per_frames=43.5, per_frame=120),
+    "scene": Need(225, per_grid=4, kept_grid=26, kept_mb=1200),
+    "control": Need(590, per_grid=8, kept_grid=8, kept_mb=300),
+    "gaussians": Need(785, per_frames=0.6, per_frame=120, kept_frames=34, kept_mb=2000),
     "render": Need(555, per_frame=100),
     "viewer": Need(580, per_frames=0.35, per_frame=20),
     "colmap": Need(260, per_frames=10, per_frame=250),
-    "evaluate": Need(225, per_edges=6.5, per_frames=10, per_frame=140),
+    "evaluate": Need(195, per_edges=1, per_frames=0.75, per_frame=150),
     "export": Need(555, per_frame=138),
     "report": Need(1300),
 }
@@ -88,4 +94,5 @@ def megabytes(stage: str, held: Held, attempt: int = 1) -> int:
     need = NEEDS[stage]
     pixels = need.per_edges * held.edges + need.per_frames * held.frames + need.per_frame * held.frame
     pixels += need.per_grid * held.grid + need.per_window * held.window
-    return round(MARGIN * (need.base_mb + pixels / 1e6) * RETRY ** (attempt - 1))
+    kept_mb = min((need.kept_frames * held.frames + need.kept_grid * held.grid) / 1e6, need.kept_mb)
+    return round(MARGIN * (need.base_mb + pixels / 1e6 + kept_mb) * RETRY ** (attempt - 1))
