@@ -9,11 +9,12 @@ px, preset fast), of a real clip (24 frames of 854 x 480 px, and the same enlarg
 
 Of the 300 frames, `inspect` to `ba` asked for 1.04 to 1.26 times what they used (`inspect` with its base of today:
 1.28, by calculation). `scene`, `control`, `gaussians` and `evaluate`, which read frames and flow as they need them,
-were measured on few frames since; how they grow follows from what they keep, by calculation: of `gaussians` 39 bytes
-per pixel of the training frames up to 2 GB (`inputs.PICTURE_BYTES`, `optimise.TARGET_BYTES`), of `scene` 29 bytes per
-pixel of the flow grid (`HELD_BYTES`) and the motion of 48 frames. `colmap` was measured on small frames alone. What
-`control` holds grows with what moves: 8 % of the pixels were assumed. `export` was measured on 8 frames with all
-formats. The bases of `motion`, `ba` and `gaussians` leave room for a process that compiles kernels.
+were measured on few frames since, `scene` also on the 300 (1.5 GB used, 1.2 times as much asked); how the others grow
+follows from what they keep, by calculation: of `gaussians` 39 bytes per pixel of the training frames up to 2 GB
+(`inputs.PICTURE_BYTES`, `optimise.TARGET_BYTES`), of `scene` 29 bytes per pixel of the flow grid (`HELD_BYTES`) and
+the motion of 48 frames. `colmap` was measured on small frames alone. What `control` holds grows with what moves: 8 %
+of the pixels were assumed. `export` was measured on 8 frames with all formats. The bases of `motion`, `ba` and
+`gaussians` leave room for a process that compiles kernels.
 `simulate` and `report`, which read no sequence, have a constant.
 `motion` was measured on 300 frames of 512 x 288 px with flow that was drawn, and on 200 of 320 x 136.
 `flow` and `segment` were measured on 12, 50 and 300 frames of 512 x 218 px; of the 300, `flow` until 208 were matched.
