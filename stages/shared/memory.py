@@ -80,7 +80,7 @@ NEEDS = {
     "ba": Need(380, per_edges=8.9),
     "scene": Need(225, per_grid=4, kept_grid=26, kept_mb=1200),
     "control": Need(590, per_grid=8, kept_grid=8, kept_mb=300),
-    "gaussians": Need(785, per_frames=0.6, per_frame=120, kept_frames=34, kept_mb=2000),
+    "gaussians": Need(785, per_frames=0.6, per_frame=370, kept_frames=34, kept_mb=2000),
     "render": Need(555, per_frame=100),
     "viewer": Need(580, per_frames=0.35, per_frame=20),
     "colmap": Need(260, per_frames=10, per_frame=250),
