@@ -9,7 +9,7 @@ from synthetic import Scene, exact_flow, make_scene, trajectory_error
 
 from stages.ba import loops
 from stages.ba.classify import longest_step
-from stages.ba.dba import FocalPrior, State, errors_px
+from stages.ba.dba import FocalPrior, State, Unknowns, errors_px
 from stages.ba.graph import FlowGraph, build_graph, favour_distance
 from stages.shared import lie
 
@@ -58,7 +58,7 @@ def test_the_drift_of_a_walk_is_spread_when_it_returns(walk: Scene) -> None:
     graph = observed(walk)
     state = drifted(walk, graph)
     assert trajectory_error(state.cam_from_world, walk.cam_from_world) > 4e-3
-    closed = loops.close(graph, state, FocalPrior(walk.focal_px))
+    closed = loops.close(graph, state, Unknowns(), FocalPrior(walk.focal_px))
     assert trajectory_error(closed.state.cam_from_world, walk.cam_from_world) < 5e-4
     assert closed.facts["loops"] == len(LOOPS)
     assert closed.facts["loops_left_out"] == 0
@@ -70,7 +70,7 @@ def test_the_drift_of_a_walk_is_spread_when_it_returns(walk: Scene) -> None:
 
 def test_a_wrong_loop_is_left_out_and_bends_nothing(walk: Scene) -> None:
     graph = observed(walk, wrong=(3, 70))
-    closed = loops.close(graph, drifted(walk, graph), FocalPrior(walk.focal_px))
+    closed = loops.close(graph, drifted(walk, graph), Unknowns(), FocalPrior(walk.focal_px))
     assert closed.facts["loops_left_out"] == 1
     assert trajectory_error(closed.state.cam_from_world, walk.cam_from_world) < 5e-4
     wrong = graph.edge(3, 70)
@@ -98,7 +98,7 @@ def test_a_clip_without_loops_stays_as_it_is(walk: Scene) -> None:
     parts = {name: getattr(graph, name)[near] for name in ("source", "target", "matches", "weights")}
     plain = replace(graph, pointer=pointer, **parts)
     state = drifted(walk, plain)
-    closed = loops.close(plain, state, FocalPrior(walk.focal_px))
+    closed = loops.close(plain, state, Unknowns(), FocalPrior(walk.focal_px))
     assert closed.graph is plain
     assert closed.state is state
     assert not closed.facts

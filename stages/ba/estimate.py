@@ -76,7 +76,8 @@ def _estimate(problem: Problem, options: BAOptions) -> Estimate:
     found = start.candidate
     cameras = found.state
     state = initialise.initial_state(graph, cameras.cam_from_world, cameras.focal_px, FINE_PX[0], cameras.zoom)
-    closed = loops.close(graph, state, prior)
+    free = not problem.known_focal_px and statistics.camera == "moving"
+    closed = loops.close(graph, state, Unknowns(free, zoom=free and state.zoom is not None), prior)
     graph, problem = closed.graph, replace(problem, graph=closed.graph)
     refined, focal = _refine(problem, statistics, replace(found, state=closed.state), prior)
     rolling = _rolling(graph, refined.state, focal, prior, options)

@@ -39,9 +39,9 @@ GROWTH, STEPS = 2.0, 4
 """Factor between scales of the kernel, and the Gauss-Newton steps at each."""
 MAX_STEP, HALVINGS = 0.5, 4
 """Largest angle, rad, and logarithm of the scale of a step; how short it is tried, by halves, before it is refused."""
-MAX_TURN, MAX_SCALE, MAX_GAP = 1.0, 1.5, 0.5
+MAX_TURN, MAX_SCALE, MAX_GAP = 1.5, 3.0, 1.0
 """No drift: a loop that the path misses by more than this angle, rad, log of the scale, or share of its length."""
-WIDE = (Level(4.0, 6, 1e-3), Level(2.0, 6, 1e-3))
+WIDE = (Level(8.0, 8, 1e-3), Level(4.0, 8, 1e-3), Level(2.0, 8, 1e-3))
 """Robust scales at which the closed path is adjusted first: what is left of the error is a few pixels."""
 
 
@@ -97,7 +97,7 @@ class Closed:
     facts: dict[str, float]
 
 
-def close(graph: FlowGraph, state: State, prior: FocalPrior) -> Closed:
+def close(graph: FlowGraph, state: State, unknowns: Unknowns, prior: FocalPrior) -> Closed:
     """The state with the error of its loops spread over the path; the same without edges longer than REACH frames."""
     edges = np.flatnonzero(np.abs(graph.target - graph.source) > REACH)
     if not len(edges):
@@ -117,7 +117,7 @@ def close(graph: FlowGraph, state: State, prior: FocalPrior) -> Closed:
     graph = replace(graph, weights=graph.weights * kept[:, None])
     poses = lie.from_parts(solved.R, solved.t / solved.s[:, None])
     state = dba.normalise(replace(state, cam_from_world=poses, inverse_depth=state.inverse_depth * solved.s[:, None]))
-    adjusted = initialise.adjust(graph, state, WIDE, Unknowns(), prior, "loops closed")
+    adjusted = initialise.adjust(graph, state, WIDE, unknowns, prior, "loops closed")
     pairs = [{tuple(sorted(pair)) for pair in _pairs(graph, of).tolist()} for of in (edges, joined)]
     facts: dict[str, float] = {"loops": len(pairs[1]), "loops_left_out": len(pairs[0] - pairs[1])}
     if len(gaps):
