@@ -10,7 +10,8 @@ def clip_of(folder: Path) -> str:
     """The name of the clip to which the sequence of a result folder belongs; its own if it is no shot of another."""
     file = folder / "sequence.json"
     content = read_json(file) if file.exists() else {}
-    return str(content["clip"]["name"]) if content.get("name") == folder.name and "clip" in content else folder.name
+    clip = str(content.get("clip", {}).get("name", folder.name))
+    return clip if folder.name.startswith(f"{clip}_shot") else folder.name
 
 
 def shot_lines(folders: list[Path]) -> list[str]:
