@@ -128,6 +128,21 @@ def test_white_balance_is_told_from_exposure(exposure: float, white_balance: flo
     assert evidence.fitted.log_gains == pytest.approx(expected - expected.mean(axis=0), abs=0.01)
 
 
+def test_gains_per_channel_do_not_bring_back_an_exposure_that_is_ruled_out() -> None:
+    evidence = light_evidence(sight(lit_room(gains=drift(15.0) * tint(0.1))))
+    assert rules.decide_white_balance(evidence, "auto")["needed"]
+    ruled_out = rules.decide_white_balance(evidence, "auto", exposure="no")
+    assert (ruled_out["needed"], ruled_out["source"]) == (False, "user")
+    assert rules.decide_white_balance(evidence, "yes", exposure="no")["needed"]
+
+
+def test_fog_that_is_asked_for_in_clear_air_is_not_modelled() -> None:
+    evidence = light_evidence(sight(lit_room()))
+    found = rules.decide_atmosphere(evidence, "yes")
+    assert (evidence.fitted.extinction, found["needed"]) == (0, False)
+    assert "clear air" in found["why"]
+
+
 def test_vignetting_that_moves_over_the_scene_is_no_gain() -> None:
     """A camera that goes on sees what was in the corner, and dark, in the middle."""
     seen = lit_room()

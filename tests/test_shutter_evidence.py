@@ -139,3 +139,11 @@ def test_the_user_has_blur_where_none_is_observable() -> None:
     assert blur_rules.decide_motion_blur(nothing, "yes", 0.3)["shutter"] == 0.3
     assert blur_rules.decide_motion_blur(nothing, "yes", None)["shutter"] == blur_rules.USUAL_SHUTTER
     assert blur_rules.decide_motion_blur(nothing, "no", 0.3)["shutter"] is None
+
+
+def test_the_threshold_on_record_is_the_one_that_decides() -> None:
+    """A gain of 0.5 +- 0.4 % is above the least gain, and chance all the same."""
+    sure = {"speed_px": 6.0, "shutter": 0.5, "shutter_sigma": 0.1, "slope_sigma": 0.1, "speed_agreement": 1.0}
+    for sigma, needed in ((0.1, True), (0.4, False)):
+        found = blur_rules.decide_motion_blur(sure | {"gain_percent": 0.5, "gain_sigma_percent": sigma}, "auto", None)
+        assert found["needed"] == needed == (found["statistic"] >= found["threshold"])

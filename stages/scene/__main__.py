@@ -78,7 +78,7 @@ def _decide(seen: Observed, rotation_only_share: float, options: SceneOptions) -
     points = sight(seen)
     light = photometry.light_evidence(points, options.atmosphere == "yes")
     exposure = timed(rules.decide_exposure(light, options.exposure))
-    white_balance = timed(rules.decide_white_balance(light, options.white_balance))
+    white_balance = timed(rules.decide_white_balance(light, options.white_balance, options.exposure))
     atmosphere = timed(rules.decide_atmosphere(light, options.atmosphere))
     view = photometry.view_evidence(points, light.fitted)
     view_dependent = timed(rules.decide_view_dependent(view, options.view_dependent))

@@ -27,7 +27,8 @@ def decide_motion_blur(evidence: dict[str, float], choice: Choice, given: float 
     speed, (gain, sigma) = evidence["speed_px"], (evidence.get(f"gain_{s}percent", 0.0) for s in ("", "sigma_"))
     observable = evidence.get("speed_agreement", 0.0) >= MIN_AGREEMENT and evidence["slope_sigma"] <= MAX_SLOPE_SIGMA
     smear = evidence.get("shutter", 0.0) * speed
-    needed = gain >= max(MIN_GAIN_PERCENT, MIN_SIGMAS * sigma) and smear >= MIN_SMEAR_PX
+    threshold = max(MIN_GAIN_PERCENT, MIN_SIGMAS * sigma)
+    needed = gain >= threshold and smear >= MIN_SMEAR_PX
     if speed < MIN_SPEED_PX:
         why = f"not observable: nothing moves faster than {speed:.1f} px per frame (threshold {MIN_SPEED_PX} px)"
     elif not observable and given is None:
@@ -36,7 +37,7 @@ def decide_motion_blur(evidence: dict[str, float], choice: Choice, given: float 
         why = (
             f"a shutter open for {evidence.get('shutter', 0.0):.2f} +- {evidence.get('shutter_sigma', 0.0):.2f} frames,"
             f" {smear:.1f} px, predicts {gain:.1f} +- {sigma:.1f} % of the difference between frames where it was not"
-            f" fitted (thresholds {MIN_SMEAR_PX} px, {max(MIN_GAIN_PERCENT, MIN_SIGMAS * sigma):.1f} %)"
+            f" fitted (thresholds {MIN_SMEAR_PX} px, {threshold:.1f} %)"
         )
     needed = needed and (observable or given is not None)
     measured = evidence["shutter"] if observable and evidence["shutter"] > 0 else USUAL_SHUTTER
@@ -46,7 +47,7 @@ def decide_motion_blur(evidence: dict[str, float], choice: Choice, given: float 
         "needed": modelled,
         "statistic": gain,
         "interval": [gain - MIN_SIGMAS * sigma, gain + MIN_SIGMAS * sigma],
-        "threshold": MIN_GAIN_PERCENT,
+        "threshold": threshold,
         "unit": "% of the difference",
         "evidence": evidence,
         "why": f"set by the user; {why}" if overruled else why,

@@ -88,22 +88,35 @@ def decide_exposure(evidence: LightEvidence, choice: Choice) -> Decision:
     return _light_decision(bought, False, numbers, why, choice)
 
 
-def decide_white_balance(evidence: LightEvidence, choice: Choice) -> Decision:
-    """Changing white balance: a gain per channel predicts static points better than one for all channels."""
+def decide_white_balance(evidence: LightEvidence, choice: Choice, exposure: Choice = "auto") -> Decision:
+    """Changing white balance: a gain per channel predicts static points better than one for all channels.
+
+    Args:
+        exposure: the user's choice about exposure. Gains per channel hold it: who rules it out has to ask for them.
+    """
     bought, gains = evidence.white_balance, evidence.fitted.log_gains
     tint = gains - gains.mean(axis=1, keepdims=True)
     numbers = {"tint_range_percent": 100 * float(np.expm1(np.ptp(tint, axis=0).max()))}
     why = f"a gain per channel, beside one for all, {_saves(bought, 'grey levels')}"
-    return _light_decision(bought, False, numbers, why, choice)
+    decision = _light_decision(bought, False, numbers, why, choice)
+    if exposure != "no" or choice != "auto":
+        return decision
+    why = f"gains per channel hold the exposure, which the user rules out; {decision['why']}"
+    return decision | {"needed": False, "why": why, "source": "user"}
 
 
 def decide_atmosphere(evidence: LightEvidence, choice: Choice) -> Decision:
-    """Fog: distance predicts how static points change; with its extinction per scene unit and airlight, linear."""
+    """Fog: distance predicts how static points change; with its extinction per scene unit and airlight, linear.
+
+    Where the best fog is none at all there is nothing to model, even if the user asks for fog.
+    """
     bought, fitted, change = evidence.atmosphere, evidence.fitted, evidence.distance_change
     why = f"fog, beside gains and vignetting, {_saves(bought, 'grey levels')}"
     if not is_worth(bought, fog=True) and change < MIN_DISTANCE_CHANGE:
         why = f"not observable: the distance of static points changes by {change:.1%} while they are seen; {why}"
     decision = _light_decision(bought, True, {"distance_change_percent": 100 * change}, why, choice)
+    if decision["needed"] and fitted.extinction <= 0:
+        decision |= {"needed": False, "why": f"{decision['why']}; the fit finds clear air, so nothing is modelled"}
     return decision | {"extinction": fitted.extinction, "airlight": [float(a) for a in fitted.airlight]}
 
 
