@@ -10,7 +10,7 @@ from square_inputs import observe
 from synthetic import flow_arrays, make_scene
 
 from stages.scene import light, photometry, rules
-from stages.scene.light import no_light
+from stages.scene.light_model import Model, no_light
 from stages.scene.observed import Observed
 from stages.scene.photometry import LightEvidence, light_evidence, view_evidence
 from stages.scene.sightings import sight
@@ -117,7 +117,7 @@ def test_a_sky_behind_black_fog_has_errors_all_the_same() -> None:
     black = replace(no_light(seen.colours.shape[1]), extinction=0.05)
     errors = light.residuals(far, black, np.ones(len(seen.cell), bool))
     assert np.isfinite(errors).all()
-    assert np.isfinite(light.fit(far, light.Model(0, True), seen.odd, black).airlight).all()
+    assert np.isfinite(light.fit(far, Model(0, True), seen.odd, black).airlight).all()
 
 
 @pytest.mark.parametrize(("exposure", "white_balance"), [(15.0, 0.1), (15.0, 0.0), (0.0, 0.1)])

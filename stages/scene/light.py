@@ -1,20 +1,11 @@
-"""Models of how the colour of a static point changes between frames, and their fit.
+"""The fit of the models of light (light_model.py) to the colours of static points; the radiances are eliminated."""
 
-    log I = gain of the frame (and channel) + vignetting * off_axis + log(J t + A (1 - t)) / DISPLAY_GAMMA
-
-Fog shows a surface of linear radiance J at distance r through transmittance t = exp(-b r) and adds the airlight A
-(Koschmieder 1924). In gamma-encoded colours I a gain is a factor. Every model has the vignetting, which moves with the
-picture and is otherwise taken for a gain, and the radiances J of the points, which are eliminated. The unknowns of fog
-are b and b A, in which thin fog is linear.
-"""
-
-from dataclasses import dataclass, replace
-from typing import NamedTuple
+from dataclasses import replace
 
 import numpy as np
 
+from stages.scene.light_model import Light, Model, Points, State, brightened, derivatives, errors_of, slopes_of
 from stages.scene.sightings import Sightings
-from stages.shared.images import DISPLAY_GAMMA
 
 ITERATIONS, FOG_ITERATIONS, EVALUATIONS = 5, 10, 3
 KERNEL = 3.0
@@ -28,41 +19,7 @@ MOST_AIRLIGHT = 1.5
 MOST_EXTINCTION = 5.0
 """Per median distance: less than a hundredth of the light is left."""
 FIRST_EXTINCTIONS = (0.1, 0.7)
-"""Where the search begins, per median distance, with the colour of the FARTHEST share of the points as airlight."""
-FARTHEST = 0.1
-LEAST_RADIANCE, MOST_RADIANCE = 1e-4, 10.0
-
-
-class Model(NamedTuple):
-    """Which changes a model knows: `gains` per frame 0: none, 1: one, 3: one per channel; and fog."""
-
-    gains: int
-    fog: bool
-
-
-@dataclass(frozen=True)
-class Light:
-    """Parameters of a model.
-
-    Attributes:
-        log_gains: [F, 3]. vignetting: of the log colours in the corners. extinction: b, 1 / scene unit.
-        scattered: [3], b A: linear radiance that a scene unit of fog adds.
-    """
-
-    log_gains: np.ndarray
-    vignetting: float
-    extinction: float
-    scattered: np.ndarray
-
-    @property
-    def airlight(self) -> np.ndarray:
-        """Linear radiance [3] of the fog at infinity; 0 without fog."""
-        return self.scattered / self.extinction if self.extinction > 0 else np.zeros(3)
-
-
-def no_light(F: int) -> Light:
-    """The light that changes nothing."""
-    return Light(np.zeros((F, 3)), 0.0, 0.0, np.zeros(3))
+"""Where the search begins, per median distance, with the colour of the most distant points as airlight."""
 
 
 def fit(seen: Sightings, model: Model, rows: np.ndarray, start: Light) -> Light:
@@ -71,29 +28,29 @@ def fit(seen: Sightings, model: Model, rows: np.ndarray, start: Light) -> Light:
     Args:
         start: where to begin: parameters of this model or of one that it contains.
     """
-    of = _Data(seen, rows)
+    of = Points(seen, rows)
     if not of.usable.any():
         return start
     if not model.fog:
-        return _improved(of, model, _State(start, of.mean_radiance(start)), ITERATIONS).light
+        return _improved(of, model, State(start, of.mean_radiance(start)), ITERATIONS).light
     starts = [start]
     if start.extinction == 0:
         thick = [extinction / of.unit for extinction in FIRST_EXTINCTIONS]
         starts = [replace(start, extinction=b, scattered=b * of.far_radiance) for b in thick]
-    states = [_improved(of, model, _State(light, of.mean_radiance(light)), ITERATIONS) for light in starts]
-    noise = min(_noise(of, _errors(of, state)) for state in states)
-    best = min(states, key=lambda state: _cost(of, _errors(of, state), noise))
+    states = [_improved(of, model, State(light, of.mean_radiance(light)), ITERATIONS) for light in starts]
+    noise = min(_noise(of, errors_of(of, state)) for state in states)
+    best = min(states, key=lambda state: _cost(of, errors_of(of, state), noise))
     return _improved(of, model, best, FOG_ITERATIONS).light
 
 
-def _improved(of: "_Data", model: Model, state: "_State", iterations: int) -> "_State":
+def _improved(of: Points, model: Model, state: State, iterations: int) -> State:
     """The parameters after so many steps; with fog, in which they are not linear, only steps that help are made."""
     trust = TRUST
     for _ in range(iterations):
-        error = _errors(of, state)
+        error = errors_of(of, state)
         noise = _noise(of, error)
         moved = _step(of, model, state, error, noise, trust)
-        if model.fog and _cost(of, _errors(of, moved), noise) > _cost(of, error, noise):
+        if model.fog and _cost(of, errors_of(of, moved), noise) > _cost(of, error, noise):
             trust *= TRUST_FACTOR
             continue
         state, trust = moved, trust / TRUST_FACTOR
@@ -102,112 +59,29 @@ def _improved(of: "_Data", model: Model, state: "_State", iterations: int) -> "_
 
 def residuals(seen: Sightings, light: Light, rows: np.ndarray) -> np.ndarray:
     """Errors [m, F, 3] of the colours of the points `rows`, 0..1, each with its own best radiance; 0 where unusable."""
-    of = _Data(seen, rows)
-    state = _State(light, of.mean_radiance(light))
+    of = Points(seen, rows)
+    state = State(light, of.mean_radiance(light))
     for _ in range(EVALUATIONS):
-        error = _errors(of, state)
-        slope = _slopes(of, state)
+        error = errors_of(of, state)
+        slope = slopes_of(of, state)
         weight = _weights(of, error, _noise(of, error))
-        state = _State(light, _brightened(state.radiance, _radiance_step(weight, slope, error)))
-    return np.asarray(np.where(of.usable, of.colours * -np.expm1(-_errors(of, state)), 0.0))
+        state = State(light, brightened(state.radiance, _radiance_step(weight, slope, error)))
+    return np.asarray(np.where(of.usable, of.colours * -np.expm1(-errors_of(of, state)), 0.0))
 
 
-def cleared(seen: Sightings, light: Light) -> np.ndarray:
-    """Colours [n, F, 3] of the points as they would be without gains, vignetting and fog."""
-    shown = seen.colours / np.exp(light.log_gains + light.vignetting * seen.off_axis[..., None])
-    clear = _fog(light, seen.distance[..., None])[0]
-    linear = (shown**DISPLAY_GAMMA - light.airlight * (1 - clear)) / clear
-    return np.asarray(np.maximum(linear, LEAST_RADIANCE) ** (1 / DISPLAY_GAMMA), np.float32)
-
-
-class _State(NamedTuple):
-    """The parameters, and the linear radiances [n, 3] of the points without fog."""
-
-    light: Light
-    radiance: np.ndarray
-
-
-class _Data:
-    """The points that a model is fitted to; `unit` is their median distance."""
-
-    def __init__(self, seen: Sightings, rows: np.ndarray) -> None:
-        self.colours, self.usable = seen.colours[rows], seen.usable[rows]
-        self.logs = np.log(np.maximum(self.colours, np.float32(1e-3)))
-        self.distance, self.off_axis = seen.distance[rows][..., None], seen.off_axis[rows][..., None]
-        self.unit = float(np.median(self.distance)) if len(self.distance) else 1.0
-        self.reach, self.far_radiance = self._farthest()
-
-    def _farthest(self) -> tuple[float, np.ndarray]:
-        """Median distance and linear radiance [3] of the most distant sightings; their medians where there are none."""
-        seen = self.usable.all(axis=2)
-        if not seen.any():
-            return self.unit, np.full(3, 0.5)
-        distance, colours = self.distance[..., 0][seen], self.colours[seen]
-        far = distance >= np.quantile(distance, 1 - FARTHEST)
-        return float(np.median(distance[far])), np.median(colours[far], axis=0).astype(float) ** DISPLAY_GAMMA
-
-    def least_airlight(self, extinction: float) -> np.ndarray:
-        """The darkest airlight [3] that the most distant points allow, whose surfaces are at most twice as bright.
-
-        Black fog would be a gain that grows as the camera approaches.
-        """
-        shown = float(np.exp(-extinction * self.reach))
-        return np.asarray(self.far_radiance * max(1 - 2 * shown, 0.0) / max(1 - shown, LEAST_RADIANCE))
-
-    def mean_radiance(self, light: Light) -> np.ndarray:
-        """Linear radiance [n, 3] behind the fog of the mean colour of each point."""
-        count = np.maximum(self.usable.sum(axis=1), 1)
-        level = (light.log_gains + light.vignetting * self.off_axis).astype(np.float32)
-        shown = np.where(self.usable, np.exp(DISPLAY_GAMMA * (self.logs - level)), 0.0).sum(axis=1) / count
-        clear, scattering = _fog(light, self.distance)
-        seen_through, added = (np.where(self.usable, part, 0.0).sum(axis=1) / count for part in (clear, scattering))
-        veiled = shown - light.scattered * added
-        return _brightened(np.maximum(veiled, LEAST_RADIANCE) / np.maximum(seen_through, LEAST_RADIANCE), np.zeros(1))
-
-
-def _fog(light: Light, distance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Transmittance t over distances [...], and the integral (1 - t) / b of it, which is the distance where b is 0."""
-    optical = (light.extinction * distance).astype(distance.dtype)
-    filled = np.where(optical > 1e-6, -np.expm1(-optical) / np.maximum(optical, 1e-6), 1 - optical / 2)
-    return np.exp(-optical), distance * filled
-
-
-def _linear(of: _Data, state: _State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Transmittance [n, F, 1], its integral [n, F, 1], and the linear radiance [n, F, 3] > 0 that is seen."""
-    clear, scattering = _fog(state.light, of.distance)
-    surface = state.radiance[:, None].astype(np.float32) * clear
-    shown = surface + state.light.scattered.astype(np.float32) * scattering
-    return clear, scattering, np.maximum(shown, np.float32(LEAST_RADIANCE))  # the sky behind black fog is black
-
-
-def _errors(of: _Data, state: _State) -> np.ndarray:
-    """Errors [n, F, 3] of the logarithms of the colours."""
-    level = (state.light.log_gains + state.light.vignetting * of.off_axis).astype(np.float32)
-    shown = _linear(of, state)[2] if state.light.extinction > 0 else state.radiance[:, None].astype(np.float32)
-    return np.asarray(of.logs - level - np.log(shown) / np.float32(DISPLAY_GAMMA))
-
-
-def _slopes(of: _Data, state: _State) -> np.ndarray:
-    """Derivatives [n, F, 3] of the log colours by the log radiances."""
-    if state.light.extinction == 0:
-        return np.full(of.colours.shape, 1 / DISPLAY_GAMMA, np.float32)
-    clear, _, linear = _linear(of, state)
-    return np.asarray(state.radiance[:, None].astype(np.float32) * clear / linear / np.float32(DISPLAY_GAMMA))
-
-
-def _noise(of: _Data, error: np.ndarray) -> float:
+def _noise(of: Points, error: np.ndarray) -> float:
     """Standard deviation of the errors of the colours, robustly."""
     shown = np.abs(of.colours * error)[of.usable]
     return max(1.4826 * float(np.median(shown)), LEAST_NOISE) if len(shown) else LEAST_NOISE
 
 
-def _weights(of: _Data, error: np.ndarray, noise: float) -> np.ndarray:
+def _weights(of: Points, error: np.ndarray, noise: float) -> np.ndarray:
     """Weights [n, F, 3]: squared colour, so that errors count in grey levels, times that of the robust kernel."""
     ratio = of.colours * error / np.float32(KERNEL * noise)
     return np.asarray(np.where(of.usable, np.square(of.colours / (1 + ratio * ratio)), np.float32(0)))
 
 
-def _cost(of: _Data, error: np.ndarray, noise: float) -> float:
+def _cost(of: Points, error: np.ndarray, noise: float) -> float:
     """Robust cost of the errors, by the kernel of `_weights`."""
     squares = np.square(of.colours * error / np.float32(KERNEL * noise))
     return float((squares / (1 + squares))[of.usable].sum(dtype=float))
@@ -219,14 +93,10 @@ def _radiance_step(weight: np.ndarray, slope: np.ndarray, error: np.ndarray) -> 
     return np.asarray((weight * slope * error).sum(axis=1) / np.where(scatter > 0, scatter, 1.0))
 
 
-def _brightened(radiance: np.ndarray, step: np.ndarray) -> np.ndarray:
-    return np.asarray(np.clip(radiance * np.exp(np.clip(step, -1, 1)), LEAST_RADIANCE, MOST_RADIANCE))
-
-
-def _step(of: _Data, model: Model, state: _State, error: np.ndarray, noise: float, trust: float) -> _State:
+def _step(of: Points, model: Model, state: State, error: np.ndarray, noise: float, trust: float) -> State:
     """One Gauss-Newton step of all parameters, the radiances eliminated."""
-    F, light, slope = error.shape[1], state.light, _slopes(of, state)
-    weight, extras = _weights(of, error, noise), _extras(of, model, state)
+    F, light, slope = error.shape[1], state.light, slopes_of(of, state)
+    weight, extras = _weights(of, error, noise), derivatives(of, model, state)
     solution = _solve(weight, slope, error, extras, model.gains, trust)
     tables, rest = solution[: model.gains * F].reshape(-1, F).T, solution[model.gains * F :]
     moved = replace(light, vignetting=light.vignetting + float(rest[0]))
@@ -238,22 +108,8 @@ def _step(of: _Data, model: Model, state: _State, error: np.ndarray, noise: floa
         scattered = np.clip(scattered, of.least_airlight(extinction) * extinction, MOST_AIRLIGHT * extinction)
         moved = replace(moved, extinction=extinction, scattered=scattered)
     # The radiances follow: what the other parameters, as they are now, leave over.
-    left = _errors(of, _State(moved, state.radiance))
-    return _State(moved, _brightened(state.radiance, _radiance_step(weight, slope, left)))
-
-
-def _extras(of: _Data, model: Model, state: _State) -> list[np.ndarray]:
-    """Derivatives [n, F, 3] of the log colours by vignetting, and by b and b A [3] over the median distance."""
-    extras = [np.broadcast_to(of.off_axis, of.colours.shape)]
-    if model.fog:
-        clear, scattering, linear = _linear(of, state)
-        b, r, scale = state.light.extinction, of.distance, of.unit * DISPLAY_GAMMA * linear
-        # d scattering / d b = (r t - (1 - t) / b) / b, which is -r^2 / 2 where b is 0
-        bent = (r * clear - scattering) / b if b * of.unit > 1e-3 else -r * r / 2
-        by_b = -r * clear * state.radiance[:, None] + bent * state.light.scattered
-        extras.append((by_b / scale).astype(np.float32))
-        extras += [(scattering / scale * channel).astype(np.float32) for channel in np.eye(3)]
-    return extras
+    left = errors_of(of, State(moved, state.radiance))
+    return State(moved, brightened(state.radiance, _radiance_step(weight, slope, left)))
 
 
 def _solve(

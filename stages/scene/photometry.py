@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from stages.scene import light
-from stages.scene.light import Light, Model
+from stages.scene.light_model import Light, Model, cleared, no_light
 from stages.scene.sightings import GROUP, Sightings
 from stages.scene.weigh import NOTHING, Bought, weigh
 
@@ -98,7 +98,7 @@ def _held_out_errors(seen: Sightings, model: Model) -> np.ndarray:
 
 def _fit(seen: Sightings, model: Model, rows: np.ndarray) -> Light:
     """The parameters of a model from the points `rows`; fog begins at the gains without it."""
-    start = light.no_light(seen.colours.shape[1])
+    start = no_light(seen.colours.shape[1])
     if model.fog:
         start = light.fit(seen, model._replace(fog=False), rows, start)
     return light.fit(seen, model, rows, start)
@@ -135,7 +135,7 @@ def view_evidence(seen: Sightings, fitted: Light) -> ViewEvidence:
     over the frames, but each point's by its own surroundings.
     """
     usable = seen.usable.all(axis=2).reshape(-1, GROUP, seen.usable.shape[1])
-    colours = light.cleared(seen, fitted).reshape(*usable.shape, 3)
+    colours = cleared(seen, fitted).reshape(*usable.shape, 3)
     rays = seen.points[:, None] - seen.centres
     directions = (rays / np.linalg.norm(rays, axis=-1, keepdims=True)).reshape(*usable.shape, 3)
     errors, judged = zip(*(_predicted(colours, directions, usable, degree) for degree in range(3)), strict=True)

@@ -23,6 +23,9 @@ MIN_DISTANCE_CHANGE = 0.02
 MIN_VIEW_GREY, MIN_VIEW_SHARE = 2.55, 0.25
 """Harmonics make the model two or three times as large; a degree more must save another tenth of the change."""
 MIN_SECOND_DEGREE_SHARE = 0.1
+MIN_VIEW_DEG = 0.5
+"""Median range of the views. The direction to a highlight's middle turns by half of it, less than the sun is wide: what
+changes over so few views changes with time."""
 MIN_BENDING_PX, MIN_BENDING_SHARE, MIN_IMAGE_PX = 0.25, 0.15, 0.12
 """Flow between neighbouring frames has errors of about a quarter of a pixel; share: of the spread of its flow. Over all
 pixels of the frames: bending of small movers buys nothing that is worth twice as many points."""
@@ -124,11 +127,14 @@ def decide_view_dependent(evidence: ViewEvidence, choice: Choice) -> Decision:
     """View-dependent colour, with the degree of the spherical harmonics: 0 where it is not needed."""
     first, second = evidence.degrees
     best = max(evidence.degrees, key=lambda bought: bought.saved)
-    needed = best.reaches(MIN_VIEW_GREY, MIN_VIEW_SHARE)
+    observable = best.samples > 0 and evidence.angle_deg >= MIN_VIEW_DEG
+    needed = observable and best.reaches(MIN_VIEW_GREY, MIN_VIEW_SHARE)
     why = (
         f"the change of neighbours with the view, over {evidence.angle_deg:.0f} degrees, {_saves(best, 'grey levels')}"
         f" (at least {MIN_VIEW_SHARE:.0%})"
     )
+    if not observable:
+        why = f"not observable: points are seen over {evidence.angle_deg:.2f} degrees, less than {MIN_VIEW_DEG}; {why}"
     numbers = {"share_degree1": first.share, "share_degree2": second.share, "view_angle_deg": evidence.angle_deg}
     decision = _decision(needed, best, MIN_VIEW_GREY, "grey levels", numbers, why, choice)
     degree = 2 if second.share - first.share >= MIN_SECOND_DEGREE_SHARE else 1

@@ -2,11 +2,14 @@
 
 from dataclasses import replace
 
+import finished_run as clip
 import numpy as np
 import pytest
-from test_scene_light import decided, drift, lit_room, tint
+from square_inputs import observe
+from test_scene_light import decided, drift, lit_room, smooth_pictures, tint
 
 from stages.scene import rules
+from stages.scene.light_model import no_light
 from stages.scene.photometry import light_evidence, view_evidence
 from stages.scene.sightings import sight
 
@@ -77,3 +80,15 @@ def test_fog_that_hides_everything_is_no_gain_and_no_gloss() -> None:
     assert not view["needed"]
     tinted = light_evidence(sight(lit_room(extinction=5.0, gains=drift(10.0) * tint(0.1))))
     assert decided(tinted) == (True, True, False)  # gains are seen on the fog itself
+
+
+def test_a_highlight_that_is_seen_from_one_place_is_not_observable() -> None:
+    """A camera that only trembles, under light that goes with it: time and view cannot be told apart."""
+    points = sight(observe(smooth_pictures(shine=0.5)))
+    middle = points.centres.mean(axis=0)
+    trembling = points._replace(centres=middle + 0.01 * (points.centres - middle))
+    one_frame = points._replace(usable=points.usable & (np.arange(clip.T) == 0)[:, None])
+    for seen, expected in ((points, True), (trembling, False), (one_frame, False)):
+        found = rules.decide_view_dependent(view_evidence(seen, no_light(clip.T)), "auto")
+        assert found["needed"] == expected
+        assert ("not observable" in found["why"]) == (not expected)
