@@ -7,8 +7,8 @@ LIBRARY := library
 # Of the demo and of the results: fast, balanced (what plain `snakemake` runs) or accurate.
 PRESET := fast
 # Of the benchmark of long video: a clip whose camera goes on, and the first frames of it that are measured.
-LONG_SCENE := long_take
-LONG_FRAMES := 25 50 100 200
+LONG_SCENE := long_walk
+LONG_FRAMES := 50 200 1000
 
 .PHONY: install demo results priced test test-long test-slurm bench bench-long lint clean
 
