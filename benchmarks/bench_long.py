@@ -75,8 +75,8 @@ resident, and an exponent of CPU seconds of at most {GOAL_EXPONENT}. MB are 1e6 
 
 def clip_options(scene: str, folder: Path, width: int, height: int) -> dict[str, Any]:
     """The options that choose the clip: a scene of the library or of a file, drawn at this size, or a path as it is."""
-    library = datasets.SCENES / f"{scene}.yaml"
-    file = library if library.is_file() else Path(scene)
+    library = {file.stem: file for file in datasets.SCENES.rglob("*.yaml")}
+    file = library.get(scene, Path(scene))
     if file.suffix not in (".yaml", ".yml"):
         if not file.exists():
             raise InputError(scene, "a scene of the library, a scene file, frames or a video", "neither", "name one")
