@@ -43,7 +43,7 @@ def demo(finished: Path) -> dict[str, Any]:
 
 
 def test_jobs_ask_for_the_memory_that_they_take(finished: Path) -> None:
-    """No job takes more than it asks for, nor asks for far more."""
+    """No job takes more than it asks for, which leaves room for compiling kernels, nor asks for far more."""
     plan = run(finished, "results/simulated/demo/eval/poses.parquet", "-n", "-F")
     asked = {rule: int(mb) for rule, mb in re.findall(r"rule (\w+):.*?mem_mb=(\d+)", plan, re.DOTALL)}
     peaks: dict[str, float] = {}  # of repeated stages, that of the round that took most
@@ -54,7 +54,7 @@ def test_jobs_ask_for_the_memory_that_they_take(finished: Path) -> None:
     shares = {stage: asked[stage] / (1.048576 * peak) for stage, peak in peaks.items()}
     assert min(shares.values()) > 1, shares
     del shares["simulate"]  # it asks for what the largest scene of the library takes
-    assert max(shares.values()) < 1.5, shares
+    assert max(shares.values()) < 1.7, shares
 
 
 def test_cameras_keep_their_floors(demo: dict[str, Any]) -> None:

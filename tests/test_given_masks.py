@@ -227,7 +227,8 @@ def test_time_of_masks_that_were_made_once(tmp_path: Path) -> None:
 
 
 def test_paths_are_checked_before_any_work(tmp_path: Path, frames: Sequence) -> None:
-    two = {"clip": frames, "other": replace(frames, name="other")}
+    elsewhere = [tmp_path / "other" / path.name for path in frames.frames]
+    two = {"clip": frames, "other": replace(frames, name="other", frames=elsewhere)}
 
     def check(path: object, sequences: dict[str, Sequence]) -> None:
         given_inputs.check([(configuration.load({"segment": {"source": str(path)}}), sequences.values())])

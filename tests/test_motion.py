@@ -10,8 +10,8 @@ from synthetic import Scene, flow_arrays, make_scene, painted
 
 from stages.motion import __main__ as motion_stage
 from stages.motion import epipolar, photometric, pooling, resweep
-from stages.motion import flow_pairs as flow_pairs_module
 from stages.motion.epipolar import Evidence
+from stages.shared import flow_pairs as flow_pairs_module
 from stages.shared import lie
 from stages.shared.artifacts import Dense, read_dense, read_metadata, write_dense, write_json
 from stages.shared.cameras import make_cameras, pixel_grid, projection, static_flow, write_cameras

@@ -80,6 +80,8 @@ class StoredFrames:
 
     def __init__(self, frames: Iterable[np.ndarray], folder: Path | None = None) -> None:
         self._count, self._current = 0, -1
+        if folder is not None:
+            folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder) as file:
             for frame in frames:
                 self._shape, self._type = frame.shape, frame.dtype
