@@ -105,6 +105,18 @@ def test_what_moves_with_the_camera_is_no_place() -> None:
     assert not find_loops(grey, flow)
 
 
+def test_what_is_burnt_in_is_no_place() -> None:
+    """A frame around the picture: any two pictures match there, so that all places would count as repeated."""
+    corners = circuit(92)
+    grey, flow = moved_over(ground(H + 200, W + 200), corners)
+    scene = np.zeros((H, W), bool)
+    scene[14:-14, 20:-20] = True
+    found = find_loops(np.where(scene, grey, ground(H, W, seed=4)), flow, scene)
+    assert len(found) >= 4
+    for (i, j), matches in found:
+        assert np.median(np.linalg.norm(matches[:, 1] - matches[:, 0] - (corners[i] - corners[j]), axis=1)) < 0.5
+
+
 def test_short_clips_and_other_shots_have_none() -> None:
     grey, flow = moved_over(ground(H + 200, W + 200), circuit(FAR + 1))
     assert not find_loops(grey, flow)

@@ -14,10 +14,12 @@ from test_flow import shifted_frames
 from stages.flow import __main__ as flow_stage
 from stages.flow import edges, passes
 from stages.flow.dis import estimate_flow
+from stages.flow.loops import Loop
 from stages.flow.options import FlowOptions
-from stages.flow.parts import Parts
+from stages.flow.parts import ROWS, Parts, Window
 from stages.shared import digest
 from stages.shared.artifacts import read_dense, read_metadata, write_json
+from stages.shared.packing import Packed, pack
 from stages.shared.sequences import check_sequence, sequence_to_json
 
 KILLED = """
@@ -107,3 +109,52 @@ def test_only_the_same_run_resumes(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         resumed.append((parts.folder / "near_000000.arrow").exists())
         (parts.folder / "near_000000.arrow").touch()
     assert resumed == [False, True, False, False, False]
+
+
+def test_all_near_flow_is_read_without_holding_it(tmp_path: Path) -> None:
+    """Loops are sought in a thousand frames: of edges that were read, few stay in memory."""
+    parts, rng = Parts(tmp_path / "pairs.arrow", "here"), np.random.default_rng(0)
+    flow = {(k, k + 1): rng.normal(size=(4, 6, 2)).astype(np.float16) for k in range(3 * ROWS)}
+    for first in range(0, len(flow), 8):
+        block = dict(list(flow.items())[first : first + 8])
+        packed = {"flow": Packed([pack(of) for of in block.values()], (4, 6, 2))}
+        parts.add("near", range(first, first + 8), block, packed)
+    kept = parts.kept("near")
+    unpacked = [columns["flow"]._read for _, columns in kept._blocks.values()]  # type: ignore[attr-defined]
+    for edge, of in flow.items():
+        np.testing.assert_array_equal(kept[edge], of)
+        assert sum(rows.cache_info().currsize for rows in unpacked) <= ROWS
+
+
+def test_loops_are_matched_a_block_at_a_time_and_resumed(tmp_path: Path) -> None:
+    """Twenty loops in three blocks, of which a killed run has left the first; flow is packed when a block is done."""
+    pairs = [(k, k + 70) for k in range(20)]
+
+    class Matched:
+        """Knows loops, and the flow of those that it is asked for."""
+
+        def __init__(self) -> None:
+            self.asked: list[int] = []
+
+        def loops(self, _near: Window, _scene: None) -> list[Loop]:
+            return [Loop(pair, np.zeros((0, 2, 2))) for pair in pairs]
+
+        def closed(self, loops: list[Loop]) -> dict[edges.Edge, np.ndarray]:
+            self.asked.append(len(loops))
+            both = [edge for loop in loops for edge in (loop.pair, loop.pair[::-1])]
+            return {(i, j): np.full((4, 6, 2), i + j / 100, np.float32) for i, j in both if max(i, j) != 75}
+
+        def confidence(self, edge: edges.Edge, flow: passes.Flows) -> np.ndarray:
+            return np.ones(flow[edge].shape[:2])
+
+    first, again = Matched(), Matched()
+    parts = Parts(tmp_path / "pairs.arrow", "here")
+    facts = passes.close_loops(first, 90, parts, None)  # type: ignore[arg-type]
+    assert facts == {"loops": 19, "frames_in_loops": 38}
+    (parts.folder / "loop_000008.arrow").unlink()
+    assert passes.close_loops(again, 90, parts, None) == facts  # type: ignore[arg-type]
+    assert (first.asked, again.asked) == ([8, 8, 4], [8])
+    assert not list(parts.folder.glob("exact_*"))
+    kept = parts.kept("loop")
+    assert sorted(kept) == sorted(edge for i, j in pairs if j != 75 for edge in ((i, j), (j, i)))
+    assert all((kept[i, j] == passes.stored(np.full((4, 6, 2), i + j / 100, np.float32))).all() for i, j in kept)

@@ -87,7 +87,7 @@ def _match(
         scene = cv2.erode(scene.astype(np.uint8), np.ones((DIS_PATCH_PX + 1,) * 2, np.uint8), borderValue=1) > 0
     cv2.setNumThreads(1)
     matcher: passes.Matcher
-    facts: dict[str, Any] = {"source": options.source}
+    facts: dict[str, Any] = {"source": options.source, "loops": 0, "frames_in_loops": 0}
     if options.source == "truth":
         matcher = TrueFlow(read_truth(frames, *size))
     else:
@@ -98,9 +98,9 @@ def _match(
     for _ in progress(done, "flow, edges", total):
         pass
     if options.loops == "auto" and isinstance(matcher, Estimate):
-        passes.close_loops(matcher, T, parts, scene)
+        facts |= passes.close_loops(matcher, T, parts, scene)
     cv2.setNumThreads(threads)
-    return {"loops": 0, "frames_in_loops": 0} | parts.totals() | facts
+    return parts.totals() | facts
 
 
 def _given(path: str | None, frames: Sequence, rgb: Images, grid: tuple[int, int]) -> dict[Edge, GivenFlow]:

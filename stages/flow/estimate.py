@@ -10,7 +10,7 @@ from stages.flow.averaging import Frames
 from stages.flow.confidence import flow_confidence
 from stages.flow.dis import estimate_flow
 from stages.flow.edges import Edge
-from stages.flow.loops import find_loops, loop_flow
+from stages.flow.loops import Loop, find_loops, loop_flow
 from stages.flow.matches import restarted_pair
 from stages.flow.passes import Flows
 from stages.given.flow import GivenFlow
@@ -50,11 +50,13 @@ class Estimate:
         estimated = self._estimated([edge for edge in edges if edge not in self.known], at_hand)
         return {edge: self.known[edge] if edge in self.known else estimated[edge] for edge in edges}
 
-    def loops(self, near: Mapping[Edge, np.ndarray]) -> Flows:
-        """Of frames too far apart for a chain that show the same place, by what they show (stages.flow.loops)."""
-        frames = self.frames
-        found = loop_flow(frames.rgb, frames.grey, find_loops(frames.grey, near), frames.finest_scale)
-        return {edge: of for edge, of in found.items() if edge not in self.others}
+    def loops(self, near: Mapping[Edge, np.ndarray], scene: np.ndarray | None) -> list[Loop]:
+        """Frames too far apart for a chain that show the same place, by what they show; those given are left out."""
+        return [loop for loop in find_loops(self.frames.grey, near, scene) if loop.pair not in self.others]
+
+    def closed(self, loops: list[Loop]) -> Flows:
+        """Both edges of every loop."""
+        return loop_flow(self.frames.rgb, self.frames.grey, loops, self.frames.finest_scale)
 
     def confidence(self, edge: Edge, flow: Flows) -> np.ndarray:
         """As `flow_confidence`, or as the user states it; zero where given flow is not known."""

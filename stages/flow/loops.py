@@ -55,7 +55,9 @@ class Loop(NamedTuple):
     matches: np.ndarray
 
 
-def find_loops(grey: Images | np.ndarray, flow: Mapping[Edge, np.ndarray]) -> list[Loop]:
+def find_loops(
+    grey: Images | np.ndarray, flow: Mapping[Edge, np.ndarray], scene: np.ndarray | None = None
+) -> list[Loop]:
     """Pairs of frames grey [T, h, w] uint8 more than FAR apart that show the same place, sorted.
 
     Clips of at most FAR frames have none, and take no time. Otherwise time is linear in the frames, but for one product
@@ -63,6 +65,7 @@ def find_loops(grey: Images | np.ndarray, flow: Mapping[Edge, np.ndarray]) -> li
 
     Args:
         flow: [h, w, 2] px of the edges between near frames, both ways.
+        scene: [h, w] bool, false where something is burnt into the frames, which is no place; None: nowhere.
     """
     T = len(grey)
     if T <= FAR + 1:
@@ -72,7 +75,7 @@ def find_loops(grey: Images | np.ndarray, flow: Mapping[Edge, np.ndarray]) -> li
     if at[-1] <= FAR:
         return []
     distances = sorted({abs(i - j) for i, j in flow}, reverse=True)
-    seen = threaded(lambda i: _at_rest(features(grey[i]), flow, distances, i), at)
+    seen = threaded(lambda i: _at_rest(_in_scene(features(grey[i]), scene), flow, distances, i), at)
     similarity, far = _similarity(seen), np.subtract.outer(at, at) > FAR
     away = (np.linalg.norm(net[:, None] - net, axis=2) > size[1]) & ~far & ~far.T
     one_shot = np.equal.outer(shots, shots)
@@ -163,6 +166,15 @@ def _epipolar(matches: np.ndarray) -> tuple[np.ndarray | None, np.ndarray]:
     return F, fitting[:, 0] > 0
 
 
+def _in_scene(found: Features, scene: np.ndarray | None) -> Features:
+    """The features of a frame at pixels of the scene [h, w] bool."""
+    if scene is None:
+        return found
+    u, v = np.rint(found[0]).astype(int).T
+    shown = scene[np.clip(v, 0, scene.shape[0] - 1), np.clip(u, 0, scene.shape[1] - 1)]
+    return found[0][shown], found[1][shown]
+
+
 def _at_rest(found: Features, flow: Mapping[Edge, np.ndarray], distances: Sequence[int], i: int) -> Features:
     """The features of frame i without those on movers, by the flow of its longest near edge."""
     points, descriptors = found
@@ -181,10 +193,11 @@ def _at_rest(found: Features, flow: Mapping[Edge, np.ndarray], distances: Sequen
 
 def _similarity(seen: Sequence[Features]) -> np.ndarray:
     """Cosines [n, n] between VLADs of n frames, the residuals of each word of unit length (Arandjelovic, 2013)."""
-    everything = np.concatenate([descriptors for _, descriptors in seen])
-    if len(everything) < WORDS:
+    starts = np.cumsum([0, *(len(descriptors) for _, descriptors in seen)])
+    if starts[-1] < WORDS:
         return np.zeros((len(seen), len(seen)), np.float32)
-    sample = np.ascontiguousarray(everything[:: max(1, len(everything) // SAMPLES)])
+    every = max(1, int(starts[-1]) // SAMPLES)
+    sample = np.concatenate([of[-start % every :: every] for start, (_, of) in zip(starts, seen, strict=False)])
     cv2.setRNGSeed(0)
     stop = (cv2.TERM_CRITERIA_MAX_ITER, 8, 0.0)
     _, _, words = cv2.kmeans(sample, WORDS, np.zeros(0, np.int32), stop, 1, cv2.KMEANS_PP_CENTERS)

@@ -1,7 +1,7 @@
 """What a run of the flow stage has done so far, in files beside its output: a killed run goes on from there.
 
 Edges are matched in blocks of frames. A block leaves two files: its flow and confidence as pairs.arrow will hold them,
-and its flow at full precision, from which longer edges are chained, as long as they need it.
+and, of near and far edges, its flow at full precision, from which longer edges are chained, as long as they need it.
 """
 
 import json
@@ -21,6 +21,7 @@ from stages.shared.rows import Rows
 ROWS = 64
 """Edges that are copied together."""
 ORIGIN = "origin.json"
+KINDS = ("near", "far", "loop")
 
 
 class Window(Mapping[Edge, np.ndarray]):
@@ -29,9 +30,11 @@ class Window(Mapping[Edge, np.ndarray]):
     An edge ends at the later of its frames.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, most: int | None = None) -> None:
+        """Of which the memory is given back after `most` edges were read; None: where it is released alone."""
         self._blocks: dict[int, tuple[Path, Dense]] = {}
         self._rows: dict[Edge, tuple[int, int]] = {}
+        self._most, self._read = most, 0
 
     def add(self, run: range, path: Path) -> None:
         """Take in the file of the edges that end in the frames `run`."""
@@ -52,6 +55,9 @@ class Window(Mapping[Edge, np.ndarray]):
 
     def __getitem__(self, edge: Edge) -> np.ndarray:
         stop, row = self._rows[edge]
+        self._read += 1
+        if self._most is not None and self._read % self._most == 0:
+            self.release()
         return self._blocks[stop][1]["flow"][row].astype(np.float32, copy=False)
 
     def __contains__(self, edge: object) -> bool:
@@ -68,7 +74,7 @@ class Parts:
     """The files of a run beside its output. Only a run of the same origin goes on from them.
 
     Attributes:
-        windows: by kind of edge, near, far or loop.
+        windows: of near and of far edges, from which others are chained.
     """
 
     def __init__(self, output: Path, origin: str) -> None:
@@ -79,7 +85,7 @@ class Parts:
             shutil.rmtree(self.folder)
         self.folder.mkdir(parents=True, exist_ok=True)
         write_json(found, {"origin": origin})
-        self.windows = {kind: Window() for kind in ("near", "far", "loop")}
+        self.windows = {kind: Window() for kind in ("near", "far")}
 
     def resume(self, kind: str, run: range) -> int | None:
         """Take over a block of edges that an earlier run has finished; their number, None if there is none."""
@@ -94,15 +100,15 @@ class Parts:
         self, kind: str, run: range, edges: Mapping[Edge, np.ndarray], packed: Mapping[str, Packed], **facts: int
     ) -> None:
         """Keep a block of edges with their flow [h, w, 2] px, as it is and packed, and facts that add up."""
-        if edges:
+        if edges and kind in self.windows:
             write_dense(self._exact(kind, run), {**_ends(list(edges)), "flow": np.stack(list(edges.values()))})
             self.windows[kind].add(run, self._exact(kind, run))
         columns = {**_ends(list(edges)), **packed} if edges else {"source": np.zeros(0, np.int64)}
         write_dense(self._file(kind, run), columns, {"edges": len(edges), **facts})
 
     def kept(self, kind: str) -> Window:
-        """Flow of all edges of a kind that are done, as pairs.arrow will hold it."""
-        window = Window()
+        """Flow of all edges of a kind that are done, as pairs.arrow will hold it, of which ROWS at most are held."""
+        window = Window(ROWS)
         for n, path in enumerate(self._finished([kind])):
             if read_metadata(path)["edges"]:
                 window.add(range(n, n + 1), path)
@@ -135,8 +141,8 @@ class Parts:
         """Delete the files: the run is done."""
         shutil.rmtree(self.folder)
 
-    def _finished(self, kinds: Iterable[str] | None = None) -> list[Path]:
-        return [path for kind in kinds or self.windows for path in sorted(self.folder.glob(f"{kind}_*.arrow"))]
+    def _finished(self, kinds: Iterable[str] = KINDS) -> list[Path]:
+        return [path for kind in kinds for path in sorted(self.folder.glob(f"{kind}_*.arrow"))]
 
     def _file(self, kind: str, run: range) -> Path:
         return self.folder / f"{kind}_{run.start:06d}.arrow"

@@ -72,15 +72,24 @@ def match(matcher: Matcher, T: int, options: FlowOptions, parts: Parts, scene: n
         yield done
 
 
-def close_loops(estimate: "Estimate", T: int, parts: Parts, scene: np.ndarray | None) -> None:
-    """Match frames that show a place again, once all near flow is known; arguments as in `match`."""
-    if most_loops(T) and parts.resume("loop", range(T)) is None:
-        near = parts.kept("near")
-        flow = estimate.loops(near)
-        packed, sure = _packed(estimate, flow, scene)
-        ends = {i for i, _ in flow}
-        parts.add("loop", range(T), flow, packed, loops=len(flow) // 2, frames_in_loops=len(ends), confident=sure)
-        near.release()
+def close_loops(estimate: "Estimate", T: int, parts: Parts, scene: np.ndarray | None) -> dict[str, int]:
+    """Match frames that show a place again, once all near flow is known; arguments as in `match`.
+
+    Returns:
+        facts: `loops`, pairs of frames, and `frames_in_loops`.
+    """
+    if not most_loops(T):
+        return {"loops": 0, "frames_in_loops": 0}
+    near = parts.kept("near")
+    found = estimate.loops(near, scene)
+    near.release()
+    for run in blocks(len(found)):
+        if parts.resume("loop", run) is None:
+            flow = estimate.closed(found[run.start : run.stop])
+            packed, sure = _packed(estimate, flow, scene)
+            parts.add("loop", run, flow, packed, confident=sure)
+    ends = [i for i, _ in parts.kept("loop")]
+    return {"loops": len(ends) // 2, "frames_in_loops": len(set(ends))}
 
 
 def _steps(T: int, reach: int) -> Iterator[tuple[str, range]]:
