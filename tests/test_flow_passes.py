@@ -13,7 +13,9 @@ from test_flow import shifted_frames
 
 from stages.flow import __main__ as flow_stage
 from stages.flow import edges, passes
+from stages.flow.averaging import _average
 from stages.flow.dis import estimate_flow
+from stages.flow.frames import Images
 from stages.flow.loops import Loop
 from stages.flow.options import FlowOptions
 from stages.flow.parts import ROWS, Parts, Window
@@ -91,6 +93,19 @@ def test_a_killed_run_resumes_with_the_same_result(tmp_path: Path, monkeypatch: 
     assert run(tmp_path / "killed", options) == expected
     assert added == [("far", range(8, 16)), ("far", range(16, 20))]
     assert not list((tmp_path / "killed").glob(".*"))
+
+
+def test_a_killed_averaging_resumes_with_the_same_frames(tmp_path: Path) -> None:
+    """Fast noisy frames, of whose four blocks a killed run has left some: flow of two steps starts from that of one."""
+    noise = np.random.default_rng(0).normal(0, 6, (28, 48, 96))
+    loud = Images(28, (shifted_frames(28, (4, 1), (48, 96)) + noise).astype(np.float32).__getitem__)
+    files = _average(loud, 36.0, 0, 2, tmp_path)
+    expected = [path.read_bytes() for path in files]
+    for left in (1, 2, 3):
+        for path in files[left:]:
+            path.unlink()
+        _average(loud, 36.0, 0, 2, tmp_path)
+        assert [path.read_bytes() for path in files] == expected, left
 
 
 def test_only_the_same_run_resumes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
