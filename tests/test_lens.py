@@ -9,11 +9,11 @@ from synthetic import Scene, exact_flow, flow_arrays, make_scene
 
 from stages.evaluate.score_lens import lens_rows
 from stages.lens.__main__ import main
-from stages.lens.carry import carried_sequence, carry_flow, carry_images
+from stages.lens.carry import carried_grid, carried_sequence, carry_flow, carry_images
 from stages.lens.options import LensOptions
 from stages.lens.pinhole import Pinhole, largest_pinhole
 from stages.shared import sintel
-from stages.shared.artifacts import read_dense, read_json, read_metadata, write_dense, write_json
+from stages.shared.artifacts import Dense, read_dense, read_json, read_metadata, write_dense, write_json
 from stages.shared.cameras import make_cameras, pixel_grid
 from stages.shared.images import read_rgb, write_image
 from stages.shared.masks import read_burnt_in
@@ -147,10 +147,12 @@ def test_no_pixel_of_the_new_image_lies_outside_of_the_old_one_and_the_maps_are_
 def test_matches_that_leave_the_new_image_are_not_confident() -> None:
     flow = np.zeros((1, 40, 60, 2), np.float16)
     flow[..., 0] = 10
-    columns = {"source": np.array([0]), "target": np.array([1]), "flow": flow, "confidence": np.ones((1, 40, 60))}
-    carried, confidence, scale = carry_flow(columns, Pinhole(np.array([1e-5, 0]), (120, 80), 4, 3))
+    ends = {"source": np.array([0]), "target": np.array([1])}
+    columns = Dense({**ends, "flow": flow, "confidence": np.ones((1, 40, 60))})
+    pinhole = Pinhole(np.array([1e-5, 0]), (120, 80), 4, 3)
+    [(_, carried, confidence)] = carry_flow(columns, pinhole)
     assert carried.shape[1:3] == confidence.shape[1:] == (37, 56)
-    assert scale == 56 / 112
+    assert carried_grid(columns, pinhole) == ((56, 37), 56 / 112)
     assert (confidence[0, :, -9:] == 0).all()
     assert (confidence[0, :, :40] == 1).all()
 

@@ -71,7 +71,7 @@ def _average(loud: Images, level: float, finest_scale: int, threads: int, folder
     flow: dict[Edge, np.ndarray] = {}
     for n, run in enumerate([*runs, range(0)]):
         near = range(max(n - 1, 0), min(n + 2, len(runs)))
-        if all(files[k].exists() for k in near):  # the flow that ends here is needed for these: from it that of the next starts
+        if all(files[k].exists() for k in near):  # flow that ends here is for these alone, or for a longer one to start
             continue
         edges = [edge for edge in edges_ending(run, noise.REACH) if edge not in flow]
         flow |= estimate_flow(rounded, edges, finest_scale, threads, flow)

@@ -13,15 +13,26 @@ from stages.ba.distortion import NOT_TESTED, Lens, find_lens
 from stages.ba.estimate import PRIOR_FOCAL
 from stages.ba.graph import FlowGraph, build_graph
 from stages.ba.state import FocalPrior
-from stages.lens.carry import CARRIED, carried_sequence, carry_flow, carry_images
+from stages.lens.carry import CARRIED, carried_grid, carried_sequence, carry_flow, carry_images
 from stages.lens.options import LensOptions
 from stages.lens.pinhole import Pinhole, largest_pinhole
 from stages.shared import cli
-from stages.shared.artifacts import atomic, atomic_folder, read_dense, read_json, read_metadata, write_dense, write_json
+from stages.shared.artifacts import (
+    Dense,
+    atomic,
+    atomic_folder,
+    dense_writer,
+    read_dense,
+    read_json,
+    read_metadata,
+    write_json,
+)
 from stages.shared.cameras import centred_intrinsics, scale_intrinsics
 from stages.shared.cli import In, Out
 from stages.shared.log import logger
+from stages.shared.packing import Packed, pack
 from stages.shared.sequences import Sequence, read_sequence
+from stages.shared.threads import threaded
 
 STRIDE_PX = 8
 MOST_FRAMES = 40
@@ -71,11 +82,12 @@ def _decide(frames: Sequence, flow: Path, options: LensOptions) -> Lens:
     return find_lens(graph, prior, options.seed, assumed=options.distortion == "yes")
 
 
-def _graph(frames: Sequence, columns: dict[str, np.ndarray], scale: float) -> FlowGraph:
+def _graph(frames: Sequence, columns: Dense, scale: float) -> FlowGraph:
     """The matches of the longest shot, or of its middle."""
     centre = scale_intrinsics(centred_intrinsics(1, frames.width, frames.height), scale)[:2, 2]
     source, target, flow, confidence = (columns[name] for name in ("source", "target", "flow", "confidence"))
-    graph = build_graph(source, target, flow, confidence, len(frames.numbers), STRIDE_PX, centre)
+    T, release = len(frames.numbers), columns.release
+    graph = build_graph(source, target, flow, confidence, T, STRIDE_PX, centre, release=release)
     shot = cuts.linked_frames(graph.source, graph.target, graph.weights, graph.T)
     inside = cuts.span(shot)
     spare = max(inside.stop - inside.start - MOST_FRAMES, 0)
@@ -104,12 +116,13 @@ def _of(pinhole: Pinhole, frames: Sequence) -> dict[str, Any]:
 
 def _write_flow(flow: Path, pairs: Path, pinhole: Pinhole) -> None:
     columns, about = read_dense(flow), read_metadata(flow)
-    carried, confidence, scale = carry_flow(columns, pinhole)
-    h, w = carried.shape[1:3]
+    (w, h), scale = carried_grid(columns, pinhole)
     kept = {key: value for key, value in about.items() if key not in ("format_version", "code")}
-    metadata = kept | {"width": w, "height": h, "scale": scale, "undistorted": True}
-    edges = {name: columns[name] for name in ("source", "target")}
-    write_dense(pairs, edges | {"flow": carried, "confidence": confidence}, metadata)
+    with dense_writer(pairs, kept | {"width": w, "height": h, "scale": scale, "undistorted": True}) as write:
+        for edges, of_flow, confidence in carry_flow(columns, pinhole):
+            ends = {name: columns[name][edges] for name in ("source", "target")}
+            images = {"flow": of_flow, "confidence": confidence}
+            write(ends | {name: Packed(threaded(pack, of), of.shape[1:]) for name, of in images.items()})
 
 
 def _share(flow: Path, pairs: Path) -> None:

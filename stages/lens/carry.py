@@ -1,6 +1,6 @@
 """What belongs to distorted frames carried over to the undistorted ones: pictures, flow and ground truth."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +9,7 @@ import numpy as np
 
 from stages.lens.pinhole import Pinhole, reduced
 from stages.shared import sintel
+from stages.shared.artifacts import Dense
 from stages.shared.cameras import frame_from_grid, grid_from_frame, pixel_grid
 from stages.shared.images import read_mask, read_rgb, write_image
 from stages.shared.masks import read_burnt_in
@@ -16,13 +17,21 @@ from stages.shared.sequences import Sequence
 from stages.shared.threads import threaded
 from stages.shared.warp import bilinear
 
+EDGES = 16
+"""Edges that are carried over together."""
 BURNT_IN = "burnt_in.png"
 CARRIED = ("frames/*.png", BURNT_IN, "truth/*/*.png", "truth/*/*.flo", "truth/*/*.dpt", "truth/*/*.cam")
 """The files of the folder of undistorted images."""
 
 
-def carry_flow(columns: dict[str, np.ndarray], pinhole: Pinhole) -> tuple[np.ndarray, np.ndarray, float]:
-    """Flow [E, h, w, 2] and confidence [E, h, w], float16, of the undistorted frames, and the scale of their grid.
+def carried_grid(columns: Dense, pinhole: Pinhole) -> tuple[tuple[int, int], float]:
+    """Size (w, h) of the flow grid of the undistorted frames, and its scale; `columns` as in `carry_flow`."""
+    w, h = reduced(pinhole, columns["flow"].shape[2] / pinhole.original[0])
+    return (w, h), w / pinhole.width
+
+
+def carry_flow(columns: Dense, pinhole: Pinhole) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
+    """Flow [n, h, w, 2] and confidence [n, h, w], float16, of the undistorted frames, for some edges after the others.
 
     The match of a pixel is the undistorted match of where the original shows it; none outside of the new image.
 
@@ -30,9 +39,8 @@ def carry_flow(columns: dict[str, np.ndarray], pinhole: Pinhole) -> tuple[np.nda
         columns: of flow/pairs.arrow.
     """
     before = columns["flow"].shape[2] / pinhole.original[0]
-    w, h = reduced(pinhole, before)
-    after, longest = w / pinhole.width, 2 * max(w, h)
-    grid = pixel_grid(h, w)
+    (w, h), after = carried_grid(columns, pinhole)
+    longest, grid = 2 * max(w, h), pixel_grid(h, w)
     sources = grid_from_frame(pinhole.in_original(frame_from_grid(grid, 1 / after)), 1 / before)
 
     def carried(e: int) -> tuple[np.ndarray, np.ndarray]:
@@ -42,8 +50,11 @@ def carry_flow(columns: dict[str, np.ndarray], pinhole: Pinhole) -> tuple[np.nda
         confidence = bilinear(columns["confidence"][e].astype(np.float32), sources) * inside
         return np.clip(there - grid, -longest, longest).astype(np.float16), confidence.astype(np.float16)
 
-    flow, confidence = zip(*threaded(carried, range(len(columns["source"]))), strict=True)
-    return np.stack(flow), np.stack(confidence), after
+    for first in range(0, len(columns["source"]), EDGES):
+        edges = range(first, min(first + EDGES, len(columns["source"])))
+        flow, confidence = zip(*threaded(carried, edges), strict=True)
+        columns.release()
+        yield slice(edges.start, edges.stop), np.stack(flow), np.stack(confidence)
 
 
 def carry_images(frames: Sequence, pinhole: Pinhole, folder: Path) -> None:
