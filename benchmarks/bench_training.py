@@ -23,8 +23,9 @@ from stages.gaussians.options import GaussiansOptions
 from stages.gaussians.training_frames import TrainingFrames
 from stages.shared.cameras import centred_intrinsics
 from stages.splatting import projection_kernels, raster_adjoint, raster_bins, raster_kernels
+from stages.splatting.cloud import Cloud
 from stages.splatting.colours import ColourTable
-from stages.splatting.gaussian_model import Cloud, GaussianScene
+from stages.splatting.gaussian_model import GaussianScene
 
 N, N_DYNAMIC, P, WIDTH, HEIGHT, F = 50_000, 5_000, 512, 512, 218, 4
 STEPS, WARM_UP = 30, 3

@@ -16,7 +16,8 @@ from stages.shared.artifacts import write_dense, write_model
 from stages.shared.cameras import frame_from_grid, intrinsics, make_cameras, pixel_grid, unproject, write_cameras
 from stages.shared.images import write_image
 from stages.shared.sequences import check_sequence, sequence_to_json
-from stages.splatting.gaussian_model import Cloud, GaussianScene
+from stages.splatting.cloud import Cloud
+from stages.splatting.gaussian_model import GaussianScene
 from stages.splatting.model_files import scene_tensors
 
 T, W, H, WALL_Z = clip.T, 96, 64, clip.WALL_Z

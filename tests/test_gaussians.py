@@ -18,9 +18,10 @@ from stages.gaussians.optimise import Trainer
 from stages.gaussians.options import GaussiansOptions
 from stages.gaussians.training_frames import TrainingFrames
 from stages.shared.artifacts import read_metadata, read_model, write_model
+from stages.splatting.cloud import Cloud
 from stages.splatting.colours import ColourTable
 from stages.splatting.gains import Exposure
-from stages.splatting.gaussian_model import Cloud, GaussianScene
+from stages.splatting.gaussian_model import GaussianScene
 from stages.splatting.model_files import halved, scene_from_tensors, scene_tensors
 from stages.splatting.pose_table import PoseTable
 

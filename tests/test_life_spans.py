@@ -18,7 +18,8 @@ from stages.gaussians.options import GaussiansOptions
 from stages.gaussians.training_frames import TrainingFrames
 from stages.shared.artifacts import read_metadata, read_model, write_model
 from stages.splatting import gaussian_model
-from stages.splatting.gaussian_model import Cloud, GaussianScene
+from stages.splatting.cloud import Cloud
+from stages.splatting.gaussian_model import GaussianScene
 from stages.splatting.life_spans import ALWAYS, presence
 from stages.splatting.model_files import halved, scene_from_tensors, scene_tensors, write_splats
 from stages.splatting.ply import read_ply

@@ -19,9 +19,10 @@ from stages.shared.artifacts import write_model
 from stages.shared.cameras import Cameras, make_cameras
 from stages.shared.sequences import read_sequence
 from stages.splatting.atmosphere import Atmosphere
+from stages.splatting.cloud import Cloud
 from stages.splatting.colours import ColourTable
 from stages.splatting.gains import Exposure
-from stages.splatting.gaussian_model import Cloud, GaussianScene
+from stages.splatting.gaussian_model import GaussianScene
 from stages.splatting.model_files import scene_tensors
 from stages.splatting.pose_table import PoseTable
 from stages.viewer import __main__ as viewer_stage

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from stages.splatting.gaussian_model import Cloud
+from stages.splatting.cloud import Cloud
 from stages.splatting.life_spans import ALWAYS
 
 SPAN_SHARE = 0.75

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from stages.shared import quaternions
-from stages.splatting.gaussian_model import Cloud
+from stages.splatting.cloud import Cloud
 
 MIN_OPACITY = 0.01
 """Gaussians below this opacity are pruned: they change no pixel visibly."""

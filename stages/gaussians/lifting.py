@@ -15,7 +15,7 @@ from stages.gaussians.votes import DEPTH_TOLERANCE, dynamic_share, inverse, pixe
 from stages.shared.cameras import unproject
 from stages.shared.frame_store import Computed, Frames, PackedMasks
 from stages.splatting import sh
-from stages.splatting.gaussian_model import Cloud
+from stages.splatting.cloud import Cloud
 from stages.splatting.life_spans import presence
 from stages.splatting.raster_bins import MIN_ALPHA
 from stages.splatting.rasterize import rasterize

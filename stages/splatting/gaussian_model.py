@@ -1,7 +1,5 @@
 """The 4D scene: static and dynamic Gaussians in the canonical frame, and the motion of the dynamic ones."""
 
-from dataclasses import dataclass, field
-
 import torch
 from torch import Tensor
 
@@ -10,46 +8,13 @@ from stages.deformation.motion_models import Deformation
 from stages.shared.torch_threads import one_torch_thread
 from stages.splatting import sh
 from stages.splatting.atmosphere import Atmosphere
+from stages.splatting.cloud import Cloud
 from stages.splatting.colours import ColourTable
 from stages.splatting.gains import Exposure
 from stages.splatting.life_spans import ALWAYS, REACH, presence, rows_of
 from stages.splatting.pose_table import PoseTable
 from stages.splatting.raster_bins import MIN_ALPHA
 from stages.splatting.rasterize import Rendering, rasterize
-
-
-@dataclass
-class Cloud:
-    """N Gaussians, parametrised without constraints.
-
-    Attributes:
-        means: [N, 3] canonical, scene units.
-        footprints: [N] scene units, distance of neighbouring lifted pixels; the unit of the learning rate of means.
-        log_scales: [N, 3] logarithms of the standard deviations in scene units.
-        quats: [N, 4] wxyz, any length but zero. logits: [N] of opacity.
-        sh: [N, K, 3] coefficients, K = (degree + 1)^2. dynamic: [N] bool, static Gaussians first.
-        births, log_spans: [N] life spans, as for `life_spans.presence`; ALWAYS where static, and where left out.
-        drifts: [N, 3] motion of the canonical means, scene units per span; they are at `means` at their birth.
-    """
-
-    means: Tensor
-    footprints: Tensor
-    log_scales: Tensor
-    quats: Tensor
-    logits: Tensor
-    sh: Tensor
-    dynamic: Tensor
-    births: Tensor = field(default_factory=lambda: torch.zeros(0))
-    log_spans: Tensor = field(default_factory=lambda: torch.zeros(0))
-    drifts: Tensor = field(default_factory=lambda: torch.zeros(0))
-
-    def __post_init__(self) -> None:
-        """Without life spans Gaussians are there at all times, and do not drift."""
-        if len(self.log_spans) == 0:
-            self.births = torch.zeros_like(self.logits)
-            self.log_spans = torch.full_like(self.logits, ALWAYS)
-        if len(self.drifts) == 0:
-            self.drifts = torch.zeros_like(self.means)
 
 
 class GaussianScene(torch.nn.Module):

@@ -11,9 +11,10 @@ from stages.deformation.point_files import deformation_from_tensors, deformation
 from stages.shared.artifacts import read_metadata, read_model
 from stages.shared.errors import complete
 from stages.splatting.atmosphere import Atmosphere
+from stages.splatting.cloud import Cloud
 from stages.splatting.colours import ColourTable
 from stages.splatting.gains import Exposure
-from stages.splatting.gaussian_model import Cloud, GaussianScene
+from stages.splatting.gaussian_model import GaussianScene
 from stages.splatting.life_spans import rows_of
 from stages.splatting.ply import write_ply
 from stages.splatting.pose_table import PoseTable

@@ -17,7 +17,8 @@ from stages.ba.options import BAOptions
 from stages.deformation.point_files import save_deformation, save_points
 from stages.deformation.splines import at_times
 from stages.shared.artifacts import read_metadata, read_model, read_table
-from stages.splatting.gaussian_model import Cloud, GaussianScene
+from stages.splatting.cloud import Cloud
+from stages.splatting.gaussian_model import GaussianScene
 
 THREADS = (1, 2, 4)
 
