@@ -19,9 +19,10 @@ from stages.configuration import datasets
 from stages.inspect import __main__ as inspect_stage
 from stages.inspect.options import PartOptions
 from stages.shared import sintel
+from stages.shared.dataset_folders import sequence_folders
 from stages.shared.errors import InputError
 from stages.shared.images import read_rgb
-from stages.shared.sequences import check_sequence, read_sequence, sequence_folders
+from stages.shared.sequences import check_sequence, read_sequence
 
 
 def refuse(folder: Path, options: str, *phrases: str) -> None:

@@ -11,7 +11,7 @@ from stages.ba.options import BAOptions
 from stages.ba.problem import Estimate, Problem
 from stages.ba.start import PoseGuess
 from stages.shared import lie
-from stages.shared.sequences import number_ranges, runs_of
+from stages.shared.number_ranges import number_ranges, runs_of
 
 MIN_FRAMES = 3
 """Fewer frames than this are no shot: two frames of noise may match by chance."""

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 
 from stages.configuration import shots as clip_shots
 from stages.configuration.config import SIMULATED, Config
+from stages.shared.dataset_folders import choose, sequence_folders, video_files
 from stages.shared.errors import InputError
-from stages.shared.sequences import Sequence, check_headers, choose, list_sequence, sequence_folders, video_files
+from stages.shared.sequences import Sequence, check_headers, list_sequence
 
 if TYPE_CHECKING:
     from stages.video.index import Index

@@ -8,8 +8,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
+from stages.shared.dataset_folders import MIN_FRAMES, choose
 from stages.shared.errors import InputError
-from stages.shared.sequences import MIN_FRAMES, Sequence, choose, number_ranges
+from stages.shared.number_ranges import number_ranges
+from stages.shared.sequences import Sequence
 
 Range = tuple[int, int]
 """Numbers of the first and the last frame of a shot."""

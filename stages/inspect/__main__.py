@@ -14,12 +14,13 @@ from stages.inspect.options import InspectOptions, PartOptions
 from stages.shared import cli, sintel
 from stages.shared.artifacts import read_json, write_json
 from stages.shared.cli import In, Out
+from stages.shared.dataset_folders import MIN_FRAMES, folder_name
 from stages.shared.drawing import BURNT_IN_COLOUR, contact_sheet, overlay_mask, spread
 from stages.shared.errors import InputError
 from stages.shared.images import read_mask, read_rgb, write_figure, write_image
 from stages.shared.log import logger, progress
 from stages.shared.masks import read_burnt_in, read_sized_mask
-from stages.shared.sequences import MIN_FRAMES, Sequence, check_sequence, folder_name, sequence_to_json
+from stages.shared.sequences import Sequence, check_sequence, sequence_to_json
 
 
 def main(

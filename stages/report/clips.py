@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from stages.shared.artifacts import read_json
-from stages.shared.sequences import number_ranges
+from stages.shared.number_ranges import number_ranges
 
 
 def clip_of(folder: Path) -> str:

@@ -18,11 +18,11 @@ import numpy as np
 
 from stages.shared.artifacts import read_json, write_json
 from stages.shared.bars import BrightestYet
+from stages.shared.dataset_folders import MIN_FRAMES
 from stages.shared.digest import code_digest
 from stages.shared.errors import InputError
 from stages.shared.images import reduce, reduced_size
 from stages.shared.log import progress
-from stages.shared.sequences import MIN_FRAMES
 from stages.video import decode
 from stages.video.options import VideoOptions
 from stages.video.shots import Found, Look, Shot, find_shots, irregular, spans

@@ -4,8 +4,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field, ValidationInfo, field_validator
 
+from stages.shared.dataset_folders import MIN_FRAMES
 from stages.shared.options import Options
-from stages.shared.sequences import MIN_FRAMES
 
 
 class VideoOptions(Options):

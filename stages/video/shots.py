@@ -7,8 +7,8 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from stages.shared.dataset_folders import MIN_FRAMES
 from stages.shared.images import reduce, reduced_size
-from stages.shared.sequences import MIN_FRAMES
 
 CUT_WIDTH_PX = 128
 SAME_SHOT, SAME_SHOT_FINE = 0.35, 0.48
