@@ -7,10 +7,11 @@ import pytest
 from numpy.testing import assert_allclose
 from synthetic import Scene, assembled, make_scene, observe, rotation_error_deg, trajectory_error
 
-from stages.ba import arguments, dba, kernel, reduced
+from stages.ba import arguments, dba, reduced
 from stages.ba.dense_system import DenseSystem
 from stages.ba.estimate import estimate
 from stages.ba.graph import FlowGraph
+from stages.ba.normal_equations import depth_steps, normal_equations
 from stages.ba.options import BAOptions
 from stages.ba.problem import Problem
 from stages.ba.proposal import linear_system
@@ -134,7 +135,7 @@ def test_the_reduced_system_and_its_depths_equal_a_dense_reference_to_1e_9(tiny:
     rhs = g[:n] - H[:n, depths] @ np.linalg.solve(H[depths, depths], g[depths])
 
     data, at = arguments.observations(graph), arguments.geometry(graph, state)
-    hessians, schur, curvatures, gradients = kernel.normal_equations(data, at, sigma, damping, DEPTH_PRIOR, zoom)
+    hessians, schur, curvatures, gradients = normal_equations(data, at, sigma, damping, DEPTH_PRIOR, zoom)
     relative = reduced.relative_motions(graph, state.cam_from_world)
     S_ours, rhs_ours = assembled(graph, relative, hessians, schur)
     unit = np.sqrt(np.diagonal(H)[:n])
@@ -142,7 +143,7 @@ def test_the_reduced_system_and_its_depths_equal_a_dense_reference_to_1e_9(tiny:
     assert_allclose(rhs_ours / unit, rhs / unit, atol=1e-9 * np.abs(rhs / unit).max())
     step = np.random.default_rng(2).standard_normal(n)
     local = reduced.edge_steps(graph, relative, step)
-    depth_step = kernel.depth_steps(data, at, sigma, curvatures, gradients, local)
+    depth_step = depth_steps(data, at, sigma, curvatures, gradients, local)
     expected = np.linalg.solve(H[depths, depths], g[depths] - H[depths, :n] @ step).reshape(depth_step.shape)
     assert_allclose(depth_step, expected, atol=1e-9 * np.abs(expected).max())
 
@@ -153,9 +154,7 @@ def test_local_systems_equal_a_plain_numpy_reference_to_1e_9() -> None:
     # Weights that float32 cannot take the root of exactly.
     weights = np.random.default_rng(1).uniform(0.1, 1, graph.weights.shape).astype(np.float32)
     graph, state = replace(graph, weights=weights), disturbed(true_state(scene, graph))
-    hessians, *_ = kernel.normal_equations(
-        arguments.observations(graph), arguments.geometry(graph, state), 0.7, 0.0, 0.0
-    )
+    hessians, *_ = normal_equations(arguments.observations(graph), arguments.geometry(graph, state), 0.7, 0.0, 0.0)
     for e in range(len(graph.source)):
         by_target, _, by_lens_there, by_lens_here, _ = edge_derivatives(graph, state, e)
         r = residuals(graph, state)[e]
@@ -169,7 +168,7 @@ def test_the_gradient_is_that_of_the_robust_cost(tiny: tuple[FlowGraph, State]) 
     graph, state = tiny
     data, at = arguments.observations(graph), arguments.geometry(graph, state)
     T, zoom = graph.T, state.zoom is not None
-    hessians, schur, *_ = kernel.normal_equations(data, at, 2.0, 0.0, DEPTH_PRIOR, zoom)
+    hessians, schur, *_ = normal_equations(data, at, 2.0, 0.0, DEPTH_PRIOR, zoom)
     relative = reduced.relative_motions(graph, state.cam_from_world)
     _, gradient = assembled(graph, relative, hessians, np.zeros_like(schur))
     total = float(graph.weights.sum(dtype=float))

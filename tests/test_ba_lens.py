@@ -7,9 +7,10 @@ import pytest
 from numpy.testing import assert_allclose
 from synthetic import assembled, make_scene, observe, trajectory_error
 
-from stages.ba import arguments, dba, distortion, kernel, reduced
+from stages.ba import arguments, dba, distortion, reduced
 from stages.ba.dense_system import DenseSystem
 from stages.ba.graph import FlowGraph
+from stages.ba.normal_equations import depth_steps, normal_equations
 from stages.ba.proposal import linear_system
 from stages.ba.state import DEPTH_PRIOR, FocalPrior, Level, State, Unknowns
 from stages.shared import lie
@@ -76,7 +77,7 @@ def test_normal_equations_behind_a_lens_are_those_of_finite_differences(tiny: tu
         arguments.geometry(graph, state),
         arguments.lens_px(graph, state),
     )
-    found = kernel.normal_equations(data, at, SIGMA_PX, DAMPING, DEPTH_PRIOR, zoom, lens)
+    found = normal_equations(data, at, SIGMA_PX, DAMPING, DEPTH_PRIOR, zoom, lens)
     hessians, schur, curvatures, gradients = found
     relative = reduced.relative_motions(graph, state.cam_from_world)
     S_ours, rhs_ours = assembled(graph, relative, hessians, schur)
@@ -85,7 +86,7 @@ def test_normal_equations_behind_a_lens_are_those_of_finite_differences(tiny: tu
     assert_allclose(rhs_ours / unit, rhs / unit, atol=1e-6 * np.abs(rhs / unit).max())
     step = np.random.default_rng(2).standard_normal(n)
     local = reduced.edge_steps(graph, relative, step, lens=True)
-    depth_step = kernel.depth_steps(data, at, SIGMA_PX, curvatures, gradients, local, lens)
+    depth_step = depth_steps(data, at, SIGMA_PX, curvatures, gradients, local, lens)
     expected = np.linalg.solve(H[depths, depths], g[depths] - H[depths, :n] @ step).reshape(depth_step.shape)
     assert_allclose(depth_step, expected, atol=1e-6 * np.abs(expected).max())
     assert_allclose(dba.errors_px(graph, state), np.linalg.norm(r, axis=-1), rtol=1e-5, atol=1e-6)

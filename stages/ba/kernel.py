@@ -16,8 +16,6 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from stages.shared.threads import spread
-
 PINHOLE = np.zeros(0)
 """In place of (c1, c2, radius in px) of a lens."""
 BLOCK = 256
@@ -188,7 +186,7 @@ def _eliminate(coupling: np.ndarray, curvature: np.ndarray, scaled: np.ndarray, 
 
 
 @njit(**FAST)
-def _add_frames(
+def add_frames(
     begin: int,
     end: int,
     data: EdgeMatches,
@@ -201,7 +199,7 @@ def _add_frames(
     curvatures: np.ndarray,
     gradients: np.ndarray,
 ) -> None:
-    """`normal_equations` of frames begin..end; scales are (sigma, damping, depth prior), rows those of an edge."""
+    """Normal equations of frames begin..end; scales are (sigma, damping, depth prior), rows those of an edge."""
     sigma, damping, depth_prior = scales[0], scales[1], scales[2]
     P, size = len(data.pixels), hessians.shape[1]
     J, D, curvature = np.zeros((size, 2 * BLOCK)), np.zeros(2 * BLOCK), np.zeros(BLOCK)
@@ -230,44 +228,8 @@ def _add_frames(
             _eliminate(coupling, curvature, scaled, schur[i])
 
 
-def normal_equations(
-    data: EdgeMatches,
-    at: Geometry,
-    sigma: float,
-    damping: float,
-    depth_prior: float,
-    zoom: bool = False,
-    lens: np.ndarray = PINHOLE,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Local normal equations of every edge, and the Schur complement term of eliminating the inverse depths.
-
-    Args:
-        sigma: scale of the robust kernel, px; damping: relative, of Levenberg-Marquardt.
-        depth_prior: weight, px^2, of the prior that every inverse depth is 1.
-        zoom: whether every frame has a focal length of its own.
-        lens: (c1, c2, radius in px) of a lens, or PINHOLE.
-
-    Returns:
-        hessians [E, 8, 8] over (twist 6, log focal, residual), symmetric; schur [T, n, n] with n = 6 k + 2 rows
-        (twists of the frame's k edges, log focal, gradient); curvature (damped) and gradient [T, P] of the depths.
-        With zoom, hessians [E, 9, 9] over (twist 6, log focal of the target, of the source, residual) and n = 7 k + 2
-        (twist and log focal of the target of every edge, log focal of the source, gradient). Behind a lens its two
-        coefficients stand after the last log focal.
-    """
-    T, P = at.inverse_depth.shape
-    rows = 7 if zoom else 6
-    shared = 4 if len(lens) else 2
-    size = rows * int(np.diff(data.pointer).max()) + shared
-    hessians, schur = np.zeros((len(data.source), rows + shared, rows + shared)), np.zeros((T, size, size))
-    curvatures, gradients = np.ones((T, P)), np.zeros((T, P))
-    scales = np.array([sigma, damping, depth_prior])
-    spread(_add_frames, T, data, at, lens, scales, rows, hessians, schur, curvatures, gradients)
-    hessians += np.triu(hessians, 1).swapaxes(1, 2)
-    return hessians, schur, curvatures, gradients
-
-
 @njit(**FAST)
-def _explain(
+def explain(
     begin: int,
     end: int,
     data: EdgeMatches,
@@ -290,19 +252,3 @@ def _explain(
                 for a in range(n):
                     for q in range(min(BLOCK, P - first)):
                         out[i, first + q] += step[e, a] * (J[a, q] * D[q] + J[a, BLOCK + q] * D[BLOCK + q])
-
-
-def depth_steps(
-    data: EdgeMatches,
-    at: Geometry,
-    sigma: float,
-    curvatures: np.ndarray,
-    gradients: np.ndarray,
-    local_steps: np.ndarray,
-    lens: np.ndarray = PINHOLE,
-) -> np.ndarray:
-    """Steps [T, P] of the inverse depths once the local steps of the edges are known: [E, 7] (twist, log focal), or
-    [E, 8] (twist, log focal of target and source); two more, those of its coefficients, behind a lens."""
-    explained = np.zeros(at.inverse_depth.shape)
-    spread(_explain, len(explained), data, at, lens, sigma, local_steps, explained)
-    return np.asarray((gradients - explained) / curvatures)

@@ -4,11 +4,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from stages.ba import kernel, reduced
+from stages.ba import reduced
 from stages.ba.arguments import geometry, lens_px, observations
 from stages.ba.banded_system import BandedSystem, layout
 from stages.ba.dense_system import DenseSystem
 from stages.ba.graph import FlowGraph
+from stages.ba.normal_equations import depth_steps, normal_equations
 from stages.ba.reduced import Term
 from stages.ba.state import (
     DEPTH_PRIOR,
@@ -41,7 +42,7 @@ def propose(
     """The state after one damped Gauss-Newton step, and the length of the step; None if the system is singular."""
     relative = reduced.relative_motions(graph, state.cam_from_world)
     data, at, lens, T = observations(graph, state.lens), geometry(graph, state), lens_px(graph, state), graph.T
-    hessians, schur, curvatures, gradients = kernel.normal_equations(
+    hessians, schur, curvatures, gradients = normal_equations(
         data, at, float(sigma_px), damping, DEPTH_PRIOR, unknowns.zoom, lens
     )
     system = _sum(graph, state, unknowns, relative, hessians, schur)
@@ -59,9 +60,7 @@ def propose(
     inverse_depth = state.inverse_depth
     if unknowns.translation:
         local_steps = reduced.edge_steps(graph, relative, step, state.lens is not None)
-        inverse_depth = inverse_depth + kernel.depth_steps(
-            data, at, float(sigma_px), curvatures, gradients, local_steps, lens
-        )
+        inverse_depth = inverse_depth + depth_steps(data, at, float(sigma_px), curvatures, gradients, local_steps, lens)
         inverse_depth = np.clip(inverse_depth, *INVERSE_DEPTHS)
     return _moved(state, step, inverse_depth, unknowns), float(np.linalg.norm(step))
 
@@ -73,7 +72,7 @@ def linear_system(graph: FlowGraph, state: State, sigma_px: float, unknowns: Unk
     """
     relative = reduced.relative_motions(graph, state.cam_from_world)
     data, at, lens = observations(graph, state.lens), geometry(graph, state), lens_px(graph, state)
-    hessians, schur, _, _ = kernel.normal_equations(data, at, float(sigma_px), 0.0, DEPTH_PRIOR, unknowns.zoom, lens)
+    hessians, schur, _, _ = normal_equations(data, at, float(sigma_px), 0.0, DEPTH_PRIOR, unknowns.zoom, lens)
     system = _sum(graph, state, unknowns, relative, hessians, schur)
     if unknowns.zoom:
         for term in _smoothness(np.zeros(graph.T)):

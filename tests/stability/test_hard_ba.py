@@ -10,12 +10,13 @@ from ba_files import outputs, write_inputs
 from numpy.testing import assert_allclose
 from synthetic import PLANE, flow_arrays, make_scene, observe, rotation_error_deg, trajectory_error
 
-from stages.ba import arguments, classify, dba, kernel, residuals, twoview
+from stages.ba import arguments, classify, dba, residuals, twoview
 from stages.ba.__main__ import main
 from stages.ba.dense_system import DenseSystem
 from stages.ba.depth import depth_maps, fill
 from stages.ba.estimate import estimate
 from stages.ba.graph import FlowGraph, build_graph, mask_graph, static_areas, trusted_static_areas
+from stages.ba.normal_equations import normal_equations
 from stages.ba.options import BAOptions
 from stages.ba.problem import Estimate, Problem
 from stages.ba.proposal import linear_system
@@ -140,7 +141,7 @@ def test_points_at_infinity_turn_with_the_camera() -> None:
     state = State(scene.cam_from_world, np.zeros((3, len(graph.pixels))), scene.focal_px)
     assert dba.errors_px(graph, state)[graph.weights > 0].max() < 1e-3
     data, at = arguments.observations(graph), arguments.geometry(graph, state)
-    hessians, schur, *_ = kernel.normal_equations(data, at, 1.0, 0.0, DEPTH_PRIOR)
+    hessians, schur, *_ = normal_equations(data, at, 1.0, 0.0, DEPTH_PRIOR)
     assert np.isfinite(hessians).all()
     assert np.isfinite(schur).all()
 
