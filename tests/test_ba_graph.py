@@ -1,6 +1,8 @@
 """Grids of bundle adjustment: which pixels of the flow a cell stands for where the stride does not divide the size."""
 
+import tracemalloc
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,8 +11,12 @@ from synthetic import make_scene, observe
 
 from stages.ba.dba import normalise
 from stages.ba.depth import depth_maps
+from stages.ba.given import Known
 from stages.ba.graph import FlowGraph, build_graph, mask_graph
+from stages.ba.reading import Matches
 from stages.ba.state import State
+from stages.shared.artifacts import read_dense, write_dense
+from stages.shared.packing import Packed, pack
 
 SIZE = 220, 100
 """4 divides this height, 8 does not: two grids of cells that cover different areas."""
@@ -80,3 +86,28 @@ def test_depth_is_filled_in_the_masked_cells_alone() -> None:
     filled = depth_maps(replace(graph, weights=np.ones_like(graph.weights)), graph, state, static, True).filled
     assert filled[:, 6].all()
     assert not filled[:, :6].any()
+
+
+def test_packed_flow_is_read_edge_by_edge(tmp_path: Path) -> None:
+    """Of all edges, and of those of some frames; a slice of the packed rows would unpack them together."""
+    T, shape, rng = 150, (64, 96), np.random.default_rng(0)
+    source, target = np.arange(T), (np.arange(T) + 1) % T
+    flow = rng.normal(size=(T, *shape, 2)).astype(np.float16)
+    confidence = rng.uniform(0, 1, (T, *shape)).astype(np.float16)
+    packed = {
+        "flow": Packed(list(map(pack, flow)), flow.shape[1:]),
+        "confidence": Packed(list(map(pack, confidence)), shape),
+    }
+    write_dense(tmp_path / "pairs.arrow", {"source": source, "target": target, **packed})
+    known = Known(np.array([47.5, 31.5]), 1.0)
+    for frames in (None, (40, 130)):
+        part = slice(*(frames or (0, T)))
+        expected = build_graph(source[part], target[part], flow[part], confidence[part], T, 8, known.centre)
+        matches = Matches(read_dense(tmp_path / "pairs.arrow"), np.ones(T, bool), (96, 64), 1.0)
+        tracemalloc.start()
+        found = matches.graph(8, known, frames)
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        for name in ("source", "target", "pointer", "matches", "weights"):
+            assert_array_equal(getattr(found, name), getattr(expected, name))
+        assert peak < flow[part].nbytes / 1.2

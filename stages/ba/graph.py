@@ -124,8 +124,11 @@ def build_graph(
     principal_point: np.ndarray | None = None,
     aspect: float = 1.0,
     release: Callable[[], None] = lambda: None,
+    first: int = 0,
 ) -> FlowGraph:
     """Sample flow [E, h, w, 2] px and confidence [E, h, w] at the centres of cells of `stride` px.
+
+    The edges are those from row `first` on, as many as there are sources: they are read one by one.
 
     The centre of an even cell lies between four pixels: their mean is taken. Without a principal point [2] of the flow
     grid the centre of the image is used. `aspect` is fy / fx of the flow grid. `release` is called after every EDGES
@@ -138,8 +141,8 @@ def build_graph(
     matches = np.empty((len(source), rows * columns, 2), np.float32)
     weights = np.empty((len(source), rows * columns), np.float32)
     for e in range(len(source)):
-        matches[e] = _sample_cells(flow[e], stride).reshape(-1, 2)
-        weights[e] = _sample_cells(confidence[e][..., None], stride).ravel()
+        matches[e] = _sample_cells(flow[first + e], stride).reshape(-1, 2)
+        weights[e] = _sample_cells(confidence[first + e][..., None], stride).ravel()
         if (e + 1) % EDGES == 0:
             release()
     require_finite(flow=matches, confidence=weights)

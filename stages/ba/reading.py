@@ -43,11 +43,10 @@ class Matches:
             frames: first and end of those whose edges are read; None: all.
         """
         begin, end = np.searchsorted(self.columns["source"], frames or (0, len(self.shot)))
-        source, target, flow, confidence = (
-            self.columns[name][begin:end] for name in ("source", "target", "flow", "confidence")
-        )
-        T, release = len(self.shot), self.columns.release
-        graph = build_graph(source, target, flow, confidence, T, stride, known.centre, known.aspect, release)
+        source, target = (self.columns[name][begin:end] for name in ("source", "target"))
+        images = self.columns["flow"], self.columns["confidence"]  # a slice of packed rows would hold all of them
+        T, release, first = len(self.shot), self.columns.release, int(begin)
+        graph = build_graph(source, target, *images, T, stride, known.centre, known.aspect, release, first)
         self.columns.release()
         return cuts.isolate(graph, self.shot)
 
