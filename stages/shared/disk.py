@@ -2,8 +2,9 @@
 
 Coefficients are the largest of the time files (`output_mb`) of 81 runs on scenes and clips of 14 to 200 frames of 512 x
 218 and 256 x 108 px, and of the files of the simulator; those of `gaussians` and `viewer` are above what the largest
-number of Gaussians takes. Decoded frames are PNG files, of which real ones take up to 2.5 bytes per pixel. What is not
-listed writes less than a megabyte per hundred frames; `lens`, which writes the flow again only where the lens has
+number of Gaussians takes. Packed flow takes 2.6 to 3.2 bytes per pixel of an edge, and twice that while its blocks are
+joined, which is not counted. Decoded frames are PNG files, of which real ones take up to 2.5 bytes per pixel. What is
+not listed writes less than a megabyte per hundred frames; `lens`, which writes the flow again only where the lens has
 distortion, and `export`, whose formats differ widely, are left out.
 """
 
@@ -30,7 +31,7 @@ class Fill:
 FILLS = {
     "simulate": Fill(per_frames=20),
     "video": Fill(per_frames=2.5),
-    "flow": Fill(per_edges=6.2),
+    "flow": Fill(per_edges=3.2),
     "motion": Fill(per_grid=4.2),
     "segment": Fill(per_frames=0.33),
     "ba": Fill(per_grid=0.65),
