@@ -16,10 +16,20 @@ class SceneOptions(SplitOptions):
     rotation_only: Choice = Field(
         "auto", description="a camera that only turns; stated in the report, poses do not follow it"
     )
-    exposure: Choice = Field("auto", description="brightness that changes over time: a gain per frame")
+    exposure: Choice = Field(
+        "auto",
+        description="brightness that changes over time: a gain per frame; no rules out gains per channel too, unless"
+        " white_balance is yes",
+    )
     white_balance: Choice = Field("auto", description="tint that changes over time: a gain per channel and frame")
-    atmosphere: Choice = Field("auto", description="fog and haze: extinction and airlight between camera and surfaces")
-    view_dependent: Choice = Field("auto", description="colours that change with the view: spherical harmonics")
+    atmosphere: Choice = Field(
+        "auto",
+        description="fog and haze: extinction and airlight between camera and surfaces; yes models none in clear air",
+    )
+    view_dependent: Choice = Field(
+        "auto",
+        description="colours that change with the view: spherical harmonics; auto: not below 0.5 degrees of views",
+    )
     non_rigid: Choice = Field("auto", description="non-rigid movers: more control points, weaker rigidity")
     motion_blur: Choice = Field("auto", description="frames that are averaged while the shutter is open")
     shutter: Literal["auto"] | Annotated[float, Field(gt=0, le=1)] = Field(
