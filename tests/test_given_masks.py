@@ -1,19 +1,16 @@
 """Masks that the user hands in: formats, names, checks, and what is not run for them."""
 
-import re
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import run_snakemake, write_frames
+from conftest import write_frames
 from PIL import Image
 from scipy import sparse
-from test_workflow import planned
 
 from stages.configuration import config as configuration
-from stages.configuration import given_inputs, plan, settings
-from stages.evaluate import costs
+from stages.configuration import given_inputs
 from stages.export.clip import Clip
 from stages.export.images import write_masks
 from stages.given.masks import find_masks, read
@@ -196,36 +193,6 @@ def test_given_instances_keep_their_numbers(tmp_path: Path, frames: Sequence) ->
     assert set(read_json(masks / "masks.json")["instances"]) == {"1", "2"}
 
 
-def test_masks_that_are_not_estimated_are_made_once_and_before_all_poses() -> None:
-    runs = {"a": {"given": {"segment.source": "/masks"}, "other": {"segment.source": "/masks", "ba.stride_px": 4}}}
-    (given, other), _ = settings.compared({"sweep": {"runs": runs, "presets": [], "knobs": {}}})
-    every = [settings.configured({}), given, other]
-    assert list(plan.rounds_of(given, "motion")) == []
-    assert list(plan.rounds_of(given, "segment")) == [3]
-    assert plan.steps(given, "scene")[1:6] == (("flow", 3), ("lens", 3), ("segment", 3), ("ba", 1), ("ba", 2))
-    assert (
-        plan.find_home(every, given, "segment", 1) == plan.find_home(every, other, "segment", 3) == "settings/a-given/"
-    )
-    assert plan.find_home(every, other, "flow", 3) == ""
-    assert [plan.round_to_read(given, "segment", number) for number in (0, 1, 3)] == [None, 3, 3]
-    assert [plan.round_to_read(every[0], "segment", number) for number in (0, 1, 3)] == [None, 1, 3]
-    assert plan.round_to_read(given, "motion", 2) is None
-
-
-def test_time_of_masks_that_were_made_once(tmp_path: Path) -> None:
-    """Their seconds count towards the poses of every round."""
-    spent = {"threads": 1, "wall_s": 1.0, "cpu_s": 1.0, "peak_mb": 1, "gpu_peak_mb": None, "output_mb": 1}
-    files = [
-        tmp_path / f"{part}{name}.json" for part, name in (("", "flow"), ("", "segment"), ("1", "ba"), ("2", "ba"))
-    ]
-    files = [tmp_path / str(k) / f"{name}.json" for k, name in enumerate(("flow", "ba", "ba", "segment"))]
-    for path in files:
-        write_json(path, spent)
-    rows = costs.time_rows("clip", files)
-    assert [(row["stage"], row["round"]) for row in rows] == [("flow", None), ("segment", None), ("ba", 1), ("ba", 2)]
-    assert costs.spent_to_poses(rows, 2) == [(3.0, 3.0, 1), (4.0, 4.0, 1)]
-
-
 def test_paths_are_checked_before_any_work(tmp_path: Path, frames: Sequence) -> None:
     elsewhere = [tmp_path / "other" / path.name for path in frames.frames]
     two = {"clip": frames, "other": replace(frames, name="other", frames=elsewhere)}
@@ -249,20 +216,6 @@ def test_paths_are_checked_before_any_work(tmp_path: Path, frames: Sequence) -> 
     (tmp_path / "masks/clip/frame_0001.png").touch()
     assert given_inputs.digest(first, "segment", frames) != before
     assert given_inputs.digest(first, "flow", frames) == ""
-
-
-def test_given_masks_leave_out_motion_and_wait_for_nothing(repo_copy: Path) -> None:
-    folder = write(repo_copy / "masks", [Image.fromarray(labels()[0]) for _ in range(14)])
-    plan = run_snakemake(repo_copy, "-n", "--config", f"segment={{source: {folder}}}")
-    assert "motion" not in planned(plan)
-    assert (plan.stdout + plan.stderr).count("rule segment:") == 1
-    assert (plan.stdout + plan.stderr).count("rule ba:") == 3
-    job = next(part for part in re.split(r"\n\n", plan.stdout + plan.stderr) if "rule segment:" in part)
-    assert re.search(r"input: results/simulated/demo/sequence.json$", job, re.MULTILINE)  # no flow
-    (folder / "frame_0014.png").unlink()
-    plan = run_snakemake(repo_copy, "-n", "--config", f"segment={{source: {folder}}}")
-    assert plan.returncode == 2
-    assert "expected masks for every frame, found 13 of 14, and none for 'frame_0014.png'" in plan.stderr
 
 
 def test_stated_masks_are_strong_evidence_but_not_the_last_word() -> None:
