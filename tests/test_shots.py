@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 import yaml
 from conftest import REPO, run_snakemake, write_scenes
-from encoded_video import encode, moving
-from test_video import SIZE
+from encoded_video import SIZE, encode, moving
 
 from stages.ba import cuts
 from stages.configuration import config as configuration
