@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from safetensors.numpy import save_file
 
-from stages.shared import artifacts, lie, sintel
+from stages.shared import artifacts, atomic, lie, sintel
 from stages.shared.cameras import intrinsics, make_cameras, read_cameras, write_cameras, write_tum
 from stages.shared.errors import InputError
 
@@ -81,7 +81,7 @@ def test_a_failed_write_keeps_the_old_file_and_leaves_nothing_else(tmp_path: Pat
     artifacts.write_json(path, {"value": 1})
 
     def write_half() -> None:
-        with artifacts.atomic(path) as partial:
+        with atomic.atomic(path) as partial:
             partial.write_text("half")
             raise OSError("disk full")
 
@@ -99,14 +99,14 @@ def test_a_killed_write_leaves_no_final_name(tmp_path: Path) -> None:
     )
     subprocess.run([sys.executable, "-c", code, str(tmp_path / "masks")], cwd=REPO, check=False)
     assert not (tmp_path / "masks").exists()
-    with artifacts.atomic_folder(tmp_path / "masks", ["two"]) as partial:
+    with atomic.atomic_folder(tmp_path / "masks", ["two"]) as partial:
         (partial / "two").write_text("2")
     assert [path.name for path in tmp_path.rglob("*")] == ["masks", "two"]
 
 
 def replace_renders(folder: Path) -> None:
     """Write one image into a fresh `folder`, as the script that renders does."""
-    with artifacts.atomic_folder(folder, ["test/frame_*.png"]) as partial:
+    with atomic.atomic_folder(folder, ["test/frame_*.png"]) as partial:
         (partial / "test").mkdir()
         (partial / "test" / "frame_0002.png").write_text("new")
 
@@ -133,14 +133,14 @@ def test_a_folder_of_earlier_output_is_replaced_as_a_whole(tmp_path: Path) -> No
 def test_a_kill_while_the_old_folder_is_deleted_leaves_the_new_one_whole(tmp_path: Path) -> None:
     replace_renders(tmp_path / "renders")
     code = (
-        "import os, shutil, signal, sys; from pathlib import Path; from stages.shared import artifacts\n"
+        "import os, shutil, signal, sys; from pathlib import Path; from stages.shared import atomic\n"
         "shutil.rmtree = lambda path: os.kill(os.getpid(), signal.SIGKILL)\n"
-        "with artifacts.atomic_folder(Path(sys.argv[1]), ['test/*']) as partial:\n"
+        "with atomic.atomic_folder(Path(sys.argv[1]), ['test/*']) as partial:\n"
         "    [(partial / name).write_text('new') for name in 'ab']"
     )
     subprocess.run([sys.executable, "-c", code, str(tmp_path / "renders")], cwd=REPO, check=False)
     assert sorted(path.name for path in (tmp_path / "renders").iterdir()) == ["a", "b"]
-    with artifacts.atomic_folder(tmp_path / "renders", ["a", "b"]):
+    with atomic.atomic_folder(tmp_path / "renders", ["a", "b"]):
         pass
     assert list(tmp_path.iterdir()) == [tmp_path / "renders"]  # the next write clears up what the kill left
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from stages.shared import cli
-from stages.shared.artifacts import atomic
+from stages.shared.atomic import atomic
 from stages.shared.cli import Out
 from workflow.dry_run import Rule, described, planned_rules
 

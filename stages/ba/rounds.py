@@ -7,7 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from stages.ba.diagnostics import NOT_CONVERGED, SHRANK
-from stages.shared.artifacts import atomic, read_metadata, read_table, write_table
+from stages.shared.artifacts import read_metadata, read_table, write_table
+from stages.shared.atomic import atomic
 from stages.shared.cameras import read_cameras, write_tum
 from stages.shared.errors import InputError
 from stages.shared.log import logger

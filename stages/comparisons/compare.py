@@ -10,7 +10,7 @@ import numpy as np
 
 from stages.evaluate.costs import is_ours
 from stages.evaluate.score_masks import PRIOR
-from stages.shared.artifacts import atomic
+from stages.shared.atomic import atomic
 from stages.shared.charts import COLOURS, OTHERS, figure
 from stages.shared.errors import InputError
 from stages.shared.tables import Row, decimal, read_rows

@@ -25,7 +25,8 @@ from stages.evaluate.ground_truth import true_cameras, true_masks
 from stages.evaluate.options import EvaluateOptions
 from stages.evaluate.paths import path_rows
 from stages.shared import cli
-from stages.shared.artifacts import Dense, atomic, read_dense, read_json, read_metadata
+from stages.shared.artifacts import Dense, read_dense, read_json, read_metadata
+from stages.shared.atomic import atomic
 from stages.shared.cameras import read_cameras
 from stages.shared.charts import draw_trajectories
 from stages.shared.cli import In, Out

@@ -41,7 +41,7 @@ def main(
     two; masks alone need no poses.
     """
     from stages.export.clip import read_clip
-    from stages.shared.artifacts import atomic_folder
+    from stages.shared.atomic import atomic_folder
 
     _require(options.writes("ply", "spz"), model, "--model", "gaussians/model.safetensors")
     _require(options.writes("video"), renders, "--renders", "the folder renders/")

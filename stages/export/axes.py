@@ -31,7 +31,7 @@ def main(output: Annotated[Path, Out("picture, e.g. docs/conventions.png")]) -> 
     from matplotlib.figure import Figure
     from PIL import Image
 
-    from stages.shared.artifacts import atomic
+    from stages.shared.atomic import atomic
 
     figure = Figure(figsize=(10.4, 2.5), dpi=100, layout="constrained")
     canvas = FigureCanvasAgg(figure)

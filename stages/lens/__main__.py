@@ -17,16 +17,8 @@ from stages.lens.carry import CARRIED, carried_grid, carried_sequence, carry_flo
 from stages.lens.options import LensOptions
 from stages.lens.pinhole import Pinhole, largest_pinhole
 from stages.shared import cli
-from stages.shared.artifacts import (
-    Dense,
-    atomic,
-    atomic_folder,
-    dense_writer,
-    read_dense,
-    read_json,
-    read_metadata,
-    write_json,
-)
+from stages.shared.artifacts import Dense, dense_writer, read_dense, read_json, read_metadata, write_json
+from stages.shared.atomic import atomic, atomic_folder
 from stages.shared.cameras import centred_intrinsics, scale_intrinsics
 from stages.shared.cli import In, Out
 from stages.shared.log import logger

@@ -34,7 +34,7 @@ def main(
     """
     from stages.render.shots import load_scene, planned_shots, take
     from stages.render.video import write_gif
-    from stages.shared.artifacts import atomic_folder
+    from stages.shared.atomic import atomic_folder
     from stages.shared.images import write_image
     from stages.splatting.shutter import Shutter
 

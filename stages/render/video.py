@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from stages.shared.artifacts import atomic
+from stages.shared.atomic import atomic
 
 MAX_BYTES = 3_000_000
 WIDTHS_PX = (512, 400, 320, 240, 160)

@@ -24,7 +24,7 @@ def main(
     evenly over 0..1. Poses are camera-from-world in scene units; intrinsics are in pixels of the image to render.
     """
     from stages.render.shots import Shot, load_scene, take
-    from stages.shared.artifacts import atomic_folder
+    from stages.shared.atomic import atomic_folder
     from stages.shared.cameras import read_cameras
     from stages.shared.images import write_image
     from stages.shared.split import frame_times

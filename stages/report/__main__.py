@@ -17,7 +17,8 @@ from stages.report.overview import Group
 from stages.report.scene_pages import find_scene_pages
 from stages.report.sections import Section, build_section
 from stages.shared import cli
-from stages.shared.artifacts import atomic, atomic_folder, read_metadata
+from stages.shared.artifacts import read_metadata
+from stages.shared.atomic import atomic, atomic_folder
 from stages.shared.cli import In, Out
 from stages.shared.log import logger, progress
 from stages.shared.run_inputs import given_in_words, taken_inputs

@@ -19,7 +19,7 @@ from stages.results.options import ResultsOptions
 from stages.results.scene_tables import PARTS
 from stages.results.scorecard import score_rows
 from stages.shared import cli
-from stages.shared.artifacts import atomic
+from stages.shared.atomic import atomic
 from stages.shared.cli import In, Out
 from stages.shared.errors import InputError
 from stages.shared.tables import Column, Row, Table, read_rows

@@ -19,7 +19,8 @@ from stages.results.blocks import made_by, with_block
 from stages.results.options import ResultsOptions
 from stages.results.scorecard import is_current
 from stages.shared import cli
-from stages.shared.artifacts import atomic, read_json
+from stages.shared.artifacts import read_json
+from stages.shared.atomic import atomic
 from stages.shared.chain import STAGES
 from stages.shared.cli import In, Out
 from stages.shared.errors import InputError

@@ -15,7 +15,8 @@ from stages.segment.permanence import confidence_of, persistent
 from stages.segment.refinement import guarded_threshold, smooth_along_edges, to_instances, to_mask
 from stages.segment.superpixels import AT_ONCE, superpixels
 from stages.shared import cli, drawing
-from stages.shared.artifacts import Dense, atomic_folder, read_dense, write_json
+from stages.shared.artifacts import Dense, read_dense, write_json
+from stages.shared.atomic import atomic_folder
 from stages.shared.cli import In, Out
 from stages.shared.errors import InputError
 from stages.shared.images import enlarge, read_mask, read_rgb, reduce, write_figure, write_image

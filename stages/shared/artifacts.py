@@ -8,9 +8,8 @@ writers add `format_version` and the digest of the code that wrote the file.
 import contextlib
 import json
 import mmap
-import shutil
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +17,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from stages.shared.atomic import atomic
 from stages.shared.columns import array_of, column_of
 from stages.shared.digest import code_digest
 from stages.shared.errors import InputError
@@ -27,65 +27,6 @@ from stages.shared.rows import Rows, column_in, field_of
 FORMAT_VERSION = 1
 ROWS_AT_ONCE = 64
 """Rows of a mapped file that are held while it is checked."""
-SNAKEMAKE_STAMP = ".snakemake_timestamp"
-"""File that Snakemake writes into a folder that is the output of a job."""
-
-
-@contextlib.contextmanager
-def atomic(path: Path) -> Iterator[Path]:
-    """A temporary path beside the file `path`, which it replaces only if the block succeeds.
-
-    Raises:
-        InputError: if `path` is a folder.
-    """
-    if path.is_dir():
-        raise InputError(path, "a file to write", "a folder", "choose another name")
-    with _replacing(path) as partial:
-        yield partial
-
-
-@contextlib.contextmanager
-def atomic_folder(path: Path, writes: Iterable[str]) -> Iterator[Path]:
-    """Like `atomic`, for a folder: it is created empty and replaces an earlier folder with all its files.
-
-    Args:
-        writes: patterns of the files that the caller writes, relative to the folder, as in "test/frame_*.png".
-
-    Raises:
-        InputError: if the earlier folder holds files that match no pattern: they would be lost.
-    """
-    _refuse_foreign(path, writes)
-    with _replacing(path) as partial:
-        partial.mkdir()
-        yield partial
-
-
-def _refuse_foreign(path: Path, writes: Iterable[str]) -> None:
-    advice = "choose another folder, or empty it yourself"
-    if path.exists() and not path.is_dir():
-        raise InputError(path, "a folder to write", "a file", advice)
-    own = {file for pattern in (*writes, SNAKEMAKE_STAMP) for file in path.glob(pattern)}
-    for file in path.rglob("*"):
-        if file not in own and (file.is_symlink() or not file.is_dir()):
-            expected = "a folder that is new, is empty or holds earlier output alone"
-            raise InputError(path, expected, f"'{file.relative_to(path)}' in it", advice)
-
-
-@contextlib.contextmanager
-def _replacing(path: Path) -> Iterator[Path]:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial, old = (path.with_name(f".{path.name}.{kind}") for kind in ("partial", "replaced"))
-    _remove(partial)
-    try:
-        yield partial
-        if path.is_dir():  # moved aside first: a kill during the deletion must not leave half of it under its name
-            _remove(old)
-            path.replace(old)
-        partial.replace(path)
-        if old.is_dir():
-            _remove(old)
-    finally:
-        _remove(partial)
 
 
 def write_table(path: Path, columns: Mapping[str, Any], metadata: Mapping[str, Any] | None = None) -> None:
@@ -266,10 +207,3 @@ def _encode(metadata: Mapping[str, Any] | None) -> dict[bytes, bytes]:
     stage = spec.name if spec and spec.name.startswith("stages.") else None
     stamp = {"format_version": FORMAT_VERSION, "code": code_digest(stage) if stage else None, **(metadata or {})}
     return {key.encode(): json.dumps(value).encode() for key, value in stamp.items()}
-
-
-def _remove(path: Path) -> None:
-    if path.is_dir() and not path.is_symlink():
-        shutil.rmtree(path)
-    else:
-        path.unlink(missing_ok=True)

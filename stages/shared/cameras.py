@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from stages.shared import lie
-from stages.shared.artifacts import atomic, read_table, refuse_infinite, write_table
+from stages.shared.artifacts import read_table, refuse_infinite, write_table
+from stages.shared.atomic import atomic
 from stages.shared.errors import complete
 
 WITHOUT_POSE = ("failed", "unobserved")

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from PIL import Image
 
-from stages.shared.artifacts import atomic
+from stages.shared.atomic import atomic
 from stages.shared.errors import InputError
 from stages.shared.threads import threaded
 

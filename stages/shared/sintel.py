@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from stages.shared import lie
-from stages.shared.artifacts import atomic
+from stages.shared.atomic import atomic
 from stages.shared.errors import InputError
 
 TAG = np.float32(202021.25)

@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from stages.shared.artifacts import atomic, read_table, write_table
+from stages.shared.artifacts import read_table, write_table
+from stages.shared.atomic import atomic
 
 Row = dict[str, Any]
 MAX_DIGITS = 6

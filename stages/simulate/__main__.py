@@ -8,7 +8,8 @@ import numpy as np
 from pydantic import Field
 
 from stages.shared import cli, sintel
-from stages.shared.artifacts import atomic_folder, write_json
+from stages.shared.artifacts import write_json
+from stages.shared.atomic import atomic_folder
 from stages.shared.cameras import pixel_grid
 from stages.shared.cli import In, Out
 from stages.shared.errors import InputError

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from stages.shared.artifacts import atomic
+from stages.shared.atomic import atomic
 from stages.shared.errors import InputError
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from stages.shared.artifacts import atomic
+from stages.shared.atomic import atomic
 
 MAGIC, VERSION = 0x5053474E, 3
 POSITION_BITS, MAX_FRACTION_BITS = 23, 20

@@ -27,7 +27,8 @@ def main(
     indexes: Annotated[Path | None, In("folder of the indexes that the workflow made when it looked for cuts")] = None,
 ) -> str:
     """Write the frames of one shot upright, with square pixels, and without those that repeat others."""
-    from stages.shared.artifacts import atomic_folder, write_json
+    from stages.shared.artifacts import write_json
+    from stages.shared.atomic import atomic_folder
     from stages.shared.errors import InputError
     from stages.shared.images import write_image
     from stages.shared.log import logger, progress

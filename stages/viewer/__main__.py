@@ -25,7 +25,8 @@ def main(
     """
     import numpy as np
 
-    from stages.shared.artifacts import atomic, read_metadata, read_model
+    from stages.shared.artifacts import read_metadata, read_model
+    from stages.shared.atomic import atomic
     from stages.shared.drawing import spread
     from stages.shared.errors import InputError, complete
     from stages.shared.images import read_rgb
