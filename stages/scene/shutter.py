@@ -21,17 +21,13 @@ import numpy as np
 
 from stages.scene.geometry import MIN_CONFIDENCE
 from stages.scene.observed import Observed
+from stages.scene.shutter_fit import SHUTTERS, TILES, judge
 from stages.scene.sightings import BRIGHT
 from stages.shared.frame_store import Computed, Frames
 from stages.shared.images import DISPLAY_GAMMA
 from stages.shared.log import progress
 from stages.shared.warp import is_inside, matches, warp
 
-TILES = (4, 6)
-"""Rows and columns of image tiles: the shutter is fitted to every other one, as on a chessboard, judged on the rest."""
-SHUTTERS = np.arange(1, 9) / 8
-TESTED = 3
-"""Index of the shutter at which the slope <a, b> / <b, b> shows how well it could be told from none: half a frame."""
 PAIRS = 12
 """Number of pairs of frames, those between which the speeds differ most."""
 HELD_FRAMES = 48
@@ -79,7 +75,7 @@ def shutter_evidence(seen: Observed, least_px: float, given: float | None = None
     evidence["speed_agreement"] = _agreement(seen, motion, edges)
     grey = Computed(F, functools.partial(_grey, seen), HELD_FRAMES)
     sums = np.sum([_compare(seen, grey, motion, edge) for edge in edges], axis=0)
-    return evidence | _judge(sums, given)
+    return evidence | judge(sums, given)
 
 
 class _Motion(NamedTuple):
@@ -226,55 +222,3 @@ def _smeared(images: np.ndarray, velocity: np.ndarray) -> list[np.ndarray]:
 def _tiles(height: int, width: int) -> np.ndarray:
     v, u = np.mgrid[:height, :width]
     return np.asarray((v * TILES[0] // height) * TILES[1] + u * TILES[1] // width)
-
-
-def _judge(sums: np.ndarray, given: float | None) -> dict[str, float]:
-    """The evidence from sums [3, SHUTTERS, tiles]."""
-    n = sums.shape[-1]
-    odd = (np.arange(n) // TILES[1] + np.arange(n) % TILES[1]) % 2 == 1
-    saved, before = np.zeros(n), np.zeros(n)
-    for fitted in (odd, ~odd):
-        shutter = _best(sums[..., fitted]) if given is None else given
-        aa, ab, bb = _at(shutter, sums[..., ~fitted])
-        saved[~fitted], before[~fitted] = 2 * ab - bb, aa
-    without = [np.delete(sums, tile, axis=-1) for tile in range(n)]
-    return {
-        "shutter": _best(sums) if given is None else given,
-        "shutter_sigma": _jackknife([_best(part) for part in without]) if given is None else 0.0,
-        "gain_percent": 100 * float(saved.sum() / max(before.sum(), 1e-12)),
-        "gain_sigma_percent": 100 * float(np.sqrt(n) * saved.std(ddof=1) / max(before.sum(), 1e-12)),
-        "slope_sigma": _jackknife([float(_slopes(part)[TESTED]) for part in without]),
-    }
-
-
-def _slopes(sums: np.ndarray) -> np.ndarray:
-    """<a, b> / <b, b> by shutter, from sums [3, SHUTTERS, n]."""
-    _, ab, bb = sums.sum(axis=-1)
-    return np.asarray(ab / np.maximum(bb, 1e-12))
-
-
-def _best(sums: np.ndarray) -> float:
-    """The shutter 0..1 whose slope is 1. The slope falls with the square of a short shutter."""
-    slopes = _slopes(sums)
-    below = np.flatnonzero(slopes < 1)
-    if not len(below):
-        return float(SHUTTERS[-1])
-    k = below[0]
-    if k == 0:
-        return float(SHUTTERS[0] * np.sqrt(max(slopes[0], 0.0)))
-    logs = np.log(np.maximum(slopes[k - 1 : k + 1], 1e-6))
-    return float(SHUTTERS[k - 1] + (SHUTTERS[k] - SHUTTERS[k - 1]) * logs[0] / (logs[0] - logs[1]))
-
-
-def _at(shutter: float, sums: np.ndarray) -> np.ndarray:
-    """Sums [3, n] at a shutter, from those [3, SHUTTERS, n]; without one b is zero."""
-    knots = np.append(0.0, SHUTTERS)
-    none = sums[:, :1] * np.array([1.0, 0.0, 0.0])[:, None, None]
-    table = np.concatenate([none, sums], axis=1)
-    return np.array([[np.interp(shutter, knots, column) for column in rows.T] for rows in table])
-
-
-def _jackknife(values: list[float]) -> float:
-    """Standard error from values that leave out one part of n each (Efron 1982)."""
-    n = len(values)
-    return float(np.sqrt((n - 1) / n * np.square(np.array(values) - np.mean(values)).sum()))
