@@ -6,7 +6,8 @@ import numpy as np
 
 from stages.ba import reduced
 from stages.ba.arguments import geometry, lens_px, observations
-from stages.ba.banded_system import BandedSystem, layout
+from stages.ba.band_layout import layout
+from stages.ba.banded_system import BandedSystem
 from stages.ba.dense_system import DenseSystem
 from stages.ba.graph import FlowGraph
 from stages.ba.normal_equations import depth_steps, normal_equations

@@ -9,7 +9,8 @@ from numpy.testing import assert_allclose
 from synthetic import make_scene, observe
 
 from stages.ba import dba, proposal
-from stages.ba.banded_system import BandedSystem, layout
+from stages.ba.band_layout import layout
+from stages.ba.banded_system import BandedSystem
 from stages.ba.graph import FlowGraph
 from stages.ba.state import FocalPrior, State, Unknowns
 from stages.shared import lie
