@@ -4,7 +4,8 @@ import gaussian_scene as truth
 import numpy as np
 import torch
 
-from stages.gaussians.lifting import initial_cloud, near_plane_of
+from stages.gaussians.initial_cloud import initial_cloud
+from stages.gaussians.lifting import near_plane_of
 from stages.gaussians.optimise import Trainer
 from stages.gaussians.options import GaussiansOptions
 from stages.gaussians.training_frames import TrainingFrames

@@ -9,7 +9,7 @@ import torch
 from gaussian_training import OPTIONS, TRAIN, image_at, new_scene, psnr
 
 from stages.gaussians.fog import cleared_of_fog
-from stages.gaussians.lifting import initial_cloud
+from stages.gaussians.initial_cloud import initial_cloud
 from stages.gaussians.optimise import Trainer
 from stages.splatting.atmosphere import DISPLAY_GAMMA, Atmosphere
 from stages.splatting.gaussian_model import GaussianScene

@@ -6,7 +6,8 @@ import pytest
 import torch
 from gaussian_training import CANONICAL, TRAIN, image_at, new_scene, psnr
 
-from stages.gaussians.lifting import cloud_within, initial_cloud, lift, near_plane_of
+from stages.gaussians.initial_cloud import cloud_within, initial_cloud
+from stages.gaussians.lifting import lift, near_plane_of
 from stages.gaussians.skinning import skin, to_canonical
 from stages.gaussians.training_frames import with_movers
 from stages.gaussians.votes import dynamic_share

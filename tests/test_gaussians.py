@@ -13,7 +13,7 @@ from scipy.ndimage import binary_dilation
 from stages.gaussians import __main__ as gaussians_stage
 from stages.gaussians import checkpoint, optimise
 from stages.gaussians.densify import densify
-from stages.gaussians.lifting import initial_cloud
+from stages.gaussians.initial_cloud import initial_cloud
 from stages.gaussians.optimise import Trainer
 from stages.gaussians.options import GaussiansOptions
 from stages.gaussians.training_frames import TrainingFrames

@@ -12,7 +12,8 @@ from gaussian_training import CANONICAL, TRAIN, image_at, new_scene, psnr
 from stages.gaussians import checkpoint
 from stages.gaussians.births import birth_frames
 from stages.gaussians.densify import densify
-from stages.gaussians.lifting import cloud_within, initial_cloud, near_plane_of
+from stages.gaussians.initial_cloud import cloud_within, initial_cloud
+from stages.gaussians.lifting import near_plane_of
 from stages.gaussians.optimise import Trainer
 from stages.gaussians.options import GaussiansOptions
 from stages.gaussians.training_frames import TrainingFrames

@@ -169,7 +169,8 @@ def _new_scene(
     import torch
 
     from stages.gaussians.fog import cleared_of_fog
-    from stages.gaussians.lifting import cloud_within, near_plane_of
+    from stages.gaussians.initial_cloud import cloud_within
+    from stages.gaussians.lifting import near_plane_of
     from stages.splatting.gaussian_model import GaussianScene
     from stages.splatting.rasterize import backend_name, choose_device
 

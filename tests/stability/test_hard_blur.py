@@ -8,7 +8,8 @@ import pytest
 import torch
 from gaussian_training import psnr
 
-from stages.gaussians.lifting import initial_cloud, near_plane_of
+from stages.gaussians.initial_cloud import initial_cloud
+from stages.gaussians.lifting import near_plane_of
 from stages.gaussians.optimise import Trainer
 from stages.gaussians.options import GaussiansOptions
 from stages.gaussians.training_frames import TrainingFrames, with_smear

@@ -1,0 +1,105 @@
+"""The Gaussians that training begins with: lifted points, labelled static or dynamic by votes over the frames."""
+
+import sys
+
+import cv2
+import numpy as np
+import torch
+
+from stages.deformation.motion_models import Deformation
+from stages.gaussians.births import birth_frames, with_life_spans
+from stages.gaussians.lifting import frame_order, join, lift_dynamic, lift_static, make_cloud
+from stages.gaussians.skinning import skin, to_canonical
+from stages.gaussians.training_frames import TrainingFrames
+from stages.gaussians.votes import dynamic_share, inverse, static_share
+from stages.shared.frame_store import Computed, PackedMasks
+from stages.splatting.cloud import Cloud
+
+OUTLINE = 0.006
+"""Width of the uncertain band along a mask's outline, as a share of the frame's width: 3 of 512 px. With a narrower one
+static Gaussians keep the colours of the movers' rim, which lowers held-out PSNR."""
+
+
+def cloud_within(
+    seen: TrainingFrames,
+    deformation: Deformation | None,
+    canonical: int,
+    stride_px: int,
+    K: int,
+    sh_degree: int,
+    max_gaussians: int,
+    movers_every: int = 0,
+) -> tuple[Cloud, int]:
+    """`initial_cloud` at the smallest stride from `stride_px` on that gives at most `max_gaussians`, and that stride.
+
+    All other arguments are those of `initial_cloud`.
+    """
+    while True:
+        cloud = initial_cloud(seen, deformation, canonical, stride_px, K, sh_degree, movers_every, max_gaussians)
+        if len(cloud.means) <= max_gaussians:
+            return cloud, stride_px
+        stride_px += 1
+
+
+def initial_cloud(
+    seen: TrainingFrames,
+    deformation: Deformation | None,
+    canonical: int,
+    stride_px: int,
+    K: int,
+    sh_degree: int,
+    movers_every: int = 0,
+    max_gaussians: int = sys.maxsize,
+) -> Cloud:
+    """Gaussians of the whole scene; without a deformation every pixel is static.
+
+    Each candidate is labelled by a vote over all frames in which it is visible. An unmasked pixel becomes dynamic if
+    more than half of these frames mask it. A masked pixel becomes static, at the place where it was lifted, if the
+    share of frames that show it there unmasked exceeds the share that mask it along its motion. If the motion is wrong,
+    few masks cover it on its way, but then no frame shows it at rest either, and it stays dynamic.
+
+    Args:
+        canonical: index (into the F training frames) of the canonical frame.
+        stride_px: distance between lifted pixels, px. K: control points per Gaussian.
+        movers_every: dynamic Gaussians have life spans, and are lifted from one frame in this many, from the others
+            where none of them is; 0: they are there at all times, and each frame adds what those before do not show.
+        max_gaussians: to stay within, movers are lifted from fewer frames, but from no less than half as many.
+    """
+    order = frame_order(len(seen.images), canonical)
+    if deformation is None:
+        points = lift_static(seen, order, stride_px, Computed(len(seen.images), lambda _: np.ones(seen.size, bool)))
+        return make_cloud(points, points.positions, np.zeros(len(points.frames), bool), sh_degree)
+    # Pixels on the outline mix two colours, and masks and depth are inexact there: no static point starts from them.
+    size = 2 * max(1, round(OUTLINE * seen.size[1])) + 1
+    kernel = np.ones((size, size), np.uint8)
+    frames = range(len(seen.images))
+    widened = PackedMasks((f, cv2.dilate(seen.masks[f].astype(np.uint8), kernel) > 0) for f in frames)
+    static = lift_static(seen, order, stride_px, inverse(widened))
+    claimed = dynamic_share(seen, lambda _: static.positions, seen.masks) > 0.5
+    claimed_times = seen.times[static.frames[claimed]]
+    recovered, found = to_canonical(static.positions[claimed], claimed_times, deformation, K)
+    room = stride_px**2 * (max_gaussians - len(static.frames))
+    births = birth_frames(seen.masked, movers_every, room) if movers_every else []
+    most = sys.maxsize
+    if births:  # a mover that passes by may show between these frames only
+        order = births + [f for f in frames if f not in births and seen.masked[f]]
+        most = max_gaussians - len(static.frames)
+    left = max_gaussians - int((~claimed).sum() + found.sum())
+    dynamic, means = lift_dynamic(seen, order, stride_px, deformation, K, births, most, left)
+    rest = torch.as_tensor(means, dtype=torch.float32)
+
+    def moved(f: int) -> np.ndarray:
+        with torch.no_grad():
+            return np.asarray(skin(rest, float(seen.times[f]), deformation, K).double().numpy())
+
+    if len(means) > left:  # too many, whatever the votes
+        moves = np.ones(len(means), bool)
+    else:
+        moves = dynamic_share(seen, moved, widened) >= static_share(seen, dynamic.positions, widened)
+    points = join([static[~claimed], static[claimed][found], dynamic])
+    positions = np.concatenate([
+        static.positions[~claimed], recovered[found], np.where(moves[:, None], means, dynamic.positions)
+    ])  # fmt: skip
+    labels = np.concatenate([np.zeros((~claimed).sum(), bool), np.ones(found.sum(), bool), moves])
+    cloud = make_cloud(points, positions, labels, sh_degree)
+    return with_life_spans(cloud, points.frames[np.argsort(labels, kind="stable")], seen.times, births)
