@@ -17,7 +17,8 @@ import numpy as np
 from stages.ba import classify
 from stages.ba.estimate import PRIOR_FOCAL
 from stages.ba.graph import FlowGraph, build_graph
-from stages.ba.start import Observed, find_start
+from stages.ba.guesses import Observed
+from stages.ba.start import find_start
 from stages.ba.state import FocalPrior
 from stages.shared.artifacts import read_dense
 from stages.shared.warp import bilinear

@@ -12,10 +12,10 @@ from stages.ba import classify, dba, twoview
 from stages.ba.depth import contact_inverse_depth, depth_maps, fill, joined
 from stages.ba.estimate import estimate
 from stages.ba.graph import FlowGraph, static_areas
+from stages.ba.guesses import PoseGuess
 from stages.ba.initialise import Hypothesis, chain, initial_state
 from stages.ba.options import BAOptions
 from stages.ba.problem import Problem
-from stages.ba.start import PoseGuess
 from stages.ba.state import FocalPrior, Level, State, Unknowns
 from stages.ba.uncertainty import focal_sigma
 from stages.shared import lie

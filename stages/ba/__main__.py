@@ -15,10 +15,10 @@ from stages.ba.graph import (
     trusted_static_areas,
     with_texture,
 )
+from stages.ba.guesses import PoseGuess
 from stages.ba.options import BAOptions
 from stages.ba.problem import Estimate, Problem
 from stages.ba.reading import BLOCK, Matches, read_matches, read_static_areas, read_texture
-from stages.ba.start import PoseGuess
 from stages.ba.state import State
 from stages.given.files import of_sequence
 from stages.shared import cli

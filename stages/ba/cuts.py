@@ -7,9 +7,9 @@ from scipy.sparse.csgraph import connected_components
 
 from stages.ba.estimate import estimate
 from stages.ba.graph import MIN_MATCHES, FlowGraph, shared_matches
+from stages.ba.guesses import PoseGuess
 from stages.ba.options import BAOptions
 from stages.ba.problem import Estimate, Problem
-from stages.ba.start import PoseGuess
 from stages.shared import lie
 from stages.shared.number_ranges import number_ranges, runs_of
 

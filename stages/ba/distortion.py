@@ -12,8 +12,9 @@ from stages.ba import classify, dba, held_out, initialise, rotation
 from stages.ba.arguments import undistorted
 from stages.ba.classify import Statistics
 from stages.ba.graph import MIN_MATCHES, FlowGraph, favour_distance, shared_matches, thin_graph
+from stages.ba.guesses import Observed, guess
 from stages.ba.held_out import Fit
-from stages.ba.start import COARSE_PIXELS, Observed, guess
+from stages.ba.start import COARSE_PIXELS
 from stages.ba.state import FocalPrior, Level, State, Unknowns
 from stages.ba.uncertainty import median_residual, solution_covariance
 

@@ -7,10 +7,11 @@ import numpy as np
 from stages.ba import classify, dba, diagnostics, initialise, loops, rotation, shutter, trim, zoom
 from stages.ba.classify import Statistics
 from stages.ba.graph import MIN_MATCHES, FlowGraph, favour_distance, shared_matches
+from stages.ba.guesses import Observed
 from stages.ba.initialise import Candidate
 from stages.ba.options import BAOptions
 from stages.ba.problem import Estimate, Focal, Problem
-from stages.ba.start import Observed, Start, find_start
+from stages.ba.start import Start, find_start
 from stages.ba.state import FocalPrior, Level, State, Step, Unknowns
 from stages.ba.uncertainty import focal_sigma, median_residual, solution_covariance
 from stages.ba.zoom import NOT_TESTED, Evidence

@@ -6,9 +6,9 @@ import numpy as np
 
 from stages.ba import classify, from_truth, initialise, readings
 from stages.ba.graph import FlowGraph
+from stages.ba.guesses import PoseGuess
 from stages.ba.options import BAOptions
 from stages.ba.problem import Estimate
-from stages.ba.start import PoseGuess
 from stages.ba.uncertainty import median_residual
 from stages.given.cameras_files import read_intrinsics, read_poses, require_lens
 from stages.given.files import of_sequence

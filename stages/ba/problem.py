@@ -7,7 +7,7 @@ import numpy as np
 
 from stages.ba import shutter
 from stages.ba.graph import FlowGraph
-from stages.ba.start import PoseGuess
+from stages.ba.guesses import PoseGuess
 from stages.ba.state import State, Step
 from stages.ba.zoom import NOT_TESTED, Evidence
 

@@ -9,9 +9,9 @@ from synthetic import PLANE, camera_path, make_scene, observe, rotation_error_de
 
 from stages.ba import cuts
 from stages.ba.estimate import estimate
+from stages.ba.guesses import PoseGuess
 from stages.ba.options import BAOptions
 from stages.ba.problem import Estimate, Problem
-from stages.ba.start import PoseGuess
 from stages.shared import lie
 
 OPTIONS = BAOptions(start_focals=(1.05,))
