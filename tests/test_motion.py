@@ -94,6 +94,29 @@ def test_the_length_of_runs_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> 
         np.testing.assert_array_equal(three, sixteen)
 
 
+def test_places_seen_again_are_no_evidence(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Wrong flow over more than REACH frames changes no residual, scale or reliability."""
+    scene = make_scene(T=6, size=(48, 64), disc_radius=0.5)
+    source, target, flow, confidence = flow_arrays(scene)
+    far = np.abs(source - target) == 3
+    for module in (epipolar, resweep, flow_pairs_module):
+        monkeypatch.setattr(module, "REACH", 2)
+    wrong = flow + far[:, None, None, None] * np.float32(4)
+    rgb, start = painted(scene.dynamic), np.full(scene.depth.shape, 0.2, np.float32)
+    Ks, found = np.broadcast_to(scene.K, (scene.T, 3, 3)), []
+    for pairs in (
+        flow_pairs(source, target, wrong, np.where(far[:, None, None], 0.9, confidence).astype(np.float32)),
+        flow_pairs(source[~far], target[~far], flow[~far], confidence[~far]),
+    ):
+        flat = epipolar.two_view_evidence(pairs, scene.T, parallax=True, seed=0)
+        evidence, inverse_depth, sigma_px = resweep.camera_evidence(pairs, scene.cam_from_world, Ks, start)
+        lines = resweep.projections(pairs, scene.cam_from_world, Ks)
+        sure = photometric.corroborate(evidence, rgb, pairs, lines, inverse_depth)
+        found.append([*flat, *evidence, inverse_depth, np.array(sigma_px), *sure])
+    for with_loops, without in zip(*found, strict=True):
+        np.testing.assert_allclose(with_loops, without, atol=1e-6)
+
+
 def test_a_mover_stands_out_sharply_with_cameras() -> None:
     scene = make_scene(disc_radius=0.5)
     pairs = observed(scene)

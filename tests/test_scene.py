@@ -184,6 +184,18 @@ def test_a_depth_grid_of_broken_pixels_is_read_as_it_is(tmp_path: Path) -> None:
     np.testing.assert_allclose(found, depth_on_grid(inverse_depth[frames], 4.5, 1.0, clip.H, clip.W), rtol=1e-6)
 
 
+def test_edges_between_places_seen_again_decide_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    paths = write_inputs(tmp_path)
+    content = read_sequence(paths.pop("sequence"))
+    before = scene_stage._observe(content, **paths, options=SceneOptions())
+    monkeypatch.setattr(scene_stage, "REACH", 1)
+    seen = scene_stage._observe(content, **paths, options=SceneOptions())
+    near = np.flatnonzero(np.abs(before.offsets) == 1)
+    assert 0 < len(near) < len(before.offsets)
+    np.testing.assert_array_equal(seen.edges, before.edges[near])
+    np.testing.assert_array_equal(seen.flow[3], before.flow[int(near[3])])
+
+
 def test_held_out_frames_decide_nothing(tmp_path: Path) -> None:
     clean = decide_in(tmp_path / "a", write_inputs(tmp_path / "a"))
     poisoned = decide_in(tmp_path / "b", write_inputs(tmp_path / "b", poison=True))

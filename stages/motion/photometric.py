@@ -13,6 +13,7 @@ import numpy as np
 from stages.motion.epipolar import Evidence
 from stages.motion.pooling import PRIOR_WEIGHT
 from stages.motion.resweep import dense_static_flow
+from stages.shared import flow_pairs
 from stages.shared.flow_pairs import FlowPairs
 from stages.shared.threads import threaded
 from stages.shared.warp import is_inside, warp
@@ -56,6 +57,7 @@ def corroborate(
 
     def of_frame(i: int, frames: dict[int, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         edges = np.array(pairs.leaving(i, i + 1), int)
+        edges = edges[np.abs(i - pairs.target[edges]) <= flow_pairs.REACH]
         confidence = pairs.confidence[edges].astype(np.float32)
         reliability = confidence.sum(axis=0) / (RELIABLE * max(len(edges), 1))
         depths = _static_depths(inverse_depth[i].astype(np.float32), evidence.residual[i])

@@ -116,6 +116,8 @@ def _median_residual(A: np.ndarray, b: np.ndarray, pairs: FlowPairs, inverse_dep
     edges = (e for block in pairs.blocks(len(inverse_depth)) for e in pairs.leaving(*block))
     for e in edges:
         i = pairs.source[e]
+        if abs(pairs.target[e] - i) > REACH:
+            continue
         flow, ratio = static_flow(pixels, inverse_depth[i], A[e], b[e])
         confident = (pairs.weights(e)[grid, grid] > 0.5) & (ratio > Z_MIN)
         residuals.append(np.linalg.norm((pairs.flow[e, grid, grid] - flow)[confident], axis=-1))

@@ -17,6 +17,7 @@ from stages.shared import cli, images
 from stages.shared.artifacts import read_dense, read_json, read_metadata, write_json
 from stages.shared.cameras import read_cameras, scale_intrinsics
 from stages.shared.cli import In, Out
+from stages.shared.flow_pairs import REACH
 from stages.shared.frame_store import Computed
 from stages.shared.log import logger
 from stages.shared.masks import read_instances, read_masks_on_grid, read_scene_on_grid
@@ -107,7 +108,8 @@ def _observe(sequence: Sequence, flow: Path, masks: Path, poses: Path, depth: Pa
     dense, stride_px = read_dense(depth), float(read_metadata(depth)["stride_px"])
     cameras = read_cameras(poses)
     h, w = pairs["flow"].shape[1:3]
-    rows = np.flatnonzero(is_training[pairs["source"]] & is_training[pairs["target"]])
+    near = np.abs(pairs["source"] - pairs["target"]) <= REACH  # when a place is seen again, it may have changed
+    rows = np.flatnonzero(near & is_training[pairs["source"]] & is_training[pairs["target"]])
     ends = np.stack([pairs["source"][rows], pairs["target"][rows]], axis=-1)
     inverse_depth = dense["inverse_depth"][frames]
 
