@@ -14,9 +14,10 @@ from ba_files import outputs, write_inputs
 from synthetic import flow_arrays, make_scene
 
 from stages.ba import checkpoint, dba
-from stages.ba.__main__ import main
+from stages.ba.__main__ import _read, main
 from stages.ba.options import BAOptions
 from stages.shared.artifacts import read_dense, read_table
+from stages.shared.sequences import Sequence
 
 OPTIONS = BAOptions(stride_px=4, start_focals=(0.9,), zoom="no", rolling_shutter="no")
 KILLED_AT = 11
@@ -104,3 +105,11 @@ def test_a_failed_run_keeps_its_checkpoint(tmp_path: Path, monkeypatch: pytest.M
         assert (checkpoint.array(lambda: np.zeros(2)) == work).all()
         assert (checkpoint.array(lambda: np.zeros(2)) == 0).all()
     assert list(tmp_path.iterdir()) == []
+
+
+def test_frames_and_truth_are_of_the_origin(tmp_path: Path) -> None:
+    """Texture weighs matches, and true poses take the place of estimated ones: other files are another run."""
+    frame, camera = tmp_path / "frame_0001.png", tmp_path / "frame_0001.cam"
+    frames = Sequence("clip", [frame], [1], 8, 8, {"camdata_left": {1: camera}})
+    true_poses = OPTIONS.model_copy(update={"poses_from": "truth"})
+    assert (_read(frames, OPTIONS), _read(frames, true_poses)) == ([frame], [frame, camera])

@@ -70,11 +70,17 @@ def main(
         if rounds.has_converged(before) and rounds.is_same(areas, read_static_areas(previous_masks, frames, matches)):
             return rounds.carry_over(frames, before, rounds.Results(poses, depth, convergence, figure), trajectory)
     results = rounds.Results(poses, depth, convergence, figure)
-    handed = [of_sequence(name, frames.name) for name in (options.intrinsics, options.poses_from)]
-    files = [sequence, flow, masks, previous_poses, *(file for file in handed if file.exists())]
-    inputs = [file for file in files if file is not None]
+    inputs = [file for file in (sequence, flow, masks, previous_poses) if file is not None] + _read(frames, options)
     with checkpoint.kept(poses, inputs, options):
         return _run(frames, matches, areas, masks is not None, previous_poses, results, trajectory, options)
+
+
+def _read(frames: Sequence, options: BAOptions) -> list[Path]:
+    """The files that the solution depends on and that the sequence or the options name."""
+    sources = options.intrinsics, options.poses_from
+    handed = [file for file in (of_sequence(name, frames.name) for name in sources) if file.exists()]
+    truth = [path for kind in frames.truth.values() for path in kind.values()] if "truth" in sources else []
+    return [*frames.frames, *handed, *truth]
 
 
 def _run(
