@@ -10,7 +10,7 @@ from square_inputs import observe
 from synthetic import flow_arrays, make_scene
 
 from stages.scene import light, photometry, rules
-from stages.scene.light_model import Model, no_light
+from stages.scene.light_model import Model, cleared, no_light
 from stages.scene.observed import Observed
 from stages.scene.photometry import LightEvidence, light_evidence, view_evidence
 from stages.scene.sightings import sight
@@ -118,6 +118,17 @@ def test_a_sky_behind_black_fog_has_errors_all_the_same() -> None:
     errors = light.residuals(far, black, np.ones(len(seen.cell), bool))
     assert np.isfinite(errors).all()
     assert np.isfinite(light.fit(far, Model(0, True), seen.odd, black).airlight).all()
+    assert np.isfinite(cleared(far, black)).all()
+
+
+@pytest.mark.parametrize("extinction", [0.05, 0.2, 0.4])
+def test_thin_and_thick_fog_are_found_from_a_light_without(extinction: float) -> None:
+    """0.2 to 1.6 per median distance. The vignetting that is fitted first takes the part of thin fog."""
+    seen = sight(lit_room(extinction, (0.6, 0.6, 0.66)))
+    every, start = np.ones(len(seen.cell), bool), no_light(seen.colours.shape[1])
+    found = light.fit(seen, Model(0, True), every, light.fit(seen, Model(0, False), every, start))
+    assert found.extinction == pytest.approx(extinction, rel=0.06)
+    assert found.airlight == pytest.approx([0.6, 0.6, 0.66], abs=0.03)
 
 
 @pytest.mark.parametrize(("exposure", "white_balance"), [(15.0, 0.1), (15.0, 0.0), (0.0, 0.1)])

@@ -7,7 +7,9 @@ import numpy as np
 from stages.scene.light_model import Light, Model, Points, State, brightened, derivatives, errors_of, slopes_of
 from stages.scene.sightings import Sightings
 
-ITERATIONS, FOG_ITERATIONS, EVALUATIONS = 5, 10, 3
+ITERATIONS, EVALUATIONS = 5, 3
+FIRST_FOG_ITERATIONS, FOG_ITERATIONS, LEAST_PROGRESS = 3, 20, 1e-3
+"""With fog: of each first extinction, which is held; of the best one; share of the cost below which it has arrived."""
 KERNEL = 3.0
 """Scale of the robust kernel in standard deviations of the noise, itself no less than LEAST_NOISE."""
 LEAST_NOISE = 1e-3
@@ -18,8 +20,10 @@ TRUST, TRUST_FACTOR = 1e-3, 10.0
 MOST_AIRLIGHT = 1.5
 MOST_EXTINCTION = 5.0
 """Per median distance: less than a hundredth of the light is left."""
-FIRST_EXTINCTIONS = (0.1, 0.7)
-"""Where the search begins, per median distance, with the colour of the most distant points as airlight."""
+FIRST_EXTINCTIONS = (0.06, 0.12, 0.25, 0.5, 1.0, 2.0)
+"""Where the search looks first, per median distance, with the colour of the most distant points as airlight."""
+HELD = 1e6
+"""Damping of an extinction that is held."""
 
 
 def fit(seen: Sightings, model: Model, rows: np.ndarray, start: Light) -> Light:
@@ -33,26 +37,41 @@ def fit(seen: Sightings, model: Model, rows: np.ndarray, start: Light) -> Light:
         return start
     if not model.fog:
         return _improved(of, model, State(start, of.mean_radiance(start)), ITERATIONS).light
-    starts = [start]
-    if start.extinction == 0:
-        thick = [extinction / of.unit for extinction in FIRST_EXTINCTIONS]
-        starts = [replace(start, extinction=b, scattered=b * of.far_radiance) for b in thick]
-    states = [_improved(of, model, State(light, of.mean_radiance(light)), ITERATIONS) for light in starts]
+    state = State(start, of.mean_radiance(start)) if start.extinction > 0 else _first_fog(of, model, start)
+    return _improved(of, model, state, FOG_ITERATIONS).light
+
+
+def _first_fog(of: Points, model: Model, start: Light) -> State:
+    """The best fog of FIRST_EXTINCTIONS, everything else fitted to each; from the next of them the search gets stuck.
+
+    A vignetting that was fitted without fog has taken its part, and keeps it: all begin without.
+    """
+    states = []
+    for b in np.array(FIRST_EXTINCTIONS) / of.unit:
+        light = replace(start, vignetting=0.0, extinction=float(b), scattered=b * of.far_radiance)
+        states.append(_improved(of, model, State(light, of.mean_radiance(light)), FIRST_FOG_ITERATIONS, HELD))
     noise = min(_noise(of, errors_of(of, state)) for state in states)
-    best = min(states, key=lambda state: _cost(of, errors_of(of, state), noise))
-    return _improved(of, model, best, FOG_ITERATIONS).light
+    return min(states, key=lambda state: _cost(of, errors_of(of, state), noise))
 
 
-def _improved(of: Points, model: Model, state: State, iterations: int) -> State:
-    """The parameters after so many steps; with fog, in which they are not linear, only steps that help are made."""
+def _improved(of: Points, model: Model, state: State, iterations: int, held: float = 0.0) -> State:
+    """The parameters after so many steps; with fog, in which they are not linear, only steps that help are made.
+
+    Args:
+        held: further damping of the extinction.
+    """
     trust = TRUST
     for _ in range(iterations):
         error = errors_of(of, state)
         noise = _noise(of, error)
-        moved = _step(of, model, state, error, noise, trust)
-        if model.fog and _cost(of, errors_of(of, moved), noise) > _cost(of, error, noise):
-            trust *= TRUST_FACTOR
-            continue
+        moved = _step(of, model, state, error, noise, (trust, held))
+        if model.fog:
+            before, after = _cost(of, error, noise), _cost(of, errors_of(of, moved), noise)
+            if after > before:
+                trust *= TRUST_FACTOR
+                continue
+            if trust <= TRUST and before - after < LEAST_PROGRESS * before:
+                return moved
         state, trust = moved, trust / TRUST_FACTOR
     return state
 
@@ -93,8 +112,8 @@ def _radiance_step(weight: np.ndarray, slope: np.ndarray, error: np.ndarray) -> 
     return np.asarray((weight * slope * error).sum(axis=1) / np.where(scatter > 0, scatter, 1.0))
 
 
-def _step(of: Points, model: Model, state: State, error: np.ndarray, noise: float, trust: float) -> State:
-    """One Gauss-Newton step of all parameters, the radiances eliminated."""
+def _step(of: Points, model: Model, state: State, error: np.ndarray, noise: float, trust: tuple[float, float]) -> State:
+    """One Gauss-Newton step of all parameters, the radiances eliminated; `trust` damps fog, and its extinction more."""
     F, light, slope = error.shape[1], state.light, slopes_of(of, state)
     weight, extras = _weights(of, error, noise), derivatives(of, model, state)
     solution = _solve(weight, slope, error, extras, model.gains, trust)
@@ -113,7 +132,12 @@ def _step(of: Points, model: Model, state: State, error: np.ndarray, noise: floa
 
 
 def _solve(
-    weight: np.ndarray, slope: np.ndarray, error: np.ndarray, extras: list[np.ndarray], gains: int, trust: float
+    weight: np.ndarray,
+    slope: np.ndarray,
+    error: np.ndarray,
+    extras: list[np.ndarray],
+    gains: int,
+    trust: tuple[float, float],
 ) -> np.ndarray:
     """Steps of the gains, table by table, and of the extras, from the normal equations without the radiances."""
     F, K = error.shape[1], len(extras)
@@ -141,6 +165,7 @@ def _solve(
     for c in range(gains):  # the mean gain is that of the radiances
         at = slice(c * F, (c + 1) * F)
         normal[at, at] += np.trace(normal[at, at]) / F / F
-    damping = np.where(np.arange(size) > first, trust * np.diagonal(normal), 0.0)
+    index = np.arange(size) - first
+    damping = np.diagonal(normal) * (trust[0] * (index > 0) + trust[1] * (index == 1))
     damping += DAMPING * max(np.trace(normal) / size, 1e-12)
     return np.asarray(np.linalg.solve(normal + np.diag(damping), right))

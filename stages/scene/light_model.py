@@ -150,5 +150,6 @@ def cleared(seen: Sightings, light: Light) -> np.ndarray:
     """Colours [n, F, 3] of the points as they would be without gains, vignetting and fog."""
     shown = seen.colours / np.exp(light.log_gains + light.vignetting * seen.off_axis[..., None])
     clear = fog_over(light, seen.distance[..., None])[0]
-    linear = (shown**DISPLAY_GAMMA - light.airlight * (1 - clear)) / clear
+    veiled = shown**DISPLAY_GAMMA - light.airlight * (1 - clear)
+    linear = veiled / np.maximum(clear, LEAST_RADIANCE)  # of the sky behind dense fog nothing is left
     return np.asarray(np.maximum(linear, LEAST_RADIANCE) ** (1 / DISPLAY_GAMMA), np.float32)

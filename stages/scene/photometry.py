@@ -15,6 +15,8 @@ GREY_LEVELS = 255.0
 LEAST_GREY, LEAST_SHARE, LEAST_FOG_SHARE = 0.7, 0.15, 0.3
 """Grey levels of held-out error, and share of its square, that a model of light must save: 0.07 dB at 33 dB. Fog
 imitates whatever differs between the near ground and the rest, as bands of flicker do."""
+MIN_DISTANCE_CHANGE = 0.02
+"""Median relative range: with less, fog of any density changes hardly any colour, and none is fitted."""
 RIDGE = 1e-2
 
 
@@ -42,7 +44,7 @@ def light_evidence(seen: Sightings, foggy: bool = False) -> LightEvidence:
     buys nothing.
 
     Args:
-        foggy: `fitted` has fog whether that buys enough or not.
+        foggy: `fitted` has fog whether that buys enough or not, where fog is observable.
     """
 
     @cache
@@ -51,18 +53,22 @@ def light_evidence(seen: Sightings, foggy: bool = False) -> LightEvidence:
 
     @cache
     def bought(simple: Model, rich: Model) -> Bought:
+        if rich.fog and not observable:
+            return NOTHING
         usable = seen.usable
         cells = np.broadcast_to(seen.cell[:, None, None], usable.shape)[usable]
         return weigh(errors(simple)[usable], errors(rich)[usable], cells)
 
+    distance_change = _distance_change(seen)
+    observable = distance_change >= MIN_DISTANCE_CHANGE
     chosen = _chosen(bought)
     return LightEvidence(
         bought(Model(0, chosen.fog), Model(1, chosen.fog)),
         bought(Model(1, chosen.fog), Model(3, chosen.fog)),
         bought(Model(chosen.gains, False), Model(chosen.gains, True)),
         chosen,
-        _fit_all(seen, chosen._replace(fog=chosen.fog or foggy)),
-        _distance_change(seen),
+        _fit_all(seen, chosen._replace(fog=chosen.fog or (foggy and observable))),
+        distance_change,
     )
 
 

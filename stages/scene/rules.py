@@ -9,7 +9,15 @@ from typing import Any, Literal
 import numpy as np
 
 from stages.scene.geometry import MaskEvidence
-from stages.scene.photometry import LEAST_FOG_SHARE, LEAST_GREY, LEAST_SHARE, LightEvidence, ViewEvidence, is_worth
+from stages.scene.photometry import (
+    LEAST_FOG_SHARE,
+    LEAST_GREY,
+    LEAST_SHARE,
+    MIN_DISTANCE_CHANGE,
+    LightEvidence,
+    ViewEvidence,
+    is_worth,
+)
 from stages.scene.weigh import NOTHING, Bought
 
 MIN_MASK_SHARE = 5e-4
@@ -18,8 +26,6 @@ MIN_MOTION_PX, MIN_MOTION_SHARE = 0.15, 0.5
 """Masked pixels that fit the static scene about as well as a motion of their own are false positives."""
 MIN_TRAVEL_PX, MIN_TRAVEL_SHARE = 0.05, 0.2
 """Travel that explains less than the errors of the flow does not separate depths from infinity."""
-MIN_DISTANCE_CHANGE = 0.02
-"""Median relative range: with less, fog of any density changes hardly any colour."""
 MIN_VIEW_GREY, MIN_VIEW_SHARE = 2.55, 0.25
 """Harmonics make the model two or three times as large; a degree more must save another tenth of the change."""
 MIN_SECOND_DEGREE_SHARE = 0.1
@@ -111,15 +117,19 @@ def decide_white_balance(evidence: LightEvidence, choice: Choice, exposure: Choi
 def decide_atmosphere(evidence: LightEvidence, choice: Choice) -> Decision:
     """Fog: distance predicts how static points change; with its extinction per scene unit and airlight, linear.
 
-    Where the best fog is none at all there is nothing to model, even if the user asks for fog.
+    Where fog is not observable, or the best fog is none at all, there is nothing to model, even if the user asks.
     """
     bought, fitted, change = evidence.atmosphere, evidence.fitted, evidence.distance_change
     why = f"fog, beside gains and vignetting, {_saves(bought, 'grey levels')}"
-    if not is_worth(bought, fog=True) and change < MIN_DISTANCE_CHANGE:
-        why = f"not observable: the distance of static points changes by {change:.1%} while they are seen; {why}"
+    if change < MIN_DISTANCE_CHANGE:
+        why = (
+            f"not observable: the distance of static points changes by {change:.1%} while they are seen, less than"
+            f" {MIN_DISTANCE_CHANGE:.0%}; {why}"
+        )
     decision = _light_decision(bought, True, {"distance_change_percent": 100 * change}, why, choice)
     if decision["needed"] and fitted.extinction <= 0:
-        decision |= {"needed": False, "why": f"{decision['why']}; the fit finds clear air, so nothing is modelled"}
+        found = "no fog is fitted" if change < MIN_DISTANCE_CHANGE else "the fit finds clear air"
+        decision |= {"needed": False, "why": f"{decision['why']}; {found}, so nothing is modelled"}
     return decision | {"extinction": fitted.extinction, "airlight": [float(a) for a in fitted.airlight]}
 
 

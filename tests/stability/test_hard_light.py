@@ -67,8 +67,9 @@ def test_fog_before_a_camera_that_only_turns_is_not_observable() -> None:
     assert "not observable" in found["why"]
     assert found["extinction"] == 0
     forced = rules.decide_atmosphere(light_evidence(sight(same), foggy=True), "yes")
-    assert forced["needed"]
-    assert np.isfinite([forced["extinction"], *forced["airlight"]]).all()
+    assert (forced["needed"], forced["extinction"]) == (False, 0)
+    assert "not observable" in forced["why"]
+    assert "no fog is fitted" in forced["why"]
 
 
 def test_fog_that_hides_everything_is_no_gain_and_no_gloss() -> None:
