@@ -24,7 +24,7 @@ WRITTEN = [
 def test_jobs_are_said_to_write_what_they_write(stage: str, T: int, size: tuple[int, int], megabytes: float) -> None:
     grid, full = math.prod(reduced_size(*size, 320)), math.prod(size)
     held = Held(edges=most_edges(T, (1, 2, 4), 1) * grid, frames=T * full, frame=full, grid=T * grid)
-    most = 2.2 if stage == "render" else 1.3  # renders of rough scenes take twice as much as those of this one
+    most = 2.2 if stage == "render" else 1.3  # the coefficient of renders is that of the largest
     assert 0.95 <= megabytes_written(stage, held) / megabytes <= most
 
 
