@@ -17,6 +17,7 @@ import numpy as np
 from stages.flow.edges import LOOPS_PER_FRAME, Edge, path, track_points, tracked
 from stages.flow.frames import Images
 from stages.flow.matches import Features, features, flow_from_matches, matched
+from stages.flow.similarity import alike, similarity_of
 from stages.shared.flow_pairs import REACH
 from stages.shared.sampson import sampson_distances
 from stages.shared.threads import threaded
@@ -27,8 +28,6 @@ FAR = REACH
 MOVED, LOST, CUT = 0.08, 0.25, 0.05
 """A new station: the median point has moved by MOVED of the frame's width since the last one, or LOST of the points are
 all that is left of it. Where one step leaves fewer than CUT of them, another shot begins."""
-WORDS, SAMPLES = 32, 12000
-"""Of the vocabulary, and the descriptors that it is made from."""
 CANDIDATES = 4
 """Stations that are compared with each one, the most similar first."""
 MOVING_PX = 2.0
@@ -76,7 +75,7 @@ def find_loops(
         return []
     distances = sorted({abs(i - j) for i, j in flow}, reverse=True)
     seen = threaded(lambda i: _at_rest(_in_scene(features(grey[i]), scene), flow, distances, i), at)
-    similarity, far = _similarity(seen), np.subtract.outer(at, at) > FAR
+    similarity, far = similarity_of(seen), np.subtract.outer(at, at) > FAR
     away = (np.linalg.norm(net[:, None] - net, axis=2) > size[1]) & ~far & ~far.T
     one_shot = np.equal.outer(shots, shots)
 
@@ -84,8 +83,8 @@ def find_loops(
         checked = threaded(lambda pair: verified(matched(seen[pair[0]], seen[pair[1]]), size), pairs)
         return {pair: matches for pair, matches in zip(pairs, checked, strict=True) if matches is not None}
 
-    found = same(_alike(similarity, far & one_shot, CANDIDATES))
-    repeated = {k for pair in same(_alike(similarity, away & one_shot & _ends(found, len(at)), 1)) for k in pair}
+    found = same(alike(similarity, far & one_shot, CANDIDATES))
+    repeated = {k for pair in same(alike(similarity, away & one_shot & _ends(found, len(at)), 1)) for k in pair}
 
     def carried(points: np.ndarray, k: int, m: int) -> tuple[np.ndarray, np.ndarray]:
         return _carried(points, path(flow, distances, (at[k], at[m])) or [], flow)
@@ -189,37 +188,6 @@ def _at_rest(found: Features, flow: Mapping[Edge, np.ndarray], distances: Sequen
     away = sampson_distances(F, points.astype(float), points + bilinear(flow[i, j], points).astype(float))
     still = np.abs(away) < MOVING_PX
     return points[still], descriptors[still]
-
-
-def _similarity(seen: Sequence[Features]) -> np.ndarray:
-    """Cosines [n, n] between VLADs of n frames, the residuals of each word of unit length (Arandjelovic, 2013)."""
-    starts = np.cumsum([0, *(len(descriptors) for _, descriptors in seen)])
-    if starts[-1] < WORDS:
-        return np.zeros((len(seen), len(seen)), np.float32)
-    every = max(1, int(starts[-1]) // SAMPLES)
-    sample = np.concatenate([of[-start % every :: every] for start, (_, of) in zip(starts, seen, strict=False)])
-    cv2.setRNGSeed(0)
-    stop = (cv2.TERM_CRITERIA_MAX_ITER, 8, 0.0)
-    _, _, words = cv2.kmeans(sample, WORDS, np.zeros(0, np.int32), stop, 1, cv2.KMEANS_PP_CENTERS)
-    half = 0.5 * (words**2).sum(axis=1)
-    vlad = np.zeros((len(seen), WORDS, 128), np.float32)
-    for of, (_, descriptors) in zip(vlad, seen, strict=True):
-        nearest = (descriptors @ words.T - half).argmax(axis=1)
-        np.add.at(of, nearest, descriptors - words[nearest])
-    vlad /= np.maximum(np.linalg.norm(vlad, axis=2, keepdims=True), 1e-9)
-    flat = vlad.reshape(len(seen), -1)
-    flat /= np.maximum(np.linalg.norm(flat, axis=1, keepdims=True), 1e-9)
-    return np.asarray(flat @ flat.T)
-
-
-def _alike(similarity: np.ndarray, allowed: np.ndarray, most: int) -> list[Edge]:
-    """For each of n stations b the `most` stations a most similar [n, n] to it of those `allowed` [b, a]: (a, b)."""
-    pairs = []
-    for b, row in enumerate(allowed):
-        others = np.flatnonzero(row)
-        best = others[np.argsort(-similarity[b, others], kind="stable")[:most]]
-        pairs += [(int(a), b) for a in best]
-    return sorted(pairs)
 
 
 def _ends(found: Mapping[Edge, np.ndarray], n: int) -> np.ndarray:
