@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 from synthetic import Scene, exact_flow, make_scene, trajectory_error
 
-from stages.ba import loops
+from stages.ba import loops, similarities
 from stages.ba.classify import longest_step
 from stages.ba.dba import FocalPrior, State, Unknowns, errors_px
 from stages.ba.graph import FlowGraph, build_graph, favour_distance
@@ -85,7 +85,7 @@ def test_absurd_loops_do_not_make_the_spreading_diverge(walk: Scene) -> None:
     true = walk.cam_from_world[ends[:, 1]] @ lie.inverse(walk.cam_from_world)[ends[:, 0]]
     R, t, s = true[:, :3, :3], true[:, :3, 3].copy(), np.ones(len(ends))
     R[-3:], t[-3:], s[-3:] = lie.exp_so3(rng.normal(0, 1.5, (3, 3))), rng.normal(0, 5, (3, 3)), np.exp([4.0, -4.0, 2.0])
-    found, weights = loops.spread(poses, ends, loops.Similarities(s, R, t))
+    found, weights = loops.spread(poses, ends, similarities.Similarities(s, R, t))
     closed = lie.from_parts(found.R, found.t / found.s[:, None])
     assert (weights > 0.5).tolist() == [True] * len(LOOPS) + [False] * 3
     assert trajectory_error(closed, walk.cam_from_world) < 3e-3 < 4e-3 < trajectory_error(poses, walk.cam_from_world)
@@ -114,15 +114,15 @@ def test_loops_neither_set_the_step_of_a_chain_nor_outweigh_all_else(walk: Scene
 def test_similarities_compose_invert_and_carry_steps_across() -> None:
     rng = np.random.default_rng(0)
     twists = rng.normal(size=(2, 5, 7))
-    one, two = (loops.Similarities(np.exp(x[:, 6]), lie.exp_so3(x[:, 3:6]), x[:, :3]) for x in twists)
+    one, two = (similarities.Similarities(np.exp(x[:, 6]), lie.exp_so3(x[:, 3:6]), x[:, :3]) for x in twists)
     points = rng.normal(size=(5, 3))
 
-    def moved(by: loops.Similarities, x: np.ndarray) -> np.ndarray:
+    def moved(by: similarities.Similarities, x: np.ndarray) -> np.ndarray:
         return by.s[:, None] * np.einsum("nab,nb->na", by.R, x) + by.t
 
     assert_allclose(moved(one @ two, points), moved(one, moved(two, points)), atol=1e-12)
     assert_allclose(moved(one.inverse(), moved(one, points)), points, atol=1e-12)
     small = 1e-6 * rng.normal(size=(5, 7))
-    right = loops.Similarities(np.exp(small[:, 6]), lie.exp_so3(small[:, 3:6]), small[:, :3])
+    right = similarities.Similarities(np.exp(small[:, 6]), lie.exp_so3(small[:, 3:6]), small[:, :3])
     across = (one @ right @ one.inverse()).log()
     assert_allclose(across, np.einsum("nab,nb->na", one.adjoint(), small), atol=1e-10)

@@ -9,7 +9,6 @@ its drift.
 """
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -18,6 +17,7 @@ from scipy.sparse.linalg import spsolve
 
 from stages.ba import dba, initialise
 from stages.ba.graph import MIN_MATCHES, MIN_WEIGHT, FlowGraph
+from stages.ba.similarities import Similarities
 from stages.ba.state import FocalPrior, Level, State, Step, Unknowns
 from stages.shared import lie
 from stages.shared.cameras import grid_from_frame
@@ -43,41 +43,6 @@ MAX_TURN, MAX_SCALE, MAX_GAP = 1.5, 3.0, 1.0
 """No drift: a loop that the path misses by more than this angle, rad, log of the scale, or share of its length."""
 WIDE = (Level(8.0, 8, 1e-3), Level(4.0, 8, 1e-3), Level(2.0, 8, 1e-3))
 """Robust scales at which the closed path is adjusted first: what is left of the error is a few pixels."""
-
-
-class Similarities(NamedTuple):
-    """Similarities x -> s R x + t: s [n], R [n, 3, 3], t [n, 3]."""
-
-    s: np.ndarray
-    R: np.ndarray
-    t: np.ndarray
-
-    def __matmul__(self, other: "Similarities") -> "Similarities":
-        turned = np.einsum("nab,nb->na", self.R, other.t)
-        return Similarities(self.s * other.s, self.R @ other.R, self.s[:, None] * turned + self.t)
-
-    def inverse(self) -> "Similarities":
-        """The inverse of each."""
-        R = np.swapaxes(self.R, 1, 2)
-        return Similarities(1 / self.s, R, -np.einsum("nab,nb->na", R, self.t) / self.s[:, None])
-
-    def at(self, index: np.ndarray) -> "Similarities":
-        """Some of them."""
-        return Similarities(self.s[index], self.R[index], self.t[index])
-
-    def log(self) -> np.ndarray:
-        """(translation, rotation vector, logarithm of the scale) [n, 7]."""
-        return np.concatenate([self.t, lie.log_so3(self.R), np.log(self.s)[:, None]], axis=1)
-
-    def adjoint(self) -> np.ndarray:
-        """[n, 7, 7] that takes a small step on the right of each to the same step on its left."""
-        A = np.zeros((len(self.s), 7, 7))
-        A[:, :3, :3] = self.s[:, None, None] * self.R
-        A[:, :3, 3:6] = np.stack([lie.skew(t) for t in self.t]) @ self.R
-        A[:, :3, 6] = -self.t
-        A[:, 3:6, 3:6] = self.R
-        A[:, 6, 6] = 1
-        return A
 
 
 @dataclass(frozen=True)
