@@ -20,8 +20,9 @@ from PIL import Image
 from stages.comparisons import made_under
 from stages.report import __main__ as report_stage
 from stages.report import embedding, overview, scene_pages
+from stages.report.figures import STAGE_FIGURES
 from stages.report.options import ReportOptions
-from stages.report.sections import STAGE_FIGURES, build_section
+from stages.report.sections import build_section
 from stages.shared import charts
 from stages.shared.artifacts import write_json, write_table
 

@@ -10,7 +10,7 @@ from stages.evaluate import pose_diagnostics, ratios, score_models, summaries
 from stages.evaluate.costs import is_ours
 from stages.evaluate.score_masks import PRIOR
 from stages.report import detail_tables, published
-from stages.report.sections import Figure
+from stages.report.figures import Figure
 from stages.shared.run_inputs import taken_by
 from stages.shared.tables import Row, Table, decimal
 

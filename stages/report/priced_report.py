@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from stages.comparisons import priced, priced_chart
 from stages.comparisons.priced import Scene
 from stages.report import embedding
-from stages.report.sections import Figure
+from stages.report.figures import Figure
 from stages.shared.tables import Column, Row, Table
 
 NOTE = (

@@ -1,48 +1,26 @@
 """The section of one sequence in the report: figures with alternative text, warnings, and missing parts."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
-import numpy as np
-
 from stages.evaluate import pose_diagnostics
-from stages.evaluate.ground_truth import true_masks
-from stages.evaluate.score_images import true_images
-from stages.report import embedding
-from stages.shared import charts, sequences, sintel
-from stages.shared.artifacts import read_dense, read_json, read_metadata, read_table
-from stages.shared.drawing import spread
-from stages.shared.images import numbered_frames, read_rgb
-from stages.shared.masks import read_instances, read_masks
-from stages.shared.run_inputs import PRIOR_MASKS, mask_source
-from stages.shared.tables import Row, Table, read_rows
-
-SHOWN_FRAMES = 4
-STAGE_FIGURES = {
-    "inspect": "Input frames, with true motion where it is known",
-    "motion": "Motion prior: how likely each pixel moves in the world",
-    "segment": "Mask refinement",
-    "ba": "Bundle adjustment",
-    "scene": "Evidence for the effects",
-    "control": "Control points",
-    "gaussians": "Gaussian training",
-}
-
-
-@dataclass(frozen=True)
-class Figure:
-    """A picture or chart.
-
-    Attributes:
-        source: data URI. alt: its content in words. wide: whether it takes the whole width of the page.
-    """
-
-    title: str
-    source: str
-    alt: str
-    wide: bool = False
+from stages.report.figures import (
+    Figure,
+    MissingPart,
+    adjustment_figures,
+    depth_figures,
+    flow_figures,
+    mask_figures,
+    render_figures,
+    stage_figures,
+    training_figures,
+    trajectory_figures,
+)
+from stages.shared import sequences
+from stages.shared.artifacts import read_json, read_metadata
+from stages.shared.tables import Table
 
 
 @dataclass
@@ -69,13 +47,13 @@ def build_section(folder: Path) -> Section:
     section = Section(sequence.name, about, missing=list(content.get("missing_truth", [])))
     section.warnings = [*sequence.warnings, *_warnings(folder)]
     parts: dict[str, Callable[[], list[Figure]]] = {
-        "trajectories": partial(_trajectory_figures, folder),
-        "masks": partial(_mask_figures, folder, sequence),
-        "flow": partial(_flow_figures, folder),
-        "depth": partial(_depth_figures, folder, sequence),
-        "renders": partial(_render_figures, folder, sequence),
-        "adjustment": partial(_adjustment_figures, folder),
-        "training": partial(_training_figures, folder),
+        "trajectories": partial(trajectory_figures, folder),
+        "masks": partial(mask_figures, folder, sequence),
+        "flow": partial(flow_figures, folder),
+        "depth": partial(depth_figures, folder, sequence),
+        "renders": partial(render_figures, folder, sequence),
+        "adjustment": partial(adjustment_figures, folder),
+        "training": partial(training_figures, folder),
     }
     for name, draw in parts.items():
         try:
@@ -83,7 +61,7 @@ def build_section(folder: Path) -> Section:
         except MissingPart as missing:
             section.missing.append(f"{name}: no {missing}")
     section.figures.sort(key=lambda figure: figure.wide)  # charts side by side, then the pictures
-    section.stage_figures = _stage_figures(folder)
+    section.stage_figures = stage_figures(folder)
     return section
 
 
@@ -93,162 +71,3 @@ def _warnings(folder: Path) -> list[str]:
     if model.exists() and read_metadata(model).get("status") == "poses failed":
         found.append("Gaussians: the poses failed: a static scene was trained before a camera at rest")
     return found
-
-
-def _svg(title: str, content: bytes, alt: str) -> Figure:
-    return Figure(title, embedding.data_uri(content, "image/svg+xml"), alt)
-
-
-class MissingPart(Exception):
-    """A part of the results is missing; the message names it: "masks", "rows in ba/convergence.parquet"."""
-
-
-def _existing(folder: Path, name: str) -> Path:
-    if not (folder / name).exists():
-        raise MissingPart(name)
-    return folder / name
-
-
-def _trajectory_figures(folder: Path) -> list[Figure]:
-    rows = read_rows(_existing(folder, "eval/trajectory.parquet"))
-    paths = charts.paths_of(rows)
-    listed = ", ".join(paths) or "no method"
-    found = [
-        _svg("Camera path from above", charts.draw_top(rows), f"Camera centres of {listed}, seen from above"),
-        _svg("Camera path in 3D", charts.draw_space(rows), f"Camera centres of {listed} in three dimensions"),
-    ]
-    errors = _series([row for row in rows if row["error"] is not None and row["method"] in paths], "error")
-    if errors:
-        worst = {method: max(values[1]) for method, values in errors.items()}
-        words = ", ".join(f"{method} at most {value:.3g}" for method, value in worst.items())
-        chart = charts.draw_lines(errors, ("frame", "distance to truth (scene units)"), list(paths), zero=True)
-        found.append(
-            _svg("Error of every camera", chart, f"Distance to the true camera per frame: {words} scene units")
-        )
-    return found
-
-
-def _series(rows: Sequence[Row], key: str) -> dict[str, tuple[list[float], list[float]]]:
-    """Frame numbers and values by method."""
-    found: dict[str, tuple[list[float], list[float]]] = {}
-    for row in rows:
-        frames, values = found.setdefault(row["method"], ([], []))
-        frames.append(row["frame"])
-        values.append(row[key])
-    return found
-
-
-def _mask_figures(folder: Path, sequence: sequences.Sequence) -> list[Figure]:
-    masks = read_masks(_existing(folder, "masks"), sequence)
-    truth, _ = true_masks(sequence)
-    chosen = spread(len(sequence.numbers), SHOWN_FRAMES)
-    shown = [sequence.numbers[k] for k in chosen]
-    instances = [read_instances(folder / "masks", sequence, k) for k in chosen]
-    images = [read_rgb(sequence.frames[k]) for k in chosen]
-    sheet = embedding.mask_sheet(images, instances, [truth.get(n) for n in shown])
-    outline = "; blue outline: the true ones" if truth else ""
-    meaning = f"tinted: called dynamic, a colour for each instance{outline}"
-    title = f"Masks of frames {', '.join(map(str, shown))} ({meaning})"
-    share = 100 * np.mean([mask.mean() for mask in masks.values()])
-    figures = [
-        Figure(title, embedding.webp(sheet), f"Frames with dynamic masks covering {share:.1f} % on average", True)
-    ]
-    return figures + _frame_chart(folder, "masks", "iou", "Mask overlap per frame", "IoU")
-
-
-def _frame_chart(folder: Path, kind: str, metric: str, title: str, label: str) -> list[Figure]:
-    rows = read_rows(_existing(folder, "eval/frames.parquet"))
-    chosen = [row for row in rows if row["kind"] == kind and row["metric"] == metric]
-    for row in chosen:
-        row["method"] = row["method"] if row["split"] is None else f"{row['method']}, {row['split']}"
-    series = _series(chosen, "value")
-    if not series:
-        return []
-    words = ", ".join(f"{name} {np.mean(values[1]):.3g} on average" for name, values in series.items())
-    chart = charts.draw_lines(series, ("frame", label), list(series), zero=metric == "iou")
-    return [_svg(title, chart, f"{label} per frame: {words}")]
-
-
-def _flow_figures(folder: Path) -> list[Figure]:
-    image = read_rgb(_existing(folder, "figures/flow.png"))
-    title = "Frames, optical flow (hue: direction, saturation: length), its confidence (yellow: sure)"
-    return [Figure(title, embedding.webp(image), f"Picture of the flow stage. {title}", True)]
-
-
-def _depth_figures(folder: Path, sequence: sequences.Sequence) -> list[Figure]:
-    depth = read_dense(_existing(folder, "ba/depth.arrow"))
-    shown = spread(len(sequence.numbers), 3)
-    has_truth = sequence.has_truth("depth")
-    files = [sequence.truth["depth"][sequence.numbers[k]] if has_truth else None for k in shown]
-    truths = [sintel.read_dpt(file) if file else None for file in files]
-    sheet = embedding.depth_sheet(depth["inverse_depth"][shown], truths)
-    beside = " (left: ours, right: truth)" if has_truth else ""
-    numbers = ", ".join(str(sequence.numbers[k]) for k in shown)
-    title = f"Inverse depth of frames {numbers}{beside}, near is yellow"
-    return [Figure(title, embedding.webp(sheet), f"Inverse depth maps of frames {numbers}{beside}", True)]
-
-
-def _render_figures(folder: Path, sequence: sequences.Sequence) -> list[Figure]:
-    found = []
-    for split, words in {"test": "held-out", "right": "right-eye"}.items():
-        renders = numbered_frames(folder / "renders" / split)
-        truth = true_images(sequence, split)
-        numbers = [n for n in renders if n in truth]
-        shown = [numbers[k] for k in spread(len(numbers), 2)] if numbers else []
-        if shown:
-            pairs = [(read_rgb(truth[n]), read_rgb(renders[n])) for n in shown]
-            title = f"{words.capitalize()} frames {', '.join(map(str, shown))}: truth, render, difference x4"
-            alt = f"True {words} frames, our renders and their difference"
-            found.append(Figure(title, embedding.webp(embedding.comparison_sheet(pairs)), alt, True))
-    if not found:
-        raise MissingPart("renders/test")
-    if (folder / "figures" / "render.gif").exists():
-        fly = embedding.animation(folder / "figures" / "render.gif")
-        found.append(Figure("Fly-through at moving time", fly, "Animation of the reconstructed scene from new views"))
-    return found + _frame_chart(folder, "images", "psnr_db", "Image quality per frame", "PSNR (dB)")
-
-
-def _rows_of(folder: Path, name: str) -> dict[str, np.ndarray]:
-    """The columns of a table that has rows. It has none after 0 training steps or with true poses (no adjustment).
-
-    Raises:
-        MissingPart: if the table is missing or empty.
-    """
-    table = read_table(_existing(folder, name))
-    if not len(next(iter(table.values()))):
-        raise MissingPart(f"rows in {name}")
-    return table
-
-
-def _adjustment_figures(folder: Path) -> list[Figure]:
-    steps = _rows_of(folder, "ba/convergence.parquet")
-    cost = steps["cost"]
-    runs = list(zip(steps["phase"].tolist(), steps["sigma_px"].tolist(), strict=True))
-    title = "Bundle adjustment (orange: final refinement; grey: starts that compete)"
-    alt = f"Robust cost over {len(cost)} iterations in {len(set(runs))} runs, at the end {cost[-1]:.4g}"
-    return [_svg(title, charts.draw_runs(cost.tolist(), runs, "robust cost"), alt)]
-
-
-def _training_figures(folder: Path) -> list[Figure]:
-    training = _rows_of(folder, "gaussians/convergence.parquet")
-    window = max(1, len(training["loss"]) // 20)
-    loss = np.convolve(training["loss"], np.full(window, 1 / window), "valid")
-    line = {"ours": (training["step"][window - 1 :].tolist(), loss.tolist())}
-    chart = charts.draw_lines(line, ("training step", "loss"), ["ours"], log=True)
-    alt = f"Training loss, mean of {window} steps, from {loss[0]:.3g} to {loss[-1]:.3g}"
-    return [_svg(f"Gaussian training (mean of {window} steps)", chart, alt)]
-
-
-def _stage_figures(folder: Path) -> list[Figure]:
-    found = []
-    for name, title in STAGE_FIGURES.items():
-        path = folder / "figures" / f"{name}.png"
-        if path.exists() and not (name == "motion" and _left_out_motion(folder)):
-            picture = embedding.webp(read_rgb(path), embedding.STAGE_WIDTH_PX, embedding.STAGE_MAX_BYTES)
-            found.append(Figure(title, picture, f"Picture of the {name} stage: {title}", True))
-    return found
-
-
-def _left_out_motion(folder: Path) -> bool:
-    """Whether the masks are not made from a motion prior, so that its picture is that of an earlier run."""
-    return (folder / "masks/masks.json").exists() and mask_source(folder / "masks") not in PRIOR_MASKS

@@ -9,7 +9,7 @@ from stages.comparisons.tradeoff import Point
 from stages.comparisons.tradeoff_charts import Measure
 from stages.evaluate import summaries
 from stages.report import embedding
-from stages.report.sections import Figure
+from stages.report.figures import Figure
 from stages.shared.tables import Column, Row, Table
 
 CAMERA = Measure("Camera error (ATE, % of path)", "ATE (% of path)")
