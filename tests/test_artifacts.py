@@ -1,6 +1,7 @@
 """Round trips of every file kind, metadata, and what a failed write leaves behind."""
 
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -93,11 +94,12 @@ def test_a_failed_write_keeps_the_old_file_and_leaves_nothing_else(tmp_path: Pat
 
 def test_a_killed_write_leaves_no_final_name(tmp_path: Path) -> None:
     code = (
-        "import os, signal, sys; from pathlib import Path; from stages.shared.artifacts import atomic_folder\n"
+        "import os, signal, sys; from pathlib import Path; from stages.shared.atomic import atomic_folder\n"
         "with atomic_folder(Path(sys.argv[1]), ['one']) as partial:\n"
         "    (partial / 'one').write_text('1'); os.kill(os.getpid(), signal.SIGKILL)"
     )
-    subprocess.run([sys.executable, "-c", code, str(tmp_path / "masks")], cwd=REPO, check=False)
+    killed = subprocess.run([sys.executable, "-c", code, str(tmp_path / "masks")], cwd=REPO, check=False)
+    assert killed.returncode == -signal.SIGKILL
     assert not (tmp_path / "masks").exists()
     with atomic.atomic_folder(tmp_path / "masks", ["two"]) as partial:
         (partial / "two").write_text("2")
