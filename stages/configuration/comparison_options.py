@@ -1,6 +1,6 @@
 """Options of the comparisons: the settings of a sweep, and the sizes over which the growth of cost is measured."""
 
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
@@ -25,7 +25,7 @@ class SweepOptions(Options):
     sequences: Literal["first", "all"] | list[str] = Field(
         "first", description="which of the chosen sequences: first, all, or a list of names"
     )
-    groups: Literal["all"] | list[str] = Field(
+    groups: Literal["all"] | Annotated[list[str], Field(min_length=1)] = Field(
         "all", description="which groups of settings: all, or a list of presets, knobs and names under runs"
     )
     presets: list[Preset] = Field([], description="presets to run")
