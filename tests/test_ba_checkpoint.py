@@ -80,14 +80,21 @@ def test_a_killed_adjustment_ends_with_the_result_of_one_that_was_not(tmp_path: 
     main(**files, **paths, options=OPTIONS)
     assert counted[0] == total - KILLED_AT
     assert not folder.exists()
-    for name, values in read_table(whole["poses"]).items():
-        assert (read_table(paths["poses"])[name] == values).all()
+    for name, values in read_table(whole["poses"]).items():  # kernels round differently when just compiled
+        _assert_same(read_table(paths["poses"])[name], values)
     for name, values in read_dense(whole["depth"]).items():
-        assert (read_dense(paths["depth"])[name] == values).all()
+        _assert_same(read_dense(paths["depth"])[name], values)
 
     counted[0] = 0
     main(**files, **outputs(tmp_path / "other"), options=OPTIONS.model_copy(update={"seed": 1}))
     assert counted[0] > total - KILLED_AT + 3
+
+
+def _assert_same(found: np.ndarray, expected: np.ndarray) -> None:
+    if expected.dtype.kind == "f":
+        np.testing.assert_allclose(found, expected, rtol=1e-6 if expected.dtype == np.float32 else 1e-10, atol=1e-12)
+    else:
+        assert (found == expected).all()
 
 
 def test_a_short_run_writes_no_checkpoint(tmp_path: Path) -> None:

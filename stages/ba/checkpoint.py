@@ -1,4 +1,4 @@
-"""Checkpoints of the adjustment: a killed run is taken up where it stood and ends with the same result, bit for bit.
+"""Checkpoints of the adjustment: a killed run is taken up where it stood and ends with the same result, to rounding.
 
 The adjustment is a row of long computations, each of which follows from the results of those before it: chains of
 two-view motions, searches for depth, solves. Their results are kept in that order, and the state of a solve under way.
