@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from stages.flow.edges import Edge
-from stages.flow.loops import FAR, find_loops, loop_flow, stations
+from stages.flow.loops import FAR, between, find_loops, loop_flow, stations
 
 H, W, STEP = 96, 160, 10
 Clip = tuple[np.ndarray, dict[Edge, np.ndarray]]
@@ -57,7 +57,7 @@ def test_a_place_seen_again_is_found_with_its_matches_and_their_flow() -> None:
         assert np.abs(apart).max() < W
         assert np.median(np.linalg.norm(matches[:, 1] - matches[:, 0] - apart, axis=1)) < 0.5
     loop = found[0]
-    both = loop_flow(np.repeat(grey[..., None], 3, axis=3), grey, [loop], 0)
+    both = loop_flow(grey, [loop], 0)
     assert set(both) == {loop.pair, loop.pair[::-1]}
     inner = both[loop.pair][30:-30, 40:-40] - (corners[loop.pair[0]] - corners[loop.pair[1]])
     assert np.median(np.linalg.norm(inner, axis=-1)) < 0.2
@@ -126,3 +126,18 @@ def test_short_clips_and_other_shots_have_none() -> None:
     for edge in [(i, j) for i, j in flow if min(i, j) < 60 <= max(i, j)]:
         flow[edge] = np.full((H, W, 2), 1e3, np.float32)
     assert not find_loops(grey, flow), "the same film twice, with a cut between"
+
+
+def test_flow_between_few_matches_is_smooth_and_within_their_range() -> None:
+    """Two keypoints at one place, and no more than what a loop needs."""
+    rng = np.random.default_rng(0)
+    here = rng.uniform((5, 5), (W - 5, H - 5), (25, 2)).astype(np.float32)
+    here[1] = here[0]
+    there = 1.1 * here + (40, -7)
+    flow = between(np.stack([here, there], axis=1), (H, W))
+    assert flow.shape == (H, W, 2)
+    assert flow.dtype == np.float32
+    v, u = np.rint(here).astype(int).T[::-1]
+    assert np.abs(flow[v, u] - (there - here)).max() < 2
+    assert (flow.min(axis=(0, 1)) >= (there - here).min(axis=0) - 1e-3).all()
+    assert (flow.max(axis=(0, 1)) <= (there - here).max(axis=0) + 1e-3).all()

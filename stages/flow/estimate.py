@@ -56,7 +56,7 @@ class Estimate:
 
     def closed(self, loops: list[Loop]) -> Flows:
         """Both edges of every loop."""
-        return loop_flow(self.frames.rgb, self.frames.grey, loops, self.frames.finest_scale)
+        return loop_flow(self.frames.grey, loops, self.frames.finest_scale)
 
     def confidence(self, edge: Edge, flow: Flows) -> np.ndarray:
         """As `flow_confidence`, or as the user states it; zero where given flow is not known."""

@@ -114,17 +114,6 @@ def restarted(
     Returns:
         None if the interpolator rejects the matches (too sparse or clustered).
     """
-    other = flow_from_matches(rgb, grey, matches, finest_scale)
-    if other is None:
-        return None
-    better = _residual(other, grey[0], grey[1]) < _residual(flow, grey[0], grey[1])
-    return np.where(better[..., None], other, flow)
-
-
-def flow_from_matches(
-    rgb: tuple[np.ndarray, np.ndarray], grey: tuple[np.ndarray, np.ndarray], matches: np.ndarray, finest_scale: int
-) -> np.ndarray | None:
-    """Flow [h, w, 2] px searched from interpolated matches; arguments and result as in `restarted`."""
     here, there = np.ascontiguousarray(matches[:, 0]), np.ascontiguousarray(matches[:, 1])
     try:
         with _ONE_AT_A_TIME:
@@ -132,7 +121,9 @@ def flow_from_matches(
             start = cv2.ximgproc.createRICInterpolator().interpolate(rgb[0], here, rgb[1], there)
     except cv2.error:
         return None
-    return solve_pair(grey[0], grey[1], start, finest_scale)
+    other = solve_pair(grey[0], grey[1], start, finest_scale)
+    better = _residual(other, grey[0], grey[1]) < _residual(flow, grey[0], grey[1])
+    return np.where(better[..., None], other, flow)
 
 
 def features(frame: np.ndarray) -> Features:
