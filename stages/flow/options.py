@@ -28,7 +28,7 @@ class FlowOptions(Options):
     loops: Literal["auto", "no"] = Field(
         "auto",
         description="frames more than 64 apart that show the same place again: auto: found, checked and joined, at most"
-        " two edges each; no: none",
+        " two edges each, but not with true flow; no: none",
     )
     max_width_px: int = Field(512, ge=64, description="wider frames are reduced to this width before matching")
     finest_scale: int = Field(
