@@ -120,8 +120,8 @@ def loop_flow(grey: Images | np.ndarray, loops: Sequence[Loop], finest_scale: in
 def between(matches: np.ndarray, size: tuple[int, ...]) -> np.ndarray:
     """Flow [h, w, 2] px, float32, that is smooth between matches [n, 2, 2] px and within their range beyond them.
 
-    Not by the interpolator of `matches.restarted`, which asks for 250 matches: from the 39 to 92 of loops of a long walk
-    it raised an error of its own bounds, and the search that it started crashed in some runs and not in others.
+    Not by the interpolator of `matches.restarted`, which is given 250 matches and more: from the 39 to 92 of loops of a
+    long walk it raised an error of its own bounds, and the search that it started crashed in some runs.
 
     Args:
         size: (height, width) of the frame.
