@@ -105,11 +105,11 @@ def assert_same_table(one: Path, other: Path, tolerance: float = 1e-6) -> None:
 
 def test_a_killed_job_runs_again_with_more_time(both: Both) -> None:
     submitted = jobs(both.cluster)
-    assert sorted(job["state"] for job in submitted) == ["COMPLETED", "COMPLETED", "FAILED"]
-    (killed,) = (job for job in submitted if job["state"] == "FAILED")
     told = [line for line in both.log.splitlines() if "  FAILED  " in line]
-    assert [line.split()[0] for line in told] == ["motion"], told
+    assert [line.split()[0] for line in told] == ["motion"], (told, both.log[-6000:])
     assert "Killed" in told[0], told
+    assert sorted(job["state"] for job in submitted) == ["COMPLETED", "COMPLETED", "FAILED"], submitted
+    (killed,) = (job for job in submitted if job["state"] == "FAILED")
     assert "failed:" not in both.log
     assert submitted[-1]["minutes"] > killed["minutes"]
     assert submitted[-1]["memory_mb"] > killed["memory_mb"]
