@@ -104,15 +104,19 @@ def assert_same_table(one: Path, other: Path, tolerance: float = 1e-6) -> None:
 
 
 def test_a_killed_job_runs_again_with_more_time(both: Both) -> None:
+    """No stage but the killed one may fail; a job that Slurm itself loses on a busy machine runs again too."""
     submitted = jobs(both.cluster)
     told = [line for line in both.log.splitlines() if "  FAILED  " in line]
-    assert [line.split()[0] for line in told] == ["motion"], (told, both.log[-6000:])
-    assert "Killed" in told[0], told
-    assert sorted(job["state"] for job in submitted) == ["COMPLETED", "COMPLETED", "FAILED"], submitted
-    (killed,) = (job for job in submitted if job["state"] == "FAILED")
+    lost = [line for line in told if "no stage says why" in line]
+    failed = [line for line in told if line not in lost]
+    assert [line.split()[0] for line in failed] == ["motion"], (told, both.log[-6000:])
+    assert "Killed" in failed[0], failed
+    states = ["COMPLETED"] * len(NAMES) + ["FAILED"] * (1 + len(lost))
+    assert sorted(job["state"] for job in submitted) == states, (submitted, told)
     assert "failed:" not in both.log
-    assert submitted[-1]["minutes"] > killed["minutes"]
-    assert submitted[-1]["memory_mb"] > killed["memory_mb"]
+    first, last = submitted[0], submitted[-1]
+    assert last["minutes"] > first["minutes"]
+    assert last["memory_mb"] > first["memory_mb"]
     assert all(job["cpus"] == CPUS for job in submitted)
 
 
