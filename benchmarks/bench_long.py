@@ -110,13 +110,19 @@ def setting_of(count: int, length: int) -> str:
     return "" if count == length else f"settings/inspect.max_frames={count}/"
 
 
+def scaling_options(sizes: Sequence[int], length: int) -> dict[str, Any]:
+    """The growth over these numbers of frames; the whole clip is the configured run, which an axis holds besides."""
+    shorter = [n for n in sizes if n < length]
+    return {"scaling": {"axes": UNMEASURED | {"frames": {"inspect.max_frames": shorter}}}}
+
+
 def run(folder: Path, home: Path, options: Mapping[str, Any], settings: Sequence[str], words: Sequence[str]) -> None:
     """Compile the kernels, then run all stages under each setting in turn; SAMPLES keeps the samples of memory."""
     (folder / "warm").mkdir(exist_ok=True)
     snakemake(folder / "warm", WARM_UP, "--cores", "all")
     within = home.relative_to(folder)
     targets = [[f"{within}/{setting}stats/{last}.json" for last in ("viewer", "evaluate")] for setting in settings]
-    for asked in [*targets, *([["scaling"]] if "" in settings else [])]:
+    for asked in [*targets, *([["scaling"]] if "" in settings[1:] else [])]:
         with watched(folder, folder / SAMPLES):
             snakemake(folder, options, "--cores", "all", *asked, *words)
 
@@ -208,10 +214,7 @@ def main() -> None:
             raise InputError("--frames", f"at most the {length} of {given.scene}", str(sizes[-1]), "cut it shorter")
     except InputError as error:
         sys.exit(str(error))
-    options |= {
-        "colmap": {"time_limit_s": 1},
-        "scaling": {"axes": UNMEASURED | {"frames": {"inspect.max_frames": sizes}}},
-    }
+    options |= {"colmap": {"time_limit_s": 1}} | scaling_options(sizes, length)
     settings = [setting_of(count, length) for count in sizes]
     run(folder, home, options, settings, words)
     rows = with_all(measured(folder, home, settings))

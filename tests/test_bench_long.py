@@ -7,10 +7,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
 from benchmarks import bench_long
 from benchmarks.resident import held_mb, watched
 from stages.comparisons import growth, tradeoff_charts
+from stages.configuration import settings
 from stages.shared.artifacts import read_json
 from stages.shared.errors import InputError
 
@@ -84,6 +86,13 @@ def test_the_chart_is_drawn_from_the_same_rows() -> None:
     panels = {label: growth.series_of(found, "frames", measure) for measure, label in bench_long.PANELS.items()}
     for shown in (panels, panels | {"resident memory (MB)": {}}):  # nothing sampled
         assert tradeoff_charts.draw_growths(shown, "frames", {"resident memory (MB)": 6000}).startswith(b"\x89PNG")
+
+
+def test_the_whole_clip_is_not_run_twice() -> None:
+    shipped = yaml.safe_load((bench_long.REPO / "config.yaml").read_text())
+    mine = bench_long.scaling_options([50, 200, 1000], 1000)
+    _, scaling = settings.compared(shipped | mine, mine)
+    assert [setting.value for setting in scaling] == [50, 200, shipped["inspect"]["max_frames"]]
 
 
 def test_a_scene_is_taken_by_name_or_file_and_kept_as_it_was_drawn(tmp_path: Path) -> None:
