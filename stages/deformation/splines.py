@@ -1,5 +1,6 @@
-"""Natural cubic splines over the training frames: tables of values at knots, looked up at any time."""
+"""Tables of values at knots, the training frames, looked up at any time: natural cubic splines, and lines."""
 
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -8,6 +9,9 @@ from scipy.interpolate import CubicSpline
 from torch import Tensor
 
 from stages.shared.torch_threads import one_torch_thread
+
+HELD = 2
+"""Sets of knots whose splines are kept: 32 bytes for the square of their number. A model has one set."""
 
 
 def at_times(basis: Tensor, table: Tensor) -> Tensor:
@@ -38,4 +42,21 @@ def spline_basis(knots: Tensor, times: np.ndarray) -> Tensor:
     """
     ascending = knots.cpu().numpy().astype(float)
     inside = np.clip(times.astype(float), ascending[0], ascending[-1])
-    return torch.as_tensor(CubicSpline(ascending, np.eye(len(ascending)), bc_type="natural")(inside))
+    return torch.as_tensor(_cardinal(ascending.tobytes())(inside))
+
+
+@lru_cache(HELD)
+def _cardinal(knots: bytes) -> CubicSpline:
+    """The spline through each knot in turn, of knots as float64: its cost grows with the square of their number."""
+    ascending = np.frombuffer(knots)
+    return CubicSpline(ascending, np.eye(len(ascending)), bc_type="natural")
+
+
+def linear_basis(knots: Tensor, time: float) -> Tensor:
+    """Weights [F], float64, of the values at F >= 2 ascending knots at `time`: of `np.interp`, two of them at most."""
+    ascending = knots.cpu().numpy().astype(float)
+    before = min(max(int(np.searchsorted(ascending, time, side="right")) - 1, 0), len(ascending) - 2)
+    ends = slice(before, before + 2)
+    weights = np.zeros(len(ascending))
+    weights[ends] = [np.interp(time, ascending[ends], of_one) for of_one in np.eye(2)]
+    return torch.as_tensor(weights)

@@ -1,8 +1,9 @@
 """Exposure and white balance: gains per training frame, for scenes whose brightness or tint changes."""
 
-import numpy as np
 import torch
 from torch import Tensor
+
+from stages.deformation.splines import linear_basis
 
 
 class Exposure(torch.nn.Module):
@@ -24,7 +25,6 @@ class Exposure(torch.nn.Module):
 
     def forward(self, time: float) -> Tensor:
         """Gain [3] > 0 at `time` 0..1."""
-        knots = self.knots.cpu().numpy()
-        shares = [np.interp(time, knots, unit) for unit in np.eye(len(knots))]
+        shares = linear_basis(self.knots, time)
         centred = self.log_gains - self.log_gains.mean(dim=0)
-        return (torch.tensor(shares).to(centred) @ centred).exp().expand(3)
+        return (shares.to(centred) @ centred).exp().expand(3)

@@ -1,8 +1,9 @@
 """Small corrections of the estimated poses, optimised with the scene."""
 
-import numpy as np
 import torch
 from torch import Tensor
+
+from stages.deformation.splines import linear_basis
 
 
 class PoseTable(torch.nn.Module):
@@ -24,9 +25,7 @@ class PoseTable(torch.nn.Module):
 
     def forward(self, time: float) -> Tensor:
         """Transform [4, 4] float64 from the estimated to the corrected camera at `time` 0..1: exp of the twist."""
-        knots = self.knots.cpu().numpy()
-        shares = torch.tensor([np.interp(time, knots, unit) for unit in np.eye(len(knots))])
-        twist = shares.to(self.twists.device) @ self.twists.double()
+        twist = linear_basis(self.knots, time).to(self.twists.device) @ self.twists.double()
         x, y, z = twist[3:]
         zero = torch.zeros_like(x)
         turn = torch.stack([zero, -z, y, z, zero, -x, -y, x, zero]).view(3, 3)
