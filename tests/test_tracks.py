@@ -1,5 +1,7 @@
 """Tracks of dynamic pixels through training frames only, their depth, and the spread of control points over them."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from square_inputs import HELD_OUT
@@ -122,6 +124,20 @@ def test_depth_of_short_clips_is_smoothed_too(frames: int) -> None:
     visible[:, 0] = True
     smoothed = sightings.smooth_log_depth(np.full((2, frames), 0.7), np.full((2, frames), 0.1), visible)
     np.testing.assert_allclose(smoothed, 0.7, atol=1e-9)
+
+
+def test_smoothing_solves_its_normal_equations_in_memory_linear_in_the_frames() -> None:
+    rng = np.random.default_rng(0)
+    for frames in (7, 4000):
+        measured, visible = rng.normal(size=(1, frames)), rng.random((1, frames)) < 0.5
+        visible[0, 0] = True
+        tracemalloc.start()
+        z = sightings.smooth_log_depth(measured, np.full((1, frames), 0.3), visible)[0]
+        assert tracemalloc.get_traced_memory()[1] < 5e6 + 2000 * frames  # a matrix of all frames has 8 * frames^2
+        tracemalloc.stop()
+        bent = np.diff(np.pad(np.diff(z, n=2), 2), n=2) / sightings.DEPTH_ACCELERATION**2
+        steep = -np.diff(np.pad(np.diff(z), 1)) / sightings.DEPTH_SPEED**2
+        np.testing.assert_allclose(bent + steep + visible[0] * (z - measured[0]) / 0.3**2, 0, atol=1e-6)
 
 
 def test_the_canonical_frame_sees_most_of_the_tracks() -> None:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy import sparse
 from scipy.linalg import solveh_banded
 
 from stages.control.tracks import Tracks, sightings_by_frame
@@ -84,16 +85,20 @@ def smooth_log_depth(log_depth: np.ndarray, std: np.ndarray, visible: np.ndarray
     if F < 3:
         mean = (precision * log_depth).sum(axis=1, keepdims=True) / precision.sum(axis=1, keepdims=True)
         return np.broadcast_to(mean, (n, F)).copy()
-    D = np.diff(np.eye(F), n=2, axis=0) / DEPTH_ACCELERATION
-    D1 = np.diff(np.eye(F), axis=0) / DEPTH_SPEED
-    penalty = D.T @ D + D1.T @ D1
-    bands = np.stack([np.r_[np.zeros(2 - k), np.diag(penalty, 2 - k)] for k in range(3)])
-    smoothed = np.empty((n, F))
+    bands, smoothed = _penalty(F), np.empty((n, F))
     for j in range(n):
         banded = bands.copy()
         banded[2] += precision[j]
         smoothed[j] = solveh_banded(banded, precision[j] * np.where(visible[j], log_depth[j], 0.0))
     return smoothed
+
+
+def _penalty(F: int) -> np.ndarray:
+    """Both penalties of F >= 3 frames as a symmetric matrix in upper bands [3, F], the diagonal last."""
+    D = sparse.diags_array([1.0, -2.0, 1.0], offsets=[0, 1, 2], shape=(F - 2, F)) / DEPTH_ACCELERATION
+    D1 = sparse.diags_array([-1.0, 1.0], offsets=[0, 1], shape=(F - 1, F)) / DEPTH_SPEED
+    penalty = D.T @ D + D1.T @ D1
+    return np.stack([np.r_[np.zeros(2 - k), penalty.diagonal(2 - k)] for k in range(3)])
 
 
 def sample_depth(
