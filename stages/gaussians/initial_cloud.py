@@ -19,6 +19,9 @@ OUTLINE = 0.006
 """Width of the uncertain band along a mask's outline, as a share of the frame's width: 3 of 512 px. With a narrower one
 static Gaussians keep the colours of the movers' rim, which lowers held-out PSNR."""
 
+MOST_CLAIMED = 2
+"""Static points are lifted up to this many times `max_gaussians`: some are left out again, as movers claim them."""
+
 
 def cloud_within(
     seen: TrainingFrames,
@@ -63,18 +66,20 @@ def initial_cloud(
         stride_px: distance between lifted pixels, px. K: control points per Gaussian.
         movers_every: dynamic Gaussians have life spans, and are lifted from one frame in this many, from the others
             where none of them is; 0: they are there at all times, and each frame adds what those before do not show.
-        max_gaussians: to stay within, movers are lifted from fewer frames, but from no less than half as many.
+        max_gaussians: to stay within, movers are lifted from fewer frames, but from no less than half as many; a cloud
+            that is beyond it need not be complete.
     """
     order = frame_order(len(seen.images), canonical)
     if deformation is None:
-        points = lift_static(seen, order, stride_px, Computed(len(seen.images), lambda _: np.ones(seen.size, bool)))
+        everything = Computed(len(seen.images), lambda _: np.ones(seen.size, bool))
+        points = lift_static(seen, order, stride_px, everything, max_gaussians)
         return make_cloud(points, points.positions, np.zeros(len(points.frames), bool), sh_degree)
     # Pixels on the outline mix two colours, and masks and depth are inexact there: no static point starts from them.
     size = 2 * max(1, round(OUTLINE * seen.size[1])) + 1
     kernel = np.ones((size, size), np.uint8)
     frames = range(len(seen.images))
     widened = PackedMasks((f, cv2.dilate(seen.masks[f].astype(np.uint8), kernel) > 0) for f in frames)
-    static = lift_static(seen, order, stride_px, inverse(widened))
+    static = lift_static(seen, order, stride_px, inverse(widened), MOST_CLAIMED * max_gaussians)
     claimed = dynamic_share(seen, lambda _: static.positions, seen.masks) > 0.5
     claimed_times = seen.times[static.frames[claimed]]
     recovered, found = to_canonical(static.positions[claimed], claimed_times, deformation, K)

@@ -1,6 +1,8 @@
 """Pixels of several training frames lifted by depth, and the Gaussians made of them."""
 
+import itertools
 import sys
+from collections import deque
 from dataclasses import dataclass
 
 import cv2
@@ -22,6 +24,12 @@ from stages.splatting.rasterize import rasterize
 
 LIFTED_FRAMES = 8
 """Frames that are lifted after the canonical one; each adds what the frames before it do not show."""
+NEW_SHARE = 0.05
+"""A frame between two lifted ones is lifted too if all of them leave this share of it uncovered. In seven library
+scenes of 14 to 200 frames none does: at most 0.044."""
+WIDEST_GAP = 32
+"""Frames between lifted ones are looked at this close to one another at least: a camera that turned round between two
+of them would not be noticed halfway."""
 SCALE_SHARE = 0.5
 """Initial standard deviation as a share of the distance between neighbouring Gaussians."""
 OPACITY = 0.8
@@ -69,18 +77,42 @@ def frame_order(F: int, first: int) -> list[int]:
     return list(dict.fromkeys([first, *ends_first]))
 
 
-def lift_static(seen: TrainingFrames, order: list[int], stride_px: int, static: Frames[np.ndarray]) -> Points:
+def lift_static(
+    seen: TrainingFrames, order: list[int], stride_px: int, static: Frames[np.ndarray], useless: int = sys.maxsize
+) -> Points:
     """Lifted points of several frames: each adds those of its `static` pixels [H, W] that no point covers yet.
+
+    A long path shows more than the frames of `order` do: the gaps between them are halved, and the frames in their
+    middles lifted, as long as these show enough that is new.
 
     Args:
         order: indices of the frames, the first of which contributes all its static pixels.
         stride_px: distance between lifted pixels, px.
+        useless: beyond so many points the rest of the frames is left out, as the caller has no use for the result.
     """
-    parts: list[Points] = []
-    for f in order:
-        uncovered = static[f] if not parts else static[f] & ~_covered(seen, f, join(parts).positions, stride_px)
-        parts.append(lift(seen, f, uncovered, stride_px))
-    return join(parts)
+    points = lift(seen, order[0], static[order[0]], stride_px)
+    for f in order[1:]:
+        points = join([points, lift(seen, f, _uncovered(seen, f, points, stride_px, static), stride_px)])
+    gaps = deque(itertools.pairwise(sorted(order)))
+    while gaps and len(points.frames) <= useless:
+        first, last = gaps.popleft()
+        middle = (first + last) // 2
+        if middle == first:
+            continue
+        new = _uncovered(seen, middle, points, stride_px, static)
+        adds = np.count_nonzero(new) >= NEW_SHARE * new.size
+        if adds:
+            points = join([points, lift(seen, middle, new, stride_px)])
+        if adds or last - first > WIDEST_GAP:
+            gaps += [(first, middle), (middle, last)]
+    return points
+
+
+def _uncovered(
+    seen: TrainingFrames, f: int, points: Points, stride_px: int, static: Frames[np.ndarray]
+) -> np.ndarray:
+    """Static pixels [H, W] of frame f that no point covers."""
+    return np.asarray(static[f] & ~_covered(seen, f, points.positions, stride_px))
 
 
 def _covered(seen: TrainingFrames, f: int, positions: np.ndarray, stride_px: int) -> np.ndarray:
