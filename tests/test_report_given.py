@@ -44,6 +44,9 @@ def test_what_the_user_handed_in_stands_on_the_first_screen_and_marks_the_tables
     write_image(folder / "figures/motion.png", run.picture(0))
     write_cameras(folder / "ba/poses.parquet", read_cameras(folder / "ba/poses.parquet"), about)
     run.score(folder)
+    files = folder / "flow/pairs.arrow", [folder / "masks"], [folder / "ba/poses.parquet"] * 3
+    assert read_run_inputs(*files).masked_from == 1  # made once, before all rounds
+    files[0].unlink()  # it need not be kept: `keep_flow`
     report_stage.main([folder], PUBLISHED, tmp_path / "index.html", tmp_path / "tables", ReportOptions())
     page = (tmp_path / "index.html").read_text()
     first = page.partition("</header>")[0]
@@ -53,5 +56,3 @@ def test_what_the_user_handed_in_stands_on_the_first_screen_and_marks_the_tables
     assert "Motion prior: how likely" not in page  # its picture is of an earlier run
     masks = pq.read_table(tmp_path / "tables/masks.parquet").to_pylist()
     assert {row["method"] for row in masks} == {"motion prior", "given masks"}
-    files = folder / "flow/pairs.arrow", [folder / "masks"], [folder / "ba/poses.parquet"] * 3
-    assert read_run_inputs(*files).masked_from == 1  # made once, before all rounds

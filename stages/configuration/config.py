@@ -49,6 +49,10 @@ class Config(Options):
         "the first and last frame of each, as in [[1, 40], [41, 90]]; or one of these for each clip by its name",
     )
     preset: Preset = Field("balanced", description="fast, balanced or accurate; your own values win over the preset's")
+    keep_flow: bool = Field(
+        True,
+        description="keep the flow, about half of a sequence's disk; false: remove it once all that reads it has run",
+    )
     rounds: int = Field(
         3,
         ge=1,

@@ -32,7 +32,7 @@ from stages.shared.charts import draw_trajectories
 from stages.shared.cli import In, Out
 from stages.shared.log import logger
 from stages.shared.masks import read_masks
-from stages.shared.run_inputs import RunInputs, read_run_inputs
+from stages.shared.run_inputs import RunInputs, given_in_words, read_run_inputs, taken_inputs
 from stages.shared.sequences import Sequence, read_sequence
 from stages.shared.tables import Row, read_rows, write_rows
 
@@ -107,7 +107,8 @@ def main(
     checks += score_models.model_rows(frames.name, len(frames.frames), deformation, model, half)
     if lens:
         checks += score_lens.lens_rows(frames, read_json(lens), read_cameras(poses[-1]))
-    _write_checks(checks, inputs, checks_table)
+    given = given_in_words(frames.name, taken_inputs(flow, masks[-1], poses[-1]))
+    _write_checks(checks, inputs, given, checks_table)
     return _result(poses_table, masks_table, images_table)
 
 
@@ -180,10 +181,10 @@ def _score_geometry(
     return score_geometry.score_geometry(frames, flow, read_cameras(poses), *grid, masks)
 
 
-def _write_checks(checks: Rows[Row], inputs: RunInputs, table: Path) -> None:
-    """Write what was checked of flow, depth, motion and file sizes."""
+def _write_checks(checks: Rows[Row], inputs: RunInputs, given: str, table: Path) -> None:
+    """Write what was checked of flow, depth, motion and file sizes; what was `given` for the report, without flow."""
     _log_rows("checks", checks)
-    write_rows(table, _with(inputs.taken, checks), CHECKS, {})
+    write_rows(table, _with(inputs.taken, checks), CHECKS, {"given": given})
 
 
 def _with(taken: str | None, rows: Rows[Row]) -> list[Row]:

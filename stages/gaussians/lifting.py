@@ -108,9 +108,7 @@ def lift_static(
     return points
 
 
-def _uncovered(
-    seen: TrainingFrames, f: int, points: Points, stride_px: int, static: Frames[np.ndarray]
-) -> np.ndarray:
+def _uncovered(seen: TrainingFrames, f: int, points: Points, stride_px: int, static: Frames[np.ndarray]) -> np.ndarray:
     """Static pixels [H, W] of frame f that no point covers."""
     return np.asarray(static[f] & ~_covered(seen, f, points.positions, stride_px))
 

@@ -21,7 +21,6 @@ from stages.shared.artifacts import read_metadata
 from stages.shared.atomic import atomic, atomic_folder
 from stages.shared.cli import In, Out
 from stages.shared.log import logger, progress
-from stages.shared.run_inputs import given_in_words, taken_inputs
 from stages.shared.tables import Row, Table, read_rows
 
 TEMPLATES = Path(__file__).parent / "templates"
@@ -98,8 +97,8 @@ def given_lines(folders: list[Path]) -> list[str]:
     """What the user handed in for each sequence, in words; without a sequence for which it is nothing."""
     lines = []
     for folder in folders:
-        files = folder / "flow/pairs.arrow", folder / "masks", folder / "ba/poses.parquet"
-        if all(file.exists() for file in files) and (words := given_in_words(folder.name, taken_inputs(*files))):
+        checks = folder / "eval/checks.parquet"
+        if checks.exists() and (words := read_metadata(checks).get("given")):
             lines.append(f"{folder.name}: {words}" if len(folders) > 1 else words)
     return lines
 

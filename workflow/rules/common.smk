@@ -242,6 +242,11 @@ def optional_flags(*names):
     return of_paths
 
 
+def of_flow(path):
+    """The output path of flow, which is removed after its last reader unless it is to be kept."""
+    return path if CONFIG.keep_flow else temp(path)
+
+
 def scene_file(wildcards):
     """The scene file of a simulated sequence."""
     scenes = datasets.scene_files(CONFIG)

@@ -2,7 +2,7 @@ rule flow:
     input:
         sequence=artifact("inspect", "sequence.json"),
     output:
-        flow="<results>/{dataset}/{seq}/{setting}flow/pairs.arrow",
+        flow=of_flow("<results>/{dataset}/{seq}/{setting}flow/pairs.arrow"),
         figure="<results>/{dataset}/{seq}/{setting}figures/flow.png",
         stats="<results>/{dataset}/{seq}/{setting}stats/flow.json",
     log:

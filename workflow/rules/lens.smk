@@ -4,7 +4,7 @@ rule lens:
         flow=artifact("flow", "flow/pairs.arrow"),
     output:
         sequence="<results>/{dataset}/{seq}/{setting}lens/sequence.json",
-        pairs="<results>/{dataset}/{seq}/{setting}lens/pairs.arrow",
+        pairs=of_flow("<results>/{dataset}/{seq}/{setting}lens/pairs.arrow"),
         images=directory("<results>/{dataset}/{seq}/{setting}lens/images"),
         lens="<results>/{dataset}/{seq}/{setting}lens/lens.json",
         stats="<results>/{dataset}/{seq}/{setting}stats/lens.json",
