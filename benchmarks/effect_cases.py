@@ -9,7 +9,7 @@ things that shine, since a highlight that rests on its surface is one, too. A mo
 """
 
 import copy
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -168,10 +168,10 @@ class Case:
         return content
 
 
-def cases() -> list[Case]:
-    """All scenes: no effect, each alone at its five strengths, pairs at medium strength."""
+def cases(bases: Iterable[Path] = BASES) -> list[Case]:
+    """All scenes on these bases: no effect, each alone at its five strengths, pairs at medium strength."""
     found = []
-    for base in BASES:
+    for base in bases:
         found.append(Case(base, {}))
         found += [Case(base, {name: value}) for name, effect in EFFECTS.items() for value in effect.strengths]
         found += [Case(base, {name: EFFECTS[name].strengths[MEDIUM] for name in pair}) for pair in PAIRS]

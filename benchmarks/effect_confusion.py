@@ -1,6 +1,6 @@
 """Which effects are found, and where none is: a confusion table over scenes with one effect at five strengths.
 
-    python -m benchmarks.effect_confusion /tmp/effects docs/effects.md
+    python -m benchmarks.effect_confusion /tmp/effects docs/effects.md         # and yard: on this base alone
 
 The scenes (benchmarks/effect_cases.py) are rendered and solved by the pipeline itself, up to scene.json, with the
 preset fast; what is finished in the folder is not made again. The report is a page of Markdown.
@@ -18,6 +18,8 @@ from stages.report.provenance import about_run
 from stages.shared.artifacts import read_json
 
 RIGHT_SHARE = 0.95
+BATCH = 8
+"""Scenes that are planned at once: Snakemake may do the same step of all of them before it begins the next."""
 
 
 def solve(folder: Path, wanted: list[Case]) -> None:
@@ -103,6 +105,12 @@ def _is_medium(case: Case, name: str, effect: Effect) -> bool:
     return name not in case.strengths or abs(case.strengths[name]) >= abs(effect.strengths[MEDIUM])
 
 
+def _turn(case: Case) -> int:
+    """Medium strengths are solved first, weak ones last: what decides, if a run is stopped early."""
+    ranks = [np.sign(EFFECTS[name].strengths.index(value) - MEDIUM) for name, value in case.strengths.items()]
+    return {0: 0, 1: 1, -1: 2}[int(min(ranks, default=0))]
+
+
 def page(verdicts: Verdicts, unsolved: list[str], about: str) -> str:
     """The page docs/effects.md."""
     parts = {
@@ -126,16 +134,19 @@ def page(verdicts: Verdicts, unsolved: list[str], about: str) -> str:
     return "\n".join(lines) + "\n"
 
 
-def main(folder: Path, output: Path) -> None:
-    """Render, solve, judge, and write the page."""
-    wanted = cases()
-    solve(folder, wanted)
+def main(folder: Path, output: Path, *names: str) -> None:
+    """Render, solve, judge, and write the page, on the base scenes of these names, or on all."""
+    bases = [base for base in BASES if base.stem in (names or {base.stem})]
+    wanted = cases(bases)
+    ordered = sorted(wanted, key=_turn)
+    for first in range(0, len(ordered), BATCH):
+        solve(folder, ordered[first : first + BATCH])
     found = [(case, decisions(folder, case)) for case in wanted]
     run = about_run()
     about = (
         "Written by `python -m benchmarks.effect_confusion`; not edited by hand."
         f" {run['written']}, commit {run['commit']}, preset `fast`;"
-        f" {len(BASES)} base scenes of 20 frames of 384 x 216 px."
+        f" base scenes {', '.join(base.stem for base in bases)}, of 20 frames of 384 x 216 px."
     )
     unsolved = [case.name for case, verdict in found if verdict is None]
     text = page([(case, verdict) for case, verdict in found if verdict is not None], unsolved, about)
@@ -144,4 +155,4 @@ def main(folder: Path, output: Path) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), Path(sys.argv[2]))
+    main(Path(sys.argv[1]), Path(sys.argv[2]), *sys.argv[3:])
