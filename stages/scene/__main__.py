@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import cv2
 import numpy as np
 
-from stages.scene import blur_rules, geometry, photometry, rules, shutter
+from stages.scene import bending, blur_rules, geometry, photometry, rules, shutter
 from stages.scene.camera_effects import camera_decisions
 from stages.scene.observed import Observed, depth_on_grid, read_edges
 from stages.scene.options import SceneOptions
@@ -83,9 +83,7 @@ def _decide(seen: Observed, rotation_only_share: float, options: SceneOptions) -
     atmosphere = timed(rules.decide_atmosphere(light, options.atmosphere))
     view = photometry.view_evidence(points, light.fitted)
     view_dependent = timed(rules.decide_view_dependent(view, options.view_dependent))
-    regions = geometry.moving_regions(seen)
-    bending = geometry.bending_of(regions), float(seen.dynamic.mean()), geometry.bending_of_instances(regions)
-    non_rigid = timed(rules.decide_non_rigid(*bending, options.non_rigid))
+    non_rigid = timed(rules.decide_non_rigid(bending.bending_evidence(seen), options.non_rigid))
     given = None if options.shutter == "auto" else options.shutter
     blur = shutter.shutter_evidence(seen, blur_rules.MIN_SPEED_PX, given)
     return {

@@ -1,9 +1,5 @@
-"""Evidence from the flow: what moving parts and their bending explain of it.
+"""Evidence from the flow for moving parts: what their own motion explains of it, on pixels not fitted to, in px."""
 
-Each is a model of the flow that is judged against a simpler one, in px, on samples that it was not fitted to.
-"""
-
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import cv2
@@ -20,8 +16,6 @@ BLOCK_PX = 4
 """Side of the blocks of pixels that are fitted and held out in turn, as on a chessboard."""
 IRLS_STEPS = 8
 LEAST_RESIDUAL_PX = 0.05
-DEGREE = 4
-"""Of the polynomial flow that a bending region may have."""
 RIDGE = 1e-3
 
 
@@ -42,16 +36,12 @@ class Region(NamedTuple):
     """A connected moving region of a frame, with the errors [n] in px of held-out flow, both components.
 
     Attributes:
-        edge: row of the flow. instance: its number. static, plane, bent: errors [n] of the flow of the static scene, of
-            a rigid plane and of a bending surface. spread: distance [m] in px of the flow from its median.
+        edge: row of the flow. static, plane: errors [n] of the flow of the static scene, and of a rigid plane.
     """
 
     edge: int
-    instance: int
     static: np.ndarray
     plane: np.ndarray
-    bent: np.ndarray
-    spread: np.ndarray
 
 
 def dynamic_evidence(seen: Observed) -> MaskEvidence:
@@ -63,7 +53,7 @@ def dynamic_evidence(seen: Observed) -> MaskEvidence:
     distances = np.abs(seen.offsets)
     offsets = np.unique(distances[distances <= LONGEST])[::-1].tolist() or [distances.min(initial=LONGEST)]
     for offset in offsets:
-        regions = moving_regions(seen, offset)
+        regions = _moving_regions(seen, offset)
         if regions:
             break
     inside, outside = [], []
@@ -73,11 +63,10 @@ def dynamic_evidence(seen: Observed) -> MaskEvidence:
         dynamic = seen.dynamic[seen.edges[edge, 0]]
         inside.append(residual[trusted & dynamic])
         outside.append(residual[trusted & ~dynamic])
-    bought = _weigh_regions(regions, [region.static for region in regions], [region.plane for region in regions])
-    return MaskEvidence(bought, float(seen.dynamic.mean()), _median(inside), _median(outside))
+    return MaskEvidence(_weigh_regions(regions), float(seen.dynamic.mean()), _median(inside), _median(outside))
 
 
-def moving_regions(seen: Observed, offset: int = 1) -> list[Region]:
+def _moving_regions(seen: Observed, offset: int) -> list[Region]:
     """Moving regions of frames over the clip, by their flow to the frame `offset` away.
 
     The flow of a rigid plane is quadratic in the pixel with eight parameters (Longuet-Higgins and Prazdny 1980);
@@ -94,41 +83,20 @@ def moving_regions(seen: Observed, offset: int = 1) -> list[Region]:
             for label in range(1, count):
                 chosen = (labels == label) & confident
                 if chosen.sum() >= MIN_REGION_PX:
-                    uv, flow = np.argwhere(chosen)[:, ::-1], seen.flow[edge][chosen].astype(float)
-                    plane, bent = held_out_errors(uv, flow)
-                    spread = np.linalg.norm(flow - np.median(flow, axis=0), axis=1)
-                    regions.append(Region(edge, instance, residual[chosen].ravel(), plane, bent, spread))
+                    plane = plane_errors(np.argwhere(chosen)[:, ::-1], seen.flow[edge][chosen].astype(float))
+                    regions.append(Region(edge, residual[chosen].ravel(), plane))
     return regions
 
 
-def bending_of(regions: Sequence[Region]) -> tuple[Bought, float]:
-    """What bending explains of the flow of regions, over rigid planes, and the median spread of the flow in px."""
-    bought = _weigh_regions(regions, [region.plane for region in regions], [region.bent for region in regions])
-    return bought, _median([region.spread for region in regions])
-
-
-def bending_of_instances(regions: Sequence[Region]) -> dict[int, tuple[Bought, float]]:
-    """The same by instance."""
-    numbers = sorted({region.instance for region in regions})
-    return {n: bending_of([region for region in regions if region.instance == n]) for n in numbers}
-
-
-def held_out_errors(uv: np.ndarray, flow: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Errors [2 n] in px of flow [n, 2] at pixels uv [n, 2]: of a rigid plane's flow, and of a bending surface's.
-
-    Each half of the blocks is predicted from the other half.
-    """
+def plane_errors(uv: np.ndarray, flow: np.ndarray) -> np.ndarray:
+    """Errors [2 n] in px of a rigid plane's flow at pixels uv [n, 2]: each half of the blocks by the other half."""
     centred = uv - uv.mean(axis=0)
-    x, y = (centred / max(float(np.abs(centred).max()), 1.0)).T
-    designs = _plane_design(x, y), _bent_design(x, y)
+    design = _plane_design(*(centred / max(float(np.abs(centred).max()), 1.0)).T)
     odd = (uv // BLOCK_PX).sum(axis=1) % 2 == 1
-    errors = []
-    for design in designs:
-        error = np.zeros_like(flow)
-        for half in (odd, ~odd):
-            error[half] = flow[half] - design[half] @ _fitted(design[~half], flow[~half])
-        errors.append(error.ravel())
-    return errors[0], errors[1]
+    error = np.zeros_like(flow)
+    for half in (odd, ~odd):
+        error[half] = flow[half] - design[half] @ _fitted(design[~half], flow[~half])
+    return error.ravel()
 
 
 def _plane_design(x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -137,13 +105,6 @@ def _plane_design(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     rows_u = np.stack([one, x, y, zero, zero, zero, x * x, x * y], axis=-1)
     rows_v = np.stack([zero, zero, zero, one, x, y, x * y, y * y], axis=-1)
     return np.stack([rows_u, rows_v], axis=1)
-
-
-def _bent_design(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Flow [n, 2, K] of a bending surface: polynomials up to DEGREE in each component."""
-    terms = np.stack([x**i * y**j for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i)], axis=-1)
-    zero = np.zeros_like(terms)
-    return np.stack([np.concatenate([terms, zero], -1), np.concatenate([zero, terms], -1)], axis=1)
 
 
 def _fitted(design: np.ndarray, flow: np.ndarray) -> np.ndarray:
@@ -159,11 +120,11 @@ def _fitted(design: np.ndarray, flow: np.ndarray) -> np.ndarray:
     return np.asarray(solution)
 
 
-def _weigh_regions(regions: Sequence[Region], simple: list[np.ndarray], rich: list[np.ndarray]) -> Bought:
-    """What the richer errors save, with its uncertainty over the frames."""
-    groups = [np.full(len(errors), region.edge) for region, errors in zip(regions, rich, strict=True)]
-    none = [np.zeros(0)]
-    return weigh(*(np.concatenate([*none, *part]) for part in (simple, rich, groups)))
+def _weigh_regions(regions: list[Region]) -> Bought:
+    """What a rigid plane saves over a static scene, with its uncertainty over the frames."""
+    groups = [np.full(len(region.plane), region.edge) for region in regions]
+    parts = [region.static for region in regions], [region.plane for region in regions], groups
+    return weigh(*(np.concatenate([np.zeros(0), *part]) for part in parts))
 
 
 def _static_residual(seen: Observed, edge: int) -> np.ndarray:

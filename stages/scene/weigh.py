@@ -38,10 +38,6 @@ class Bought(NamedTuple):
         """Share of the squared error that is saved."""
         return self.saved / self.before if self.before > 0 else 0.0
 
-    def diluted(self, share: float) -> "Bought":
-        """The same over more samples, of which these are a share and the others save nothing."""
-        return Bought(self.saved * share, self.sigma * share, self.before * share, self.samples)
-
     def reaches(self, threshold: float, share: float) -> bool:
         """Whether `size` and `share` reach their thresholds, beyond chance."""
         return self.size >= threshold and self.share >= share and self.interval[0] > 0
