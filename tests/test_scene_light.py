@@ -91,7 +91,8 @@ def test_fog_is_told_from_exposure(extinction: float, level: float, drift_percen
     assert found["needed"] == (drift_percent > 0)
     assert found["evidence"]["gain_range_percent"] == pytest.approx(drift_percent, abs=1 + 15 * extinction)
     assert found["interval"][0] < found["statistic"] < found["interval"][1]
-    assert evidence.fitted.extinction == pytest.approx(extinction * foggy, abs=0.35 * extinction)
+    # The airlight of dark fog is bounded below, and its extinction comes out too low for that.
+    assert evidence.fitted.extinction == pytest.approx(extinction * foggy, abs=0.4 * extinction)
     air = rules.decide_atmosphere(evidence, "auto")
     assert air["needed"] == foggy
     assert air["extinction"] == evidence.fitted.extinction
@@ -121,14 +122,19 @@ def test_a_sky_behind_black_fog_has_errors_all_the_same() -> None:
     assert np.isfinite(cleared(far, black)).all()
 
 
-@pytest.mark.parametrize("extinction", [0.05, 0.2, 0.4])
-def test_thin_and_thick_fog_are_found_from_a_light_without(extinction: float) -> None:
-    """0.2 to 1.6 per median distance. The vignetting that is fitted first takes the part of thin fog."""
-    seen = sight(lit_room(extinction, (0.6, 0.6, 0.66)))
+@pytest.mark.parametrize(
+    ("extinction", "level"), [(0.05, 0.6), (0.2, 0.6), (0.4, 0.6), (0.1, 0.9), (0.08, 0.9), (0.3, 0.6)]
+)
+def test_thin_and_thick_fog_are_found_from_a_light_without(extinction: float, level: float) -> None:
+    """0.2 to 1.6 per median distance. The vignetting that is fitted first takes the part of thin fog.
+
+    At first thin bright fog explains more than the true one; then extinction and airlight lie in a long curved valley.
+    """
+    seen = sight(lit_room(extinction, (level, level, 1.1 * level)))
     every, start = np.ones(len(seen.cell), bool), no_light(seen.colours.shape[1])
     found = light.fit(seen, Model(0, True), every, light.fit(seen, Model(0, False), every, start))
     assert found.extinction == pytest.approx(extinction, rel=0.06)
-    assert found.airlight == pytest.approx([0.6, 0.6, 0.66], abs=0.03)
+    assert found.airlight == pytest.approx([level, level, 1.1 * level], abs=0.03)
 
 
 @pytest.mark.parametrize(("exposure", "white_balance"), [(15.0, 0.1), (15.0, 0.0), (0.0, 0.1)])

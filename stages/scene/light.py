@@ -8,8 +8,9 @@ from stages.scene.light_model import Light, Model, Points, State, brightened, de
 from stages.scene.sightings import Sightings
 
 ITERATIONS, EVALUATIONS = 5, 3
-FIRST_FOG_ITERATIONS, FOG_ITERATIONS, LEAST_PROGRESS = 3, 20, 1e-3
-"""With fog: of each first extinction, which is held; of the best one; share of the cost below which it has arrived."""
+FIRST_FOG_ITERATIONS, FOG_ITERATIONS, LEAST_PROGRESS = ((3, 3), (5, 1)), 20, 1e-3
+"""With fog: of each first extinction, which is held, and how many of them go on; of the best one; share of the cost
+below which it has arrived."""
 KERNEL = 3.0
 """Scale of the robust kernel in standard deviations of the noise, itself no less than LEAST_NOISE."""
 LEAST_NOISE = 1e-3
@@ -22,6 +23,8 @@ MOST_EXTINCTION = 5.0
 """Per median distance: less than a hundredth of the light is left."""
 FIRST_EXTINCTIONS = (0.06, 0.12, 0.25, 0.5, 1.0, 2.0)
 """Where the search looks first, per median distance, with the colour of the most distant points as airlight."""
+FOLLOWING = 2
+"""Further steps of the radiances behind fog, for each of the other parameters."""
 HELD = 1e6
 """Damping of an extinction that is held."""
 
@@ -44,14 +47,21 @@ def fit(seen: Sightings, model: Model, rows: np.ndarray, start: Light) -> Light:
 def _first_fog(of: Points, model: Model, start: Light) -> State:
     """The best fog of FIRST_EXTINCTIONS, everything else fitted to each; from the next of them the search gets stuck.
 
-    A vignetting that was fitted without fog has taken its part, and keeps it: all begin without.
+    A vignetting that was fitted without fog has taken its part, and keeps it: all begin without. Thin bright fog fits
+    best at first, and worse than any later on: several go on before one is chosen.
     """
-    states = []
-    for b in np.array(FIRST_EXTINCTIONS) / of.unit:
-        light = replace(start, vignetting=0.0, extinction=float(b), scattered=b * of.far_radiance)
-        states.append(_improved(of, model, State(light, of.mean_radiance(light)), FIRST_FOG_ITERATIONS, HELD))
-    noise = min(_noise(of, errors_of(of, state)) for state in states)
-    return min(states, key=lambda state: _cost(of, errors_of(of, state), noise))
+    lights = [
+        replace(start, vignetting=0.0, extinction=float(b), scattered=b * of.far_radiance)
+        for b in np.array(FIRST_EXTINCTIONS) / of.unit
+    ]
+    states = [State(light, of.mean_radiance(light)) for light in lights]
+    for iterations, kept in FIRST_FOG_ITERATIONS:
+        states = [_improved(of, model, state, iterations, HELD) for state in states]
+        errors = [errors_of(of, state) for state in states]
+        noise = min(_noise(of, error) for error in errors)
+        costs = [_cost(of, error, noise) for error in errors]
+        states = [states[n] for n in np.argsort(costs, kind="stable")[:kept]]
+    return states[0]
 
 
 def _improved(of: Points, model: Model, state: State, iterations: int, held: float = 0.0) -> State:
@@ -126,9 +136,15 @@ def _step(of: Points, model: Model, state: State, error: np.ndarray, noise: floa
         scattered = light.scattered + rest[2:] / of.unit
         scattered = np.clip(scattered, of.least_airlight(extinction) * extinction, MOST_AIRLIGHT * extinction)
         moved = replace(moved, extinction=extinction, scattered=scattered)
-    # The radiances follow: what the other parameters, as they are now, leave over.
+    # The radiances follow: what the other parameters, as they are now, leave over. Behind another fog that takes more
+    # than one step, and until they have followed, a step along the valley of extinction and airlight seems to lead up.
     left = errors_of(of, State(moved, state.radiance))
-    return State(moved, brightened(state.radiance, _radiance_step(weight, slope, left)))
+    state = State(moved, brightened(state.radiance, _radiance_step(weight, slope, left)))
+    for _ in range(FOLLOWING if model.fog else 0):
+        left = errors_of(of, state)
+        step = _radiance_step(_weights(of, left, noise), slopes_of(of, state), left)
+        state = State(moved, brightened(state.radiance, step))
+    return state
 
 
 def _solve(
