@@ -113,7 +113,7 @@ EFFECTS = {
     "white balance": Effect(
         "white_balance", "gain", (0.01, 0.03, 0.1, 0.2, 0.3), _listed("exposure", "white_balance", stops=0)
     ),
-    "view-dependent colour": Effect("view_dependent", "peak radiance", (0.05, 0.2, 0.8, 1.6, 3.0), _shining),
+    "view-dependent colour": Effect("view_dependent", "peak radiance", (0.8, 1.6, 3.0, 4.5, 6.0), _shining),
     "fog": Effect("atmosphere", "1 / m", (0.005, 0.02, 0.06, 0.12, 0.2), _foggy),
     "motion blur": Effect("motion_blur", "frames", (0.1, 0.25, 0.5, 0.75, 1.0), _listed("motion_blur", "shutter")),
     "zoom": Effect("zoom", "focal length, last / first", (1.01, 1.03, 1.15, 1.3, 1.5), _zooming),

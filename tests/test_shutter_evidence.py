@@ -7,6 +7,7 @@ import pytest
 from stages.scene import blur_rules
 from stages.scene.observed import Observed
 from stages.scene.shutter import shutter_evidence
+from stages.scene.shutter_fit import SHUTTERS, TILES, judge
 
 H, W, F = 72, 128, 12
 MEAN_PX, SWING_PX = 4.0, 3.5
@@ -127,6 +128,25 @@ def test_the_decision_follows_gain_and_smear_and_what_can_be_seen(change: dict[s
     clear = {"speed_px": 6.0, "speed_agreement": 0.9, "shutter": 0.5, "shutter_sigma": 0.05, "slope_sigma": 0.1}
     evidence = clear | {"gain_percent": 4.0, "gain_sigma_percent": 0.1} | change
     assert blur_rules.decide_motion_blur(evidence, "auto", None)["needed"] == needed
+
+
+def test_blur_in_few_tiles_is_no_chance() -> None:
+    """A mover fills four of the tiles, and saves what its blur predicts; the rest shows nothing."""
+    sums = np.zeros((3, len(SHUTTERS), TILES[0] * TILES[1]))
+    sums[0] = 1.0
+    for tile, strength in zip((8, 9, 14, 15), (0.1, 0.8, 4.0, 0.3), strict=True):
+        blurred = strength * (SHUTTERS / 0.5) ** 4
+        sums[1, :, tile] = np.sqrt(
+            blurred * strength
+        )  # <a, b> grows with the square of the shutter, <b, b> with its 4th
+        sums[2, :, tile] = blurred
+    evidence = judge(sums, None)
+    assert evidence["shutter"] == pytest.approx(0.5, abs=0.01)
+    assert evidence["gain_percent"] > 5 * evidence["gain_sigma_percent"]
+    wrong = sums.copy()
+    wrong[1, :, 8] *= -1  # what a mover in front of another would do
+    wrong[1, :, 14] *= -1
+    assert judge(wrong, 0.5)["gain_percent"] < 2 * judge(wrong, 0.5)["gain_sigma_percent"]
 
 
 def test_a_given_shutter_is_judged_and_used() -> None:

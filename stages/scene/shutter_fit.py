@@ -10,20 +10,26 @@ TESTED = 3
 
 
 def judge(sums: np.ndarray, given: float | None) -> dict[str, float]:
-    """The evidence about the shutter, as `shutter.shutter_evidence` returns it, from sums [3, SHUTTERS, tiles]."""
+    """The evidence about the shutter, as `shutter.shutter_evidence` returns it, from sums [3, SHUTTERS, tiles].
+
+    A tile saves 2 <a, b> - <b, b>, and <b, b> if the shutter is right. How much the tiles differ in what they save
+    holds more than chance, since movers fill few of them. So does how much they differ from what is expected, if the
+    shutter is a little wrong. Both bound the standard error of the gain: the smaller one counts.
+    """
     n = sums.shape[-1]
     odd = (np.arange(n) // TILES[1] + np.arange(n) % TILES[1]) % 2 == 1
-    saved, before = np.zeros(n), np.zeros(n)
+    saved, expected, before = np.zeros((3, n))
     for fitted in (odd, ~odd):
         shutter = _best(sums[..., fitted]) if given is None else given
         aa, ab, bb = _at(shutter, sums[..., ~fitted])
-        saved[~fitted], before[~fitted] = 2 * ab - bb, aa
+        saved[~fitted], expected[~fitted], before[~fitted] = 2 * ab - bb, bb, aa
+    sigma = min(float(np.sqrt(n) * saved.std(ddof=1)), float(np.linalg.norm(saved - expected)))
     without = [np.delete(sums, tile, axis=-1) for tile in range(n)]
     return {
         "shutter": _best(sums) if given is None else given,
         "shutter_sigma": _jackknife([_best(part) for part in without]) if given is None else 0.0,
         "gain_percent": 100 * float(saved.sum() / max(before.sum(), 1e-12)),
-        "gain_sigma_percent": 100 * float(np.sqrt(n) * saved.std(ddof=1) / max(before.sum(), 1e-12)),
+        "gain_sigma_percent": 100 * sigma / max(float(before.sum()), 1e-12),
         "slope_sigma": _jackknife([float(_slopes(part)[TESTED]) for part in without]),
     }
 
