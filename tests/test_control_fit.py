@@ -46,9 +46,8 @@ def training(T: int) -> np.ndarray:
 
 
 def fit_body(
-    depth_error: np.ndarray | float = 1.0, **changes: object
+    depth_error: np.ndarray | float = 1.0, T: int = 17, **changes: object
 ) -> tuple[Deformation, dict, Sightings, np.ndarray]:
-    T = 17
     frames = np.flatnonzero(training(T))
     all_moved, _ = turning_body(np.arange(T) / (T - 1))
     seen = sightings_of(all_moved[:, frames], frames, T, depth_error)
@@ -84,6 +83,12 @@ def test_the_table_follows_a_turning_body_and_the_frames_left_out() -> None:
         uv, _ = project(carried(model, rest, frame / 16), np.eye(4), K)
         truth, _ = project(moved[:, frame], np.eye(4), K)
         assert np.median(np.linalg.norm(uv - truth, axis=1)) < 1.0
+
+
+def test_a_long_clip_is_fitted_as_well_as_a_short_one_in_as_many_steps() -> None:
+    """A frame that is seldom drawn moves far when it is: Adam divides by how often."""
+    short, long = (fit_body(T=T, steps=30, control_points=24, learning_rate=0.02)[1] for T in (17, 241))
+    assert long["p90_px"] < 1.1 * short["p90_px"]
 
 
 def test_poor_depth_of_the_movers_does_not_spoil_their_image() -> None:
