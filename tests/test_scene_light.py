@@ -77,6 +77,20 @@ def decided(evidence: LightEvidence) -> tuple[bool, bool, bool]:
     return exposure, white_balance, fog
 
 
+@pytest.mark.parametrize("count", [215, 350, 1000])
+def test_every_frame_of_a_long_clip_is_seen_by_static_points(count: int) -> None:
+    h, w = 24, 36
+    shade = np.random.default_rng(0).uniform(0.3, 0.6, (h, w, 3)).astype(np.float32)
+    poses = np.tile(np.eye(4), (count, 1, 1))
+    K = np.array([[30.0, 0, w / 2], [0, 30.0, h / 2], [0, 0, 1]])
+    none, one = np.zeros((count, h, w), bool), np.ones((h, w))
+    rgb, depth = (np.broadcast_to(x, (count, *x.shape)) for x in (shade, one))
+    links = np.zeros((0, 2), int), np.zeros((0, h, w, 2)), np.zeros((0, h, w)), np.zeros(0, int)
+    points = sight(Observed(rgb, none, none, depth, poses, np.broadcast_to(K, (count, 3, 3)), *links))
+    assert 300 < len(points.points) <= 700
+    assert points.usable.any(axis=2).sum(axis=0).min() > 100
+
+
 @pytest.mark.parametrize("drift_percent", [0.0, 15.0])
 @pytest.mark.parametrize(("extinction", "level"), [(0.0, 0.7), (0.15, 0.7), (0.4, 0.05)])
 def test_fog_is_told_from_exposure(extinction: float, level: float, drift_percent: float) -> None:

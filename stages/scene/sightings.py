@@ -18,7 +18,8 @@ SMOOTH_PX = 1.5
 DEPTH_TOLERANCE = 0.05
 FRAMES_PER_REFERENCE, MIN_REFERENCES = 4, 3
 """Points are taken from every so-manieth frame, and from no fewer frames than that."""
-SAMPLES, MAX_SIGHTINGS = 2400, 150_000
+SAMPLES, MAX_SIGHTINGS, LEAST_SAMPLES = 2400, 150_000, 700
+"""Points, and the product of points and frames, at most; of a clip of any length there are LEAST_SAMPLES points."""
 GROUP_PX = 5
 """Side of the square of four points: beyond the smoothing, and mostly on the same surface."""
 GROUP = 4
@@ -73,8 +74,10 @@ def sight(seen: Observed) -> Sightings:
 def _points(seen: Observed, smooth: Frames[np.ndarray], hidden: Frames[np.ndarray]) -> np.ndarray:
     """World points [n, 3] of groups of four flat static pixels of frames spread over the clip."""
     F, h, w = seen.dynamic.shape
-    references = np.unique(np.linspace(0, F - 1, max(MIN_REFERENCES, F // FRAMES_PER_REFERENCE)).astype(int))
-    groups = min(SAMPLES, MAX_SIGHTINGS // F) // GROUP // len(references)
+    groups = min(SAMPLES, max(MAX_SIGHTINGS // F, LEAST_SAMPLES)) // GROUP
+    count = max(MIN_REFERENCES, min(F // FRAMES_PER_REFERENCE, groups))
+    references = np.unique(np.linspace(0, F - 1, count).astype(int))
+    groups //= len(references)
     corners = np.array([[0, 0], [0, GROUP_PX], [GROUP_PX, 0], [GROUP_PX, GROUP_PX]])
     found = [np.zeros((0, 3))]
     for k in references:
