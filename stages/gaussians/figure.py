@@ -13,6 +13,8 @@ from stages.shared.images import to_uint8
 from stages.splatting.shutter import expose
 
 WIDTH_PX = 1200
+CURVE_POINTS = 4
+"""Means that the curve consists of, at least, however many training frames there are."""
 GAIN = 4
 """Factor on the differences shown."""
 
@@ -34,8 +36,8 @@ def _curve(trainer: Trainer) -> np.ndarray:
     from matplotlib import pyplot
 
     history = trainer.history
-    # Mean over as many steps as there are training frames, since PSNR differs between frames.
-    round_of = min(len(trainer.targets), len(history.step))
+    # Mean over as many steps as there are training frames, or as leave a curve: PSNR differs between frames.
+    round_of = min(len(trainer.targets), max(1, len(history.step) // CURVE_POINTS))
     psnr = np.convolve(history.psnr, np.full(round_of, 1 / round_of), mode="valid")
     dpi = 100
     figure, left = pyplot.subplots(figsize=(WIDTH_PX / dpi, 2.6), dpi=dpi, layout="constrained")

@@ -11,13 +11,15 @@ from stages.evaluate.score_images import true_images
 from stages.report import embedding
 from stages.shared import charts, sequences, sintel
 from stages.shared.artifacts import read_dense, read_table
-from stages.shared.drawing import spread
+from stages.shared.drawing import fullest, spread
 from stages.shared.images import numbered_frames, read_rgb
 from stages.shared.masks import read_instances, read_masks
 from stages.shared.run_inputs import PRIOR_MASKS, mask_source
 from stages.shared.tables import Row, read_rows
 
 SHOWN_FRAMES = 4
+CHART_POINTS = 125
+"""From twice as many frames on a chart shows means of runs of them."""
 STAGE_FIGURES = {
     "inspect": "Input frames, with true motion where it is known",
     "motion": "Motion prior: how likely each pixel moves in the world",
@@ -91,7 +93,8 @@ def mask_figures(folder: Path, sequence: sequences.Sequence) -> list[Figure]:
     """Masks over some frames beside the true ones, and their IoU by frame; raises MissingPart."""
     masks = read_masks(_existing(folder, "masks"), sequence)
     truth, _ = true_masks(sequence)
-    chosen = spread(len(sequence.numbers), SHOWN_FRAMES)
+    shares = np.array([masks[number].mean() for number in sequence.numbers])
+    chosen = fullest(shares, SHOWN_FRAMES)
     shown = [sequence.numbers[k] for k in chosen]
     instances = [read_instances(folder / "masks", sequence, k) for k in chosen]
     images = [read_rgb(sequence.frames[k]) for k in chosen]
@@ -99,7 +102,7 @@ def mask_figures(folder: Path, sequence: sequences.Sequence) -> list[Figure]:
     outline = "; blue outline: the true ones" if truth else ""
     meaning = f"tinted: called dynamic, a colour for each instance{outline}"
     title = f"Masks of frames {', '.join(map(str, shown))} ({meaning})"
-    share = 100 * np.mean([mask.mean() for mask in masks.values()])
+    share = 100 * shares.mean()
     figures = [
         Figure(title, embedding.webp(sheet), f"Frames with dynamic masks covering {share:.1f} % on average", True)
     ]
@@ -115,8 +118,18 @@ def _frame_chart(folder: Path, kind: str, metric: str, title: str, label: str) -
     if not series:
         return []
     words = ", ".join(f"{name} {np.mean(values[1]):.3g} on average" for name, values in series.items())
-    chart = charts.draw_lines(series, ("frame", label), list(series), zero=metric == "iou")
-    return [_svg(title, chart, f"{label} per frame: {words}")]
+    run = max(1, max(len(values[1]) for values in series.values()) // CHART_POINTS)
+    shown = {name: _means_of_runs(values, run) for name, values in series.items()}
+    chart = charts.draw_lines(shown, ("frame", label), list(series), zero=metric == "iou")
+    return [_svg(f"{title} (mean of {run} frames)" if run > 1 else title, chart, f"{label} per frame: {words}")]
+
+
+def _means_of_runs(line: tuple[list[float], list[float]], run: int) -> tuple[list[float], list[float]]:
+    """Frames and values as means over frames first..first + run - 1: a line through more points is a band of colour."""
+    frames, values = np.array(line[0], float), np.array(line[1], float)
+    numbered = np.unique(frames // run, return_inverse=True)[1]
+    count = np.bincount(numbered)
+    return tuple((np.bincount(numbered, x) / count).tolist() for x in (frames, values))
 
 
 def flow_figures(folder: Path) -> list[Figure]:

@@ -10,6 +10,8 @@ BURNT_IN_COLOUR = np.array([255, 0, 255])
 """Of logos, time codes and bars: magenta, which no instance has."""
 INSTANCE_COLOURS = np.array([MASK_COLOUR, (255, 187, 0), (44, 160, 44), (227, 119, 194), (23, 190, 207), (140, 86, 75)])
 """Of instances 1, 2, ..., over and over. Blue is left for what is true."""
+LONG_CLIP = 100
+"""Frames up to which evenly spread ones show what is in a clip."""
 GAP_PX = 4
 """Distance between the images of a contact sheet."""
 
@@ -71,3 +73,14 @@ def contact_sheet(images: Sequence[np.ndarray], columns: int, width_px: int = 12
 def spread(T: int, count: int) -> np.ndarray:
     """At most `count` frame indices [n] spread evenly over T frames, first and last included."""
     return np.unique(np.linspace(0, T - 1, min(count, T)).round().astype(int))
+
+
+def fullest(shares: np.ndarray, count: int) -> np.ndarray:
+    """Indices of the largest of `shares` [T] in each of `count` equal parts of a long clip; of a short one `spread`.
+
+    In a long clip what moves may be in view in none of the frames of `spread`.
+    """
+    T = len(shares)
+    if T <= LONG_CLIP:
+        return spread(T, count)
+    return np.array([part[np.argmax(shares[part])] for part in np.array_split(np.arange(T), count)])
