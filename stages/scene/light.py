@@ -5,12 +5,14 @@ from dataclasses import replace
 import numpy as np
 
 from stages.scene.light_model import Light, Model, Points, State, brightened, derivatives, errors_of, slopes_of
-from stages.scene.sightings import Sightings
+from stages.scene.sightings import GROUP, Sightings
 
 ITERATIONS, EVALUATIONS = 5, 3
 FIRST_FOG_ITERATIONS, FOG_ITERATIONS, LEAST_PROGRESS = ((3, 3), (5, 1)), 20, 1e-3
 """With fog: of each first extinction, which is held, and how many of them go on; of the best one; share of the cost
 below which it has arrived."""
+RANKING = 400
+"""Points that suffice for the choice of a first extinction."""
 KERNEL = 3.0
 """Scale of the robust kernel in standard deviations of the noise, itself no less than LEAST_NOISE."""
 LEAST_NOISE = 1e-3
@@ -40,11 +42,13 @@ def fit(seen: Sightings, model: Model, rows: np.ndarray, start: Light) -> Light:
         return start
     if not model.fog:
         return _improved(of, model, State(start, of.mean_radiance(start)), ITERATIONS).light
-    state = State(start, of.mean_radiance(start)) if start.extinction > 0 else _first_fog(of, model, start)
-    return _improved(of, model, state, FOG_ITERATIONS).light
+    if start.extinction == 0:
+        step = max(int(rows.sum()) // RANKING, 1)
+        start = _first_fog(Points(seen, rows & (rows.cumsum() // GROUP % step == 0)), model, start)
+    return _improved(of, model, State(start, of.mean_radiance(start)), FOG_ITERATIONS).light
 
 
-def _first_fog(of: Points, model: Model, start: Light) -> State:
+def _first_fog(of: Points, model: Model, start: Light) -> Light:
     """The best fog of FIRST_EXTINCTIONS, everything else fitted to each; from the next of them the search gets stuck.
 
     A vignetting that was fitted without fog has taken its part, and keeps it: all begin without. Thin bright fog fits
@@ -61,7 +65,7 @@ def _first_fog(of: Points, model: Model, start: Light) -> State:
         noise = min(_noise(of, error) for error in errors)
         costs = [_cost(of, error, noise) for error in errors]
         states = [states[n] for n in np.argsort(costs, kind="stable")[:kept]]
-    return states[0]
+    return states[0].light
 
 
 def _improved(of: Points, model: Model, state: State, iterations: int, held: float = 0.0) -> State:
