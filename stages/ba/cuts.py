@@ -6,7 +6,7 @@ import numpy as np
 from scipy.sparse.csgraph import connected_components
 
 from stages.ba.estimate import estimate
-from stages.ba.graph import MIN_MATCHES, FlowGraph, shared_matches
+from stages.ba.graph import MIN_MATCHES, FlowGraph, cut_out, shared_matches
 from stages.ba.guesses import PoseGuess
 from stages.ba.options import BAOptions
 from stages.ba.problem import Estimate, Problem
@@ -88,23 +88,6 @@ def warnings(frames: np.ndarray, numbers: list[int]) -> list[str]:
 def _cut_out_guess(guess: PoseGuess, inside: slice) -> PoseGuess:
     zoom = None if guess.zoom is None else guess.zoom[inside]
     return replace(guess, cam_from_world=guess.cam_from_world[inside], zoom=zoom)
-
-
-def cut_out(graph: FlowGraph, inside: slice) -> FlowGraph:
-    """The graph of the frames `inside` alone."""
-    first, stop = inside.start, inside.stop
-    kept = (graph.source >= first) & (graph.source < stop) & (graph.target >= first) & (graph.target < stop)
-    source, target = graph.source[kept] - first, graph.target[kept] - first
-    return replace(
-        graph,
-        source=source,
-        target=target,
-        pointer=np.searchsorted(source, np.arange(stop - first + 1)),
-        matches=graph.matches[kept],
-        weights=graph.weights[kept],
-        texture=None if graph.texture is None else graph.texture[inside],
-        times_s=None if graph.times_s is None else graph.times_s[inside],
-    )
 
 
 def _put_back(part: Estimate, inside: slice, frames: np.ndarray) -> Estimate:

@@ -168,6 +168,33 @@ def thin_graph(graph: FlowGraph, factor: int) -> FlowGraph:
     return replace(graph, pixels=pixels, matches=matches, weights=weights, stride=stride, texture=texture)
 
 
+def with_edges(graph: FlowGraph, kept: np.ndarray) -> FlowGraph:
+    """The graph of some of its edges, [E] bool."""
+    source, arrays = graph.source[kept], {name: getattr(graph, name)[kept] for name in ("target", "matches", "weights")}
+    return replace(graph, source=source, pointer=np.searchsorted(source, np.arange(graph.T + 1)), **arrays)
+
+
+def without_loops(graph: FlowGraph) -> FlowGraph:
+    """The graph without edges over more than REACH frames; the same object if it has none."""
+    near = np.abs(graph.target - graph.source) <= REACH
+    return graph if near.all() else with_edges(graph, near)
+
+
+def cut_out(graph: FlowGraph, inside: slice) -> FlowGraph:
+    """The graph of the frames `inside` alone."""
+    first, stop = inside.start, inside.stop
+    kept = (graph.source >= first) & (graph.source < stop) & (graph.target >= first) & (graph.target < stop)
+    part = with_edges(graph, kept)
+    return replace(
+        part,
+        source=part.source - first,
+        target=part.target - first,
+        pointer=part.pointer[first : stop + 1],
+        texture=None if graph.texture is None else graph.texture[inside],
+        times_s=None if graph.times_s is None else graph.times_s[inside],
+    )
+
+
 def with_texture(graph: FlowGraph, texture: Iterable[np.ndarray]) -> FlowGraph:
     """The graph with texture weights [height, width] in 0..1 of each of the T frames, sampled at its pixels."""
     sampled = [graph.resample(frame[None], 1)[0].astype(np.float32) for frame in texture]

@@ -11,7 +11,7 @@ import numpy as np
 from stages.ba import cuts
 from stages.ba.distortion import NOT_TESTED, Lens, find_lens
 from stages.ba.estimate import PRIOR_FOCAL
-from stages.ba.graph import FlowGraph, build_graph
+from stages.ba.graph import FlowGraph, build_graph, cut_out
 from stages.ba.state import FocalPrior
 from stages.lens.carry import CARRIED, carried_grid, carried_sequence, carry_flow, carry_images
 from stages.lens.options import LensOptions
@@ -83,7 +83,7 @@ def _graph(frames: Sequence, columns: Dense, scale: float) -> FlowGraph:
     shot = cuts.linked_frames(graph.source, graph.target, graph.weights, graph.T)
     inside = cuts.span(shot)
     spare = max(inside.stop - inside.start - MOST_FRAMES, 0)
-    return cuts.cut_out(cuts.isolate(graph, shot), slice(inside.start + spare // 2, inside.stop - (spare + 1) // 2))
+    return cut_out(cuts.isolate(graph, shot), slice(inside.start + spare // 2, inside.stop - (spare + 1) // 2))
 
 
 def _of_frames(coefficients: np.ndarray, about: dict[str, Any]) -> np.ndarray:

@@ -11,7 +11,7 @@ from synthetic import PLANE, Scene, flow_arrays, make_scene, trajectory_error
 
 from stages.ba import cuts
 from stages.ba.__main__ import main
-from stages.ba.graph import FlowGraph, build_graph
+from stages.ba.graph import FlowGraph, build_graph, cut_out
 from stages.ba.initialise import Hypothesis, chain, initial_state
 from stages.ba.options import BAOptions
 from stages.ba.problem import Problem
@@ -145,7 +145,7 @@ def test_texture_and_earlier_poses_are_cut_out_with_their_frames() -> None:
     long, short = make_scene(T=7), make_scene(T=4, planes=PLANE)
     graph, _ = graph_of(glued(short, long), 11)
     graph = replace(graph, texture=np.arange(11, dtype=np.float32)[:, None] * np.ones_like(graph.weights[:11]))
-    part = cuts.cut_out(graph, slice(4, 11))
+    part = cut_out(graph, slice(4, 11))
     assert_array_equal(part.texture[:, 0], np.arange(4, 11))
     assert (part.T, part.edge(0, 3)) == (7, 2)
     assert_array_equal(part.matches[part.edge(2, 1)], graph.matches[graph.edge(6, 5)])
