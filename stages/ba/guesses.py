@@ -9,12 +9,15 @@ from stages.ba import initialise, planar
 from stages.ba.classify import Statistics, longest_step
 from stages.ba.graph import FlowGraph
 from stages.ba.initialise import Candidate, Hypothesis
+from stages.ba.proposal import DENSE_FRAMES
 from stages.ba.state import FocalPrior, Level, State, Unknowns
 
 MAX_PAIR_PX = 0.3
 """Largest threshold of two-view fits: with a wider one, movers count as inliers."""
-ENOUGH = 1e-3
-"""Relative gain below which a guess is adjusted no further: costs of guesses differ by much more."""
+ENOUGH, ENOUGH_OF_LONG = 1e-3, 1e-2
+"""Relative gain below which a guess is adjusted no further: costs of guesses differ by much more. Of more than
+DENSE_FRAMES frames the second is enough: their slow bends are gone after three steps (`stages.ba.dba.DAMPING_OF_LONG`).
+"""
 FAR_BEHIND = 2.0
 """A guess with this many times the lowest cost at the wide scale is not tried at the narrow one."""
 
@@ -98,14 +101,16 @@ def adjust_guesses(
 ) -> list[Candidate]:
     """Guesses adjusted in two levels, down to a scale of `sigma_px`; expensive ones are dropped after the first."""
 
+    enough = ENOUGH if graph.T <= DENSE_FRAMES else ENOUGH_OF_LONG
+
     def adjust(state: State, level: Level, name: str) -> Candidate:
         return initialise.adjust(graph, state, (level,), Unknowns(), prior, name)
 
-    wide = [adjust(state, Level(2 * sigma_px, 6, ENOUGH), name) for name, state in states.items()]
+    wide = [adjust(state, Level(2 * sigma_px, 6, enough), name) for name, state in states.items()]
     limit = FAR_BEHIND * min(candidate.cost for candidate in wide)
     found = []
     for first in wide:
         if first.cost <= limit:
-            narrow = adjust(first.state, Level(sigma_px, 8, ENOUGH), first.name)
+            narrow = adjust(first.state, Level(sigma_px, 8, enough), first.name)
             found.append(replace(narrow, steps=first.steps + narrow.steps))
     return found

@@ -41,8 +41,9 @@ MAX_STEP, HALVINGS = 0.5, 4
 """Largest angle, rad, and logarithm of the scale of a step; how short it is tried, by halves, before it is refused."""
 MAX_TURN, MAX_SCALE, MAX_GAP = 1.5, 3.0, 1.0
 """No drift: a loop that the path misses by more than this angle, rad, log of the scale, or share of its length."""
-WIDE = (Level(8.0, 8, 1e-3), Level(4.0, 8, 1e-3), Level(2.0, 8, 1e-3))
-"""Robust scales at which the closed path is adjusted first: what is left of the error is a few pixels."""
+WIDE = (Level(8.0, 8, 0.05), Level(4.0, 8, 0.05), Level(2.0, 8, 0.05))
+"""Robust scales at which the closed path is adjusted first: what is left of the error is a few pixels. Each ends at a
+small gain: the next one gains more."""
 
 
 @dataclass(frozen=True)
