@@ -6,6 +6,7 @@ import numpy as np
 
 from stages.ba import classify, dba, diagnostics, initialise, loops, rotation, shutter, zoom
 from stages.ba.classify import Statistics
+from stages.ba.first_focal import focals_of_part
 from stages.ba.graph import MIN_MATCHES, FlowGraph, shared_matches
 from stages.ba.guesses import Observed
 from stages.ba.options import BAOptions
@@ -120,6 +121,8 @@ def _start(
         focals = [prior.focal_px]
     unmasked = problem.unmasked or problem.graph
     observed = Observed(problem.graph, unmasked, previous, focals, statistics, prior, options.seed)
+    if statistics.camera == "moving" and not problem.known_focal_px and not previous:
+        observed = replace(observed, focals_px=focals_of_part(observed))
     tested = statistics.camera == "moving" and not problem.known_focal_px and options.zoom != "no"
     return find_start(replace(observed, tested=tested, assumed=options.zoom == "yes"))
 
