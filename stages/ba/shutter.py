@@ -17,9 +17,10 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from stages.ba import held_out, reduced
-from stages.ba.graph import MIN_WEIGHT, FlowGraph, thin_graph
+from stages.ba.graph import MIN_WEIGHT, FlowGraph, cut_out, thin_graph
 from stages.ba.held_out import SHARP, SHARP_PX, Fit
 from stages.ba.kernel import MIN_DEPTH_RATIO
+from stages.ba.part import FRAMES, best_part, state_of_part
 from stages.ba.state import FocalPrior, State, Unknowns
 from stages.ba.uncertainty import CORRELATION, MIN_NOISE_PX
 from stages.shared import lie
@@ -132,10 +133,15 @@ def judge(gain: float, gain_sigma: float, readout: float, readout_sigma: float) 
 def weigh(graph: FlowGraph, state: State, unknowns: Unknowns, prior: FocalPrior, assumed: bool) -> Evidence:
     """Evidence for a rolling shutter from the best cameras without one.
 
+    Of a long path it is that of the part where the camera shakes most: elsewhere a shutter hardly shows.
+
     Args:
         unknowns: those of the cameras that were free. assumed: whether it is taken without a test.
     """
     began = time.process_time()
+    if graph.T > FRAMES:
+        inside = best_part(_shakes(graph, state))
+        graph, state = cut_out(graph, inside), state_of_part(state, inside)
     factor = max(1, int(np.sqrt(len(graph.pixels) / PIXELS)))
     coarse = thin_graph(graph, factor)
     density = len(coarse.pixels) / len(graph.pixels)
@@ -158,6 +164,12 @@ def weigh(graph: FlowGraph, state: State, unknowns: Unknowns, prior: FocalPrior,
         decision, reason = "rolling", f"as the options say; {reason}"
     seconds = time.process_time() - began
     return Evidence(decision, reason, gain, gain_sigma, MIN_GAIN, seconds, readout, sigma)
+
+
+def _shakes(graph: FlowGraph, state: State) -> np.ndarray:
+    """How much [T] the motion of the camera changes at a frame: squared, at the median depth, which is 1."""
+    twists = np.diff(path_of(state.cam_from_world, frame_times(graph))(frame_times(graph)), axis=0)
+    return np.pad((np.diff(twists, axis=0) ** 2).sum(axis=1), 1)
 
 
 def _search(graph: FlowGraph, fit: Callable[[float, State], Fit], state: State) -> tuple[dict[float, Fit], float]:
