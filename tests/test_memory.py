@@ -11,6 +11,8 @@ from stages.shared.memory import WINDOW, Held, megabytes
 
 OFFSETS = {512: ((1, 2, 3, 5), 2), 320: ((1, 2, 4), 1), 256: ((1, 2, 3), 0)}
 """Offsets and long edges of the measured runs, by the width of their flow."""
+LONG_WALK = {"flow": 611, "motion": 1478, "segment": 864, "scene": 1610, "control": 1047, "gaussians": 3004}
+LONG_WALK |= {"render": 673, "viewer": 647, "evaluate": 638}
 MEASURED = [
     *[("flow", 50, (512, 218), 512, 773), ("flow", 12, (512, 218), 512, 440), ("flow", 12, (512, 218), 320, 327)],
     *[("flow", 300, (512, 218), 512, 873), ("motion", 300, (512, 288), 512, 1499)],
@@ -24,6 +26,7 @@ MEASURED = [
     *[("render", 30, (512, 218), 512, 527), ("evaluate", 14, (512, 218), 320, 336)],
     *[("viewer", 14, (512, 218), 512, 527), ("viewer", 24, (1920, 1080), 512, 576)],
     *[("export", 8, (1920, 1080), 512, 802), ("export", 8, (256, 112), 512, 546)],
+    *[(stage, 1000, (512, 218), 320, mib) for stage, mib in LONG_WALK.items()],
     *[("colmap", 24, (854, 480), 512, 424), ("inspect", 300, (1920, 1080), 512, 144)],
     *[("video", 90, (1920, 1080), 512, 219), ("video", 40, (3840, 2160), 512, 395)],
 ]
