@@ -26,6 +26,7 @@ from stages.splatting.gaussian_model import GaussianScene
 from stages.splatting.model_files import scene_tensors
 from stages.splatting.pose_table import PoseTable
 from stages.viewer import __main__ as viewer_stage
+from stages.viewer import instances
 from stages.viewer.instances import at_pixels, elected, instance_votes
 from stages.viewer.packing import (
     MOTION_BYTES,
@@ -256,6 +257,27 @@ def test_a_mover_gets_the_instance_that_most_masks_give_it() -> None:
     votes = np.array([[9, 0, 0, 4, 9], [9, 9, 0, 0, 9], [4, 0, 0, 4, 0], [0, 0, 0, 0, 9]])
     assert elected(votes).tolist() == [1, 1, 0, 2, 1]
     assert elected(np.zeros((3, 0), int)).tolist() == []
+
+
+def test_in_a_long_clip_only_what_is_there_votes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two Gaussians at one place: one of what moves there early, one of what comes by much later."""
+    T = 200
+    chosen = instances.voting_frames(T)
+    assert np.diff(chosen).max() <= 9
+    assert len(instances.voting_frames(50)) == 8
+    image = np.ones((truth.HEIGHT, truth.WIDTH), np.uint16)
+    monkeypatch.setattr(instances, "read_instances", lambda _masks, _frames, k: image if k < 150 else 2 * image)
+
+    def there(time: float) -> tuple[torch.Tensor, torch.Tensor]:
+        rows = torch.tensor([0, 1] if time < 0.3 else [0, 2] if time > 0.9 else [0])
+        return torch.ones(len(rows)), rows
+
+    scene: Any = SimpleNamespace(anchors=torch.zeros(3, 3), n_static=1, opacities_at=there)
+    scene.at = lambda _: (torch.tensor([[0.0, 0, 5]] * 3),)
+    cameras = make_cameras(np.tile(np.eye(4), (T, 1, 1)), truth.K, np.arange(1, T + 1))
+    frames: Any = None
+    votes = instance_votes(scene, cameras, np.linspace(0, 1, T), frames, Path(), chosen)
+    assert elected(votes).tolist() == [1, 2]
 
 
 def test_the_script_writes_a_page_of_the_whole_model(tmp_path: Path) -> None:

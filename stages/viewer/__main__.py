@@ -8,9 +8,6 @@ from stages.shared.cameras import read_cameras
 from stages.shared.cli import In, Out
 from stages.shared.sequences import read_sequence
 
-VOTING_FRAMES = 8
-"""Frames in whose masks the dynamic Gaussians look up their instance."""
-
 
 def main(
     sequence: Annotated[Path, In("sequence.json of the input check")],
@@ -33,7 +30,7 @@ def main(
     from stages.shared.log import progress
     from stages.shared.split import frame_times
     from stages.splatting.model_files import scene_from_tensors
-    from stages.viewer.instances import elected, instance_votes
+    from stages.viewer.instances import elected, instance_votes, voting_frames
     from stages.viewer.packing import pack_scene
     from stages.viewer.page import MOST_PICTURES, encoded, render_page
 
@@ -45,8 +42,7 @@ def main(
         scene = scene_from_tensors(read_model(model), read_metadata(model))
     instances = np.zeros(len(scene.anchors) - scene.n_static, np.uint8)
     if masks is not None and len(instances):
-        chosen = spread(len(times), VOTING_FRAMES)
-        instances = elected(instance_votes(scene, cameras, times, frames, masks, chosen))
+        instances = elected(instance_votes(scene, cameras, times, frames, masks, voting_frames(len(times))))
     arrays, numbers = pack_scene(scene, cameras, times, instances)
     shown = spread(len(times), MOST_PICTURES)
     pictures = encoded(read_rgb(frames.frames[k]) for k in progress(shown, "input frames"))

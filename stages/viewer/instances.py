@@ -6,10 +6,13 @@ import numpy as np
 import torch
 
 from stages.shared.cameras import Cameras, project
+from stages.shared.drawing import LONG_CLIP, spread
 from stages.shared.masks import read_instances
 from stages.shared.sequences import Sequence
 from stages.splatting.gaussian_model import GaussianScene
 
+VOTING_FRAMES, VOTING_EVERY = 8, 8
+"""Number of frames in which votes are cast, of a long clip one in so many."""
 MOST = 255
 """Instances that keep a number: the most frequent ones."""
 
@@ -18,13 +21,25 @@ MOST = 255
 def instance_votes(
     scene: GaussianScene, cameras: Cameras, times: np.ndarray, frames: Sequence, masks: Path, chosen: np.ndarray
 ) -> np.ndarray:
-    """The instances [F, D] that the dynamic Gaussians fall on in the `chosen` frames [F]; 0: none, or outside."""
-    votes = []
+    """The instances [F, D] that the dynamic Gaussians fall on in the `chosen` frames [F]; 0: none, or outside.
+
+    In a long clip those have no vote that are not there at the time: where they would be, something else may move.
+    """
+    votes, D = [], len(scene.anchors) - scene.n_static
     for k in chosen:
         means = scene.at(float(times[k]))[0][scene.n_static :].double().cpu().numpy()
         uv, depth = project(means, cameras.cam_from_world[k], cameras.Ks[k])
-        votes.append(at_pixels(read_instances(masks, frames, int(k)), uv, depth))
+        found = at_pixels(read_instances(masks, frames, int(k)), uv, depth)
+        _, rows = scene.opacities_at(float(times[k]))
+        if len(times) > LONG_CLIP and rows is not None:
+            found = np.where(np.isin(np.arange(D), rows[scene.n_static :].cpu().numpy() - scene.n_static), found, 0)
+        votes.append(found)
     return np.stack(votes)
+
+
+def voting_frames(T: int) -> np.ndarray:
+    """Frames in whose masks the dynamic Gaussians look up their instance; in a long clip each is there in some."""
+    return spread(T, VOTING_FRAMES if T <= LONG_CLIP else T // VOTING_EVERY)
 
 
 def at_pixels(instances: np.ndarray, uv: np.ndarray, depth: np.ndarray) -> np.ndarray:
