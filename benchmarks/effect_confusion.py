@@ -3,7 +3,8 @@
     python -m benchmarks.effect_confusion /tmp/effects docs/effects.md         # and yard: on this base alone
 
 The scenes (benchmarks/effect_cases.py) are rendered and solved by the pipeline itself, up to scene.json, with the
-preset fast; what is finished in the folder is not made again. The report is a page of Markdown.
+preset fast; what is finished in the folder is not made again. The report is a page of Markdown, whose last section,
+NOTES, is written by hand and stays.
 """
 
 import subprocess
@@ -18,6 +19,7 @@ from stages.report.provenance import about_run
 from stages.shared.artifacts import read_json
 
 RIGHT_SHARE = 0.95
+NOTES = "## What the tables say"
 BATCH = 8
 """Scenes that are planned at once: Snakemake may do the same step of all of them before it begins the next."""
 
@@ -144,12 +146,14 @@ def main(folder: Path, output: Path, *names: str) -> None:
     found = [(case, decisions(folder, case)) for case in wanted]
     run = about_run()
     about = (
-        "Written by `python -m benchmarks.effect_confusion`; not edited by hand."
+        "Written by `python -m benchmarks.effect_confusion`, but for the last section."
         f" {run['written']}, commit {run['commit']}, preset `fast`;"
         f" base scenes {', '.join(base.stem for base in bases)}, of 20 frames of 384 x 216 px."
     )
     unsolved = [case.name for case, verdict in found if verdict is None]
     text = page([(case, verdict) for case, verdict in found if verdict is not None], unsolved, about)
+    before = output.read_text(encoding="utf-8") if output.exists() else ""
+    text += f"\n{NOTES}{before.split(NOTES)[1]}" if NOTES in before else ""
     print(text)
     output.write_text(text, encoding="utf-8")
 
