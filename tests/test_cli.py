@@ -43,3 +43,9 @@ def test_what_a_stage_wrote_is_counted_once_whatever_it_is_called(tmp_path: Path
     assert [cli._size_bytes(tmp_path / name) for name in ("a.arrow", "masks", "none")] == [300, 23, 0]
     (tmp_path / "b.arrow").hardlink_to(tmp_path / "a.arrow")  # as `lens` does with the flow that it leaves as it is
     assert cli._size_bytes(tmp_path / "b.arrow") == 0
+
+
+def test_files_that_another_job_takes_away_have_no_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "frame.png").write_bytes(bytes(20))
+    monkeypatch.setattr(cli.os, "walk", lambda path: [(str(path), [], ["frame.png", "other.png.partial"])])
+    assert cli._size_bytes(tmp_path) == 20

@@ -1,6 +1,7 @@
 """Turn a stage's `main` into its command line, from its signature and its options model."""
 
 import argparse
+import contextlib
 import errno
 import faulthandler
 import inspect
@@ -199,9 +200,17 @@ def _write_stats(
 
 
 def _size_bytes(path: Path) -> int:
-    """Bytes of a file or of all files in a folder; none for another name of a file that an earlier stage wrote."""
-    files = [file for file in path.rglob("*") if file.is_file()] if path.is_dir() else [path] * path.exists()
-    return sum(about.st_size for about in (file.stat() for file in files) if about.st_nlink == 1)
+    """Bytes of a file or of all files in a folder; none for another name of a file that an earlier stage wrote.
+
+    Simulated scenes share a folder, in which another job may take its unfinished files away meanwhile.
+    """
+    files = [Path(where, name) for where, _, names in os.walk(path) for name in names] if path.is_dir() else [path]
+    total = 0
+    for file in files:
+        with contextlib.suppress(FileNotFoundError):
+            about = file.stat()
+            total += about.st_size if about.st_nlink == 1 else 0
+    return total
 
 
 def _report_failure(stage: str, error: BaseException, log_file: Path | None) -> int:
