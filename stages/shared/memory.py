@@ -83,7 +83,7 @@ NEEDS = {
     "motion": Need(420, per_grid=24),
     "segment": Need(250, per_grid=9.5, per_window=5),
     "ba": Need(400, per_edges=1.5),
-    "scene": Need(285, per_grid=4, kept_grid=26, kept_mb=1200),
+    "scene": Need(320, per_grid=4, kept_grid=26, kept_mb=1200),
     "control": Need(590, per_grid=8, kept_grid=8, kept_mb=300),
     "gaussians": Need(785, per_frames=0.6, per_frame=370, kept_frames=34, kept_mb=2000),
     "render": Need(555, per_frames=0.6, per_frame=90),
