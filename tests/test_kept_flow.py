@@ -3,7 +3,7 @@
 import re
 from pathlib import Path
 
-from conftest import run_snakemake, write_frames
+from conftest import REPO, run_snakemake, write_frames
 
 STAND_IN = """
 import sys
@@ -48,3 +48,10 @@ def test_flow_is_removed_after_its_last_reader_and_made_again_for_a_stage_that_r
     again = planned(repo_copy, "-R", "segment", *options)
     assert {"flow", "lens", "segment", "evaluate"} <= again
     assert "inspect" not in again
+
+
+def test_the_second_name_of_the_flow_is_the_first_output_of_its_rule() -> None:
+    """Snakemake touches outputs one by one, which makes the flow newer; it must not get newer than a further output."""
+    rule = (REPO / "workflow/rules/lens.smk").read_text()
+    outputs = re.findall(r"^        (\w+)=", rule[rule.index("output:") : rule.index("log:")], re.MULTILINE)
+    assert outputs[0] == "pairs"

@@ -3,8 +3,9 @@ rule lens:
         sequence=artifact("inspect", "sequence.json"),
         flow=artifact("flow", "flow/pairs.arrow"),
     output:
-        sequence="<results>/{dataset}/{seq}/{setting}lens/sequence.json",
+        # The first: Snakemake touches outputs one by one, and this may be another name of the input, newer then than others.
         pairs=of_flow("<results>/{dataset}/{seq}/{setting}lens/pairs.arrow"),
+        sequence="<results>/{dataset}/{seq}/{setting}lens/sequence.json",
         images=directory("<results>/{dataset}/{seq}/{setting}lens/images"),
         lens="<results>/{dataset}/{seq}/{setting}lens/lens.json",
         stats="<results>/{dataset}/{seq}/{setting}stats/lens.json",
