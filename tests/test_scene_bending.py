@@ -105,3 +105,21 @@ def test_labels_are_of_the_instances_alone() -> None:
     bent, stiff = (Bending(Bought(px**2, 0.0, px**2, 9), 0.0) for px in (1.0, 0.05))
     labels = rules.decide_non_rigid({1: bent, 2: stiff}, "no")["instances"]
     assert [labels[n]["label"] for n in "12"] == ["bending", "rigid"]
+
+
+def test_a_large_rigid_mover_does_not_hide_a_small_one_that_bends() -> None:
+    large = Bending(Bought(0.05**2, 1e-5, 0.1, 20_000), 0.0)
+    small = Bending(Bought(0.2**2, 1e-4, 0.1, 1000), 0.0)
+    decision = rules.decide_non_rigid({1: large, 2: small}, "auto")
+    assert decision["needed"]
+    assert decision["instances"]["1"]["label"] == "rigid"
+    assert decision["statistic"] == pytest.approx(0.2)
+
+
+def test_a_mover_of_thin_legs_far_apart_is_measured_or_left_out() -> None:
+    """Once the border is taken off, a bar on two legs is two columns of pixels, as far apart as a block is wide."""
+    dynamic = np.zeros_like(observe().dynamic)
+    dynamic[:, 10:62, 5:10] = dynamic[:, 10:62, 45:50] = True
+    dynamic[:, 10:13, 5:50] = True
+    found = bending.bending_evidence(observe(dynamic=dynamic))
+    assert all(np.isfinite([of.bought.saved, of.static_px]).all() for of in found.values())

@@ -80,9 +80,12 @@ def held_out_errors(patch: Patch) -> tuple[np.ndarray, np.ndarray]:
     terms = np.stack([x**i * y**j for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i)], axis=-1)
     stiff, bent = [np.zeros(0)], [np.zeros(0)]
     for half in (odd, ~odd):
+        enough = (patch.good & ~half).sum(axis=1) >= MIN_FITTED
+        if not enough.any():
+            continue
         left = rigid_motion.residuals(patch, rigid_motion.fit(patch.part(~half)))
         change = _predicted(terms, left, patch.good & ~half)
-        judged = patch.good & half & ((patch.good & ~half).sum(axis=1) >= MIN_FITTED)[:, None]
+        judged = patch.good & half & enough[:, None]
         stiff.append(left[judged].ravel())
         bent.append((left - change)[judged].ravel())
     return np.concatenate(stiff), np.concatenate(bent)
@@ -154,8 +157,8 @@ def _patch(seen: Observed, k: int, mask: np.ndarray) -> Patch | None:
 
 
 def _spacing(uv: np.ndarray) -> float:
-    """Least distance between columns of pixels."""
-    return float(np.diff(np.unique(uv[:, 0])).min(initial=np.ptp(uv[:, 0])))
+    """Least distance between columns or rows of pixels; inf for a single one."""
+    return float(min(np.diff(np.unique(along)).min(initial=np.inf) for along in uv.T))
 
 
 def _weigh(found: list[_Errors]) -> Bending:
@@ -165,5 +168,5 @@ def _weigh(found: list[_Errors]) -> Bending:
     sides = [errors.rigid for errors in movers], [errors.bent for errors in movers], frames
     bought = weigh(*(np.concatenate([np.zeros(0), *side]) for side in sides))
     # A mover that no mask covers is in few of them.
-    saved = [np.square(e.rigid).mean() - np.square(e.bent).mean() for e in found if e.static]
+    saved = [np.square(e.rigid).mean() - np.square(e.bent).mean() for e in found if e.static and len(e.rigid)]
     return Bending(bought, max(float(np.median(saved)), 0.0) ** 0.5 if saved else 0.0)

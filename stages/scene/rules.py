@@ -156,9 +156,14 @@ def decide_non_rigid(instances: Mapping[int, Bending], choice: Choice) -> Decisi
     """Non-rigid movers: a change of shape predicts flow that rigid motion with free depth does not.
 
     Args:
-        instances: what bending buys for each, which gives it a label of its own. Where it saves most, it decides.
+        instances: what bending buys for each, which gives it a label of its own. Of those that bend, or else of all,
+            that for which it saves most is told.
     """
-    most = max(instances.values(), key=lambda of: of.bought.saved * of.bought.samples, default=Bending(NOTHING, 0.0))
+    most = max(
+        instances.values(),
+        key=lambda of: (_bends(of), of.bought.saved * of.bought.samples),
+        default=Bending(NOTHING, 0.0),
+    )
     bought, static_px = most
     why = (
         f"beside rigid motion with free depth, bending {_saves(bought, 'px')} in the mover that it tells most about;"
