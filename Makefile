@@ -67,7 +67,7 @@ bench: $(INSTALLED)
 # Begun again, it goes on where it stopped; with further numbers of frames it measures those alone.
 bench-long: $(INSTALLED)
 	$(BIN)/python -m benchmarks.bench_long --scene $(LONG_SCENE) --frames $(LONG_FRAMES) \
-		--page docs/long_video.md --chart docs/long_video.png --config preset=$(PRESET)
+		--page docs/long_video.md --chart docs/long_video.png --config preset=$(PRESET) rounds=2
 
 clean:
 	rm -rf results simulated decoded logs .snakemake $(LIBRARY) bench_long

@@ -30,7 +30,7 @@ def focals_of_part(observed: Observed) -> list[float]:
     levels = [Level(sigma_px, ITERATIONS) for sigma_px in FINE_PX]
     found = initialise.adjust(part, best.state, levels, Unknowns(focal=True), observed.prior, "part, focal").state
     consistent = part.weights[dba.errors_px(part, found) < 1.0].sum() / part.weights.sum()
-    if consistent < CONSISTENT_SHARE or focal_sigma(part, found) > WEAK_FOCAL:
+    if not consistent >= CONSISTENT_SHARE or focal_sigma(part, found) > WEAK_FOCAL:
         return list(observed.focals_px)
     return [found.focal_px]
 
