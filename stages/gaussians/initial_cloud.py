@@ -74,33 +74,22 @@ def initial_cloud(
         everything = Computed(len(seen.images), lambda _: np.ones(seen.size, bool))
         points = lift_static(seen, order, stride_px, everything, max_gaussians)
         return make_cloud(points, points.positions, np.zeros(len(points.frames), bool), sh_degree)
-    # Pixels on the outline mix two colours, and masks and depth are inexact there: no static point starts from them.
-    size = 2 * max(1, round(OUTLINE * seen.size[1])) + 1
-    kernel = np.ones((size, size), np.uint8)
-    frames = range(len(seen.images))
-    widened = PackedMasks((f, cv2.dilate(seen.masks[f].astype(np.uint8), kernel) > 0) for f in frames)
+    widened = _widened(seen)
     static = lift_static(seen, order, stride_px, inverse(widened), MOST_CLAIMED * max_gaussians)
     claimed = dynamic_share(seen, lambda _: static.positions, seen.masks) > 0.5
     claimed_times = seen.times[static.frames[claimed]]
     recovered, found = to_canonical(static.positions[claimed], claimed_times, deformation, K)
-    room = stride_px**2 * (max_gaussians - len(static.frames))
-    births = birth_frames(seen.masked, movers_every, room) if movers_every else []
-    most = sys.maxsize
+    room = max_gaussians - len(static.frames)
+    births = birth_frames(seen.masked, movers_every, stride_px**2 * room) if movers_every else []
     if births:  # a mover that passes by may show between these frames only
-        order = births + [f for f in frames if f not in births and seen.masked[f]]
-        most = max_gaussians - len(static.frames)
+        order = births + [f for f in range(len(seen.images)) if f not in births and seen.masked[f]]
     left = max_gaussians - int((~claimed).sum() + found.sum())
+    most = room if births else sys.maxsize
     dynamic, means = lift_dynamic(seen, order, stride_px, deformation, K, births, most, left)
-    rest = torch.as_tensor(means, dtype=torch.float32)
-
-    def moved(f: int) -> np.ndarray:
-        with torch.no_grad():
-            return np.asarray(skin(rest, float(seen.times[f]), deformation, K).double().numpy())
-
     if len(means) > left:  # too many, whatever the votes
         moves = np.ones(len(means), bool)
     else:
-        moves = dynamic_share(seen, moved, widened) >= static_share(seen, dynamic.positions, widened)
+        moves = _stay_dynamic(seen, dynamic.positions, means, widened, deformation, K)
     points = join([static[~claimed], static[claimed][found], dynamic])
     positions = np.concatenate([
         static.positions[~claimed], recovered[found], np.where(moves[:, None], means, dynamic.positions)
@@ -108,3 +97,23 @@ def initial_cloud(
     labels = np.concatenate([np.zeros((~claimed).sum(), bool), np.ones(found.sum(), bool), moves])
     cloud = make_cloud(points, positions, labels, sh_degree)
     return with_life_spans(cloud, points.frames[np.argsort(labels, kind="stable")], seen.times, births)
+
+
+def _widened(seen: TrainingFrames) -> PackedMasks:
+    """The masks with their outline, where colours mix and masks and depth are inexact: no static point starts there."""
+    size = 2 * max(1, round(OUTLINE * seen.size[1])) + 1
+    kernel = np.ones((size, size), np.uint8)
+    return PackedMasks((f, cv2.dilate(seen.masks[f].astype(np.uint8), kernel) > 0) for f in range(len(seen.images)))
+
+
+def _stay_dynamic(
+    seen: TrainingFrames, lifted: np.ndarray, means: np.ndarray, masks: PackedMasks, deformation: Deformation, K: int
+) -> np.ndarray:
+    """Whether [n] more frames mask a point along its motion than show it unmasked at the place where it was lifted."""
+    rest = torch.as_tensor(means, dtype=torch.float32)
+
+    def moved(f: int) -> np.ndarray:
+        with torch.no_grad():
+            return np.asarray(skin(rest, float(seen.times[f]), deformation, K).double().numpy())
+
+    return np.asarray(dynamic_share(seen, moved, masks) >= static_share(seen, lifted, masks))
