@@ -122,4 +122,12 @@ def test_a_mover_of_thin_legs_far_apart_is_measured_or_left_out() -> None:
     dynamic[:, 10:62, 5:10] = dynamic[:, 10:62, 45:50] = True
     dynamic[:, 10:13, 5:50] = True
     found = bending.bending_evidence(observe(dynamic=dynamic))
-    assert all(np.isfinite([of.bought.saved, of.static_px]).all() for of in found.values())
+    assert all(np.isfinite([of.bought.saved, of.static_px or 0.0]).all() for of in found.values())
+
+
+def test_a_mover_that_no_static_patch_is_compared_with_says_so() -> None:
+    seen = observe()
+    everything = bending.bending_evidence(observe(dynamic=np.ones_like(seen.dynamic)))
+    decision = rules.decide_non_rigid(everything, "auto")
+    assert decision["instances"]["1"]["static_patches_px"] is None
+    assert "no such static patch" in decision["why"]

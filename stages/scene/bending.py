@@ -35,10 +35,13 @@ LEAST_RESIDUAL_PX = 0.05
 
 
 class Bending(NamedTuple):
-    """What bending buys over rigid motion for movers, and in px for static patches of their shapes (the median one)."""
+    """What bending buys over rigid motion for movers, and in px for static patches of their shapes (the median one).
+
+    None where the static scene has no room for such a patch: then nothing is known of the noise.
+    """
 
     bought: Bought
-    static_px: float
+    static_px: float | None
 
 
 class _Errors(NamedTuple):
@@ -169,4 +172,4 @@ def _weigh(found: list[_Errors]) -> Bending:
     bought = weigh(*(np.concatenate([np.zeros(0), *side]) for side in sides))
     # A mover that no mask covers is in few of them.
     saved = [np.square(e.rigid).mean() - np.square(e.bent).mean() for e in found if e.static and len(e.rigid)]
-    return Bending(bought, max(float(np.median(saved)), 0.0) ** 0.5 if saved else 0.0)
+    return Bending(bought, max(float(np.median(saved)), 0.0) ** 0.5 if saved else None)

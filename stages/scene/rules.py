@@ -34,8 +34,8 @@ MIN_VIEW_DEG = 0.5
 """Median range of the views. The direction to a highlight's middle turns by half of it, less than the sun is wide: what
 changes over so few views changes with time."""
 MIN_BENDING_PX, NOISE_FACTOR = 0.08, 2.0
-"""Over frames up to five apart: an edge of ten grey levels per pixel is wrong by about one. Boxes that move rigidly
-reach 0.03 (tuned scenes). Factor: over the same on static patches, which do not bend."""
+"""Over frames up to five apart: an edge of ten grey levels per pixel is wrong by about one. Single boxes reach
+0.03 (tuned scenes), blocks that come apart 0.18. Factor: over the same on static patches, which do not bend."""
 RIGID_POINTS, BENDING_POINTS = 256, 512
 RIGID_ARAP, BENDING_ARAP = 0.5, 0.05
 """Held-out PSNR hardly depends on the number of points; on non-rigid movers a strong rigidity costs up to 0.9 dB."""
@@ -162,12 +162,13 @@ def decide_non_rigid(instances: Mapping[int, Bending], choice: Choice) -> Decisi
     most = max(
         instances.values(),
         key=lambda of: (_bends(of), of.bought.saved * of.bought.samples),
-        default=Bending(NOTHING, 0.0),
+        default=Bending(NOTHING, None),
     )
     bought, static_px = most
+    beside = f"on static patches of its shape {static_px:.2f} px" if static_px is not None else "no such static patch"
     why = (
         f"beside rigid motion with free depth, bending {_saves(bought, 'px')} in the mover that it tells most about;"
-        f" on static patches of its shape {static_px:.2f} px"
+        f" {beside}"
     )
     decision = _decision(
         _bends(most), bought, _least_bending(most), "px", {"static_patches_px": static_px}, why, choice
@@ -193,8 +194,8 @@ def _bends(evidence: Bending) -> bool:
 
 
 def _least_bending(evidence: Bending) -> float:
-    """What bending must save at least, in px."""
-    return max(MIN_BENDING_PX, NOISE_FACTOR * evidence.static_px)
+    """What bending must save at least, in px: where no static patch was measured, MIN_BENDING_PX."""
+    return max(MIN_BENDING_PX, NOISE_FACTOR * (evidence.static_px or 0.0))
 
 
 def _light_decision(bought: Bought, fog: bool, evidence: dict[str, float], why: str, choice: Choice) -> Decision:
@@ -210,7 +211,13 @@ def _saves(bought: Bought, unit: str) -> str:
 
 
 def _decision(
-    needed: bool, bought: Bought, threshold: float, unit: str, evidence: dict[str, float], why: str, choice: Choice
+    needed: bool,
+    bought: Bought,
+    threshold: float,
+    unit: str,
+    evidence: Mapping[str, float | None],
+    why: str,
+    choice: Choice,
 ) -> Decision:
     """The entry of scene.json; the user's choice overrules the evidence, which stays on record."""
     found = {"statistic": bought.size, "interval": list(bought.interval), "threshold": threshold, "unit": unit}

@@ -19,7 +19,7 @@ DEPTH_TOLERANCE = 0.05
 FRAMES_PER_REFERENCE, MIN_REFERENCES = 4, 3
 """Points are taken from every so-manieth frame, and from no fewer frames than that."""
 SAMPLES, MAX_SIGHTINGS, LEAST_SAMPLES = 2400, 150_000, 700
-"""Points, and the product of points and frames, at most; of a clip of any length there are LEAST_SAMPLES points."""
+"""Points, and the product of points and frames, at most; a long clip may exceed it for at most LEAST_SAMPLES points."""
 GROUP_PX = 5
 """Side of the square of four points: beyond the smoothing, and mostly on the same surface."""
 GROUP = 4
