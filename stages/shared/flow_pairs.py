@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, TypeVar
 
-import numba
 import numpy as np
 
 from stages.shared.artifacts import Dense
@@ -81,11 +80,13 @@ class FlowPairs:
         backward flow is weak evidence of motion, and often the only one. Flow that leaves the frame, or the scene in
         it, has weight 0.
         """
+        from stages.shared.flow_kernels import weigh  # compiled code; most of what reads REACH here needs none
+
         weights = self.confidence[edge].astype(np.float32)  # half precision is slow to compare
         if self.counts is not None and not self.counts[edge]:
             return np.zeros_like(weights)
         flow = self.flow[edge].astype(np.float32)
-        _weigh(flow, weights)
+        weigh(flow, weights, MIN_WEIGHT)
         return weights if self.scene is None else weights * within(self.scene, flow)
 
     def counting(self, counts: np.ndarray) -> "FlowPairs":
@@ -105,18 +106,3 @@ class FlowPairs:
         for first in range(0, T, BLOCK):
             yield first, min(first + BLOCK, T)
             self.columns.release()
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _weigh(flow, weights):  # type: ignore[no-untyped-def]
-    h, w = weights.shape
-    confident = 0
-    for y in range(h):
-        for x in range(w):
-            confident += weights[y, x] > 0.5
-    floor = np.float32(MIN_WEIGHT * confident / (h * w))
-    for y in range(h):
-        for x in range(w):
-            u, v = x + flow[y, x, 0], y + flow[y, x, 1]
-            inside = u >= 0 and u <= w - 1 and v >= 0 and v <= h - 1
-            weights[y, x] = max(weights[y, x], floor) if inside else np.float32(0)
