@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
 
 from stages.shared.tables import Row, decimal
 
@@ -65,6 +64,8 @@ def changes(rows: Sequence[Row], effect: Effect) -> np.ndarray:
 
 def interval(values: np.ndarray) -> tuple[float, float]:
     """The mean of n >= 2 values [n], and half of Student's interval around it at the level LEVEL."""
+    from scipy import stats  # takes half a second, also of reports without a comparison
+
     half = stats.t.ppf((1 + LEVEL) / 2, len(values) - 1) * stats.sem(values)
     return float(values.mean()), float(half)
 

@@ -2,7 +2,7 @@
 
 from collections import ChainMap
 from collections.abc import Mapping
-from typing import cast
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
@@ -10,12 +10,14 @@ from stages.flow.averaging import Frames
 from stages.flow.confidence import flow_confidence
 from stages.flow.dis import estimate_flow
 from stages.flow.edges import Edge
-from stages.flow.loops import Loop, find_loops, loop_flow
 from stages.flow.matches import restarted_pair
 from stages.flow.passes import Flows
 from stages.given.flow import GivenFlow
 from stages.shared.threads import threaded
 from stages.shared.warp import is_inside
+
+if TYPE_CHECKING:
+    from stages.flow.loops import Loop
 
 
 class Estimate:
@@ -50,12 +52,16 @@ class Estimate:
         estimated = self._estimated([edge for edge in edges if edge not in self.known], at_hand)
         return {edge: self.known[edge] if edge in self.known else estimated[edge] for edge in edges}
 
-    def loops(self, near: Mapping[Edge, np.ndarray], scene: np.ndarray | None) -> list[Loop]:
+    def loops(self, near: Mapping[Edge, np.ndarray], scene: np.ndarray | None) -> list["Loop"]:
         """Frames too far apart for a chain that show the same place, by what they show; those given are left out."""
+        from stages.flow.loops import find_loops  # imports much of scipy, which short clips do not need
+
         return [loop for loop in find_loops(self.frames.grey, near, scene) if loop.pair not in self.others]
 
-    def closed(self, loops: list[Loop]) -> Flows:
+    def closed(self, loops: list["Loop"]) -> Flows:
         """Both edges of every loop."""
+        from stages.flow.loops import loop_flow
+
         return loop_flow(self.frames.grey, loops, self.frames.finest_scale)
 
     def confidence(self, edge: Edge, flow: Flows) -> np.ndarray:
