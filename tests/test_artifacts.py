@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 import pytest
 from conftest import REPO
 from evo.tools import file_interface
@@ -17,7 +18,9 @@ from safetensors.numpy import save_file
 
 from stages.shared import artifacts, atomic, lie, sintel
 from stages.shared.cameras import intrinsics, make_cameras, read_cameras, write_cameras, write_tum
+from stages.shared.columns import array_of, column_of
 from stages.shared.errors import InputError
+from stages.shared.packing import Packed, pack
 
 floats = st.floats(-1e6, 1e6, width=32)
 
@@ -32,6 +35,35 @@ def test_table_round_trip(tmp_path: Path) -> None:
     metadata = artifacts.read_metadata(tmp_path / "t.parquet")
     assert metadata["units"] == "px"
     assert metadata["format_version"] == artifacts.FORMAT_VERSION
+
+
+LISTS = [["a", None, ""], [True, None, False], [True, False], [1, None, -3], [1, 2.5], [-0.0, None], [None], []]
+
+
+@pytest.mark.parametrize("values", [*LISTS, [np.float64(2), None, 1], [float("inf"), 0]])
+def test_lists_become_the_columns_that_arrow_makes_of_them(values: list[object]) -> None:
+    column, expected = column_of(values), pa.array(values)
+    assert column.type == expected.type
+    assert column.equals(expected)
+    found, wanted = array_of(pa.chunked_array([column])), expected.to_numpy(zero_copy_only=False)
+    assert found.dtype == wanted.dtype
+    assert repr(found.tolist()) == repr(wanted.tolist())
+
+
+def test_tables_and_packed_flow_import_neither_pandas_nor_compiled_code(tmp_path: Path) -> None:
+    """Each takes stages that need no other part of it a quarter of a second and more."""
+    flow = [pack(np.zeros((3, 4, 2), np.float16))]
+    artifacts.write_dense(tmp_path / "flow.arrow", {"flow": Packed(flow, (3, 4, 2))})
+    code = (
+        "import sys, pathlib, numpy, stages.flow.__main__, stages.scene.__main__, stages.segment.__main__,"
+        " stages.report.__main__\n"
+        "from stages.shared.artifacts import read_dense, read_table, write_table\n"
+        "here = pathlib.Path(sys.argv[1])\n"
+        "write_table(here / 't.parquet', {'a': [True, False], 'b': [1, None], 'c': [1.5, None], 'd': ['e', None]})\n"
+        "read_table(here / 't.parquet'), read_dense(here / 'flow.arrow')['flow'][0]\n"
+        "assert not {'pandas', 'numba', 'scipy.stats', 'scipy.interpolate', 'torch'} & set(sys.modules)\n"
+    )
+    subprocess.run([sys.executable, "-c", code, str(tmp_path)], check=True)
 
 
 @pytest.mark.parametrize("dtype", [np.float16, np.float32, np.float64, np.uint8])
