@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from stages.scene.light_model import Light, Model, Points, State, brightened, derivatives, errors_of, slopes_of
+from stages.scene.light_system import normal_step
 from stages.scene.sightings import GROUP, Sightings
 
 ITERATIONS, EVALUATIONS = 5, 3
@@ -16,8 +17,6 @@ RANKING = 400
 KERNEL = 3.0
 """Scale of the robust kernel in standard deviations of the noise, itself no less than LEAST_NOISE."""
 LEAST_NOISE = 1e-3
-DAMPING = 1e-6
-"""Of the normal equations, as a share of their mean diagonal: holds gains of frames that see nothing."""
 TRUST, TRUST_FACTOR = 1e-3, 10.0
 """First damping of the unknowns of fog (Levenberg-Marquardt), and the factor by which it changes."""
 MOST_AIRLIGHT = 1.5
@@ -99,7 +98,7 @@ def residuals(seen: Sightings, light: Light, rows: np.ndarray) -> np.ndarray:
         slope = slopes_of(of, state)
         weight = _weights(of, error, _noise(of, error))
         state = State(light, brightened(state.radiance, _radiance_step(weight, slope, error)))
-    return np.asarray(np.where(of.usable, of.colours * -np.expm1(-errors_of(of, state)), 0.0))
+    return of.spread(np.asarray(np.where(of.usable, of.colours * -np.expm1(-errors_of(of, state)), 0.0)))
 
 
 def _noise(of: Points, error: np.ndarray) -> float:
@@ -109,7 +108,7 @@ def _noise(of: Points, error: np.ndarray) -> float:
 
 
 def _weights(of: Points, error: np.ndarray, noise: float) -> np.ndarray:
-    """Weights [n, F, 3]: squared colour, so that errors count in grey levels, times that of the robust kernel."""
+    """Weights [n, S, 3]: squared colour, so that errors count in grey levels, times that of the robust kernel."""
     ratio = of.colours * error / np.float32(KERNEL * noise)
     return np.asarray(np.where(of.usable, np.square(of.colours / (1 + ratio * ratio)), np.float32(0)))
 
@@ -128,9 +127,9 @@ def _radiance_step(weight: np.ndarray, slope: np.ndarray, error: np.ndarray) -> 
 
 def _step(of: Points, model: Model, state: State, error: np.ndarray, noise: float, trust: tuple[float, float]) -> State:
     """One Gauss-Newton step of all parameters, the radiances eliminated; `trust` damps fog, and its extinction more."""
-    F, light, slope = error.shape[1], state.light, slopes_of(of, state)
+    F, light, slope = of.F, state.light, slopes_of(of, state)
     weight, extras = _weights(of, error, noise), derivatives(of, model, state)
-    solution = _solve(weight, slope, error, extras, model.gains, trust)
+    solution = normal_step(of, (weight, slope, error), extras, model.gains, trust)
     tables, rest = solution[: model.gains * F].reshape(-1, F).T, solution[model.gains * F :]
     moved = replace(light, vignetting=light.vignetting + float(rest[0]))
     if model.gains:
@@ -149,43 +148,3 @@ def _step(of: Points, model: Model, state: State, error: np.ndarray, noise: floa
         step = _radiance_step(_weights(of, left, noise), slopes_of(of, state), left)
         state = State(moved, brightened(state.radiance, step))
     return state
-
-
-def _solve(
-    weight: np.ndarray,
-    slope: np.ndarray,
-    error: np.ndarray,
-    extras: list[np.ndarray],
-    gains: int,
-    trust: tuple[float, float],
-) -> np.ndarray:
-    """Steps of the gains, table by table, and of the extras, from the normal equations without the radiances."""
-    F, K = error.shape[1], len(extras)
-    weighted = weight * slope
-    scatter = (weighted * slope).sum(axis=1)
-    inverse = np.divide(1.0, scatter, out=np.zeros_like(scatter), where=scatter > np.finfo(scatter.dtype).tiny)
-
-    def clear_of_radiance(values: np.ndarray) -> np.ndarray:
-        return np.asarray(weight * (values - slope * ((weighted * values).sum(axis=1) * inverse)[:, None]))
-
-    parts = [clear_of_radiance(values) for values in (*extras, error)]
-    first, size = gains * F, gains * F + K
-    normal, right = np.zeros((size, size)), np.zeros(size)
-    for c in range(3 if gains else 0):
-        at = slice((c % gains) * F, (c % gains + 1) * F)
-        product = weighted[..., c].T @ (inverse[:, c, None] * weighted[..., c])
-        normal[at, at] += np.diag(weight[..., c].sum(axis=0, dtype=float)) - product
-        sums = np.stack([part[..., c].sum(axis=0, dtype=float) for part in parts], axis=1)
-        normal[at, first:] += sums[:, :-1]
-        right[at] += sums[:, -1]
-    normal[first:, :first] = normal[:first, first:].T
-    for j, extra in enumerate(extras):
-        products = [float(np.vdot(extra, part)) for part in parts]
-        normal[first + j, first:], right[first + j] = products[:-1], products[-1]
-    for c in range(gains):  # the mean gain is that of the radiances
-        at = slice(c * F, (c + 1) * F)
-        normal[at, at] += np.trace(normal[at, at]) / F / F
-    index = np.arange(size) - first
-    damping = np.diagonal(normal) * (trust[0] * (index > 0) + trust[1] * (index == 1))
-    damping += DAMPING * max(np.trace(normal) / size, 1e-12)
-    return np.asarray(np.linalg.solve(normal + np.diag(damping), right))

@@ -19,6 +19,8 @@ from stages.shared.images import DISPLAY_GAMMA
 FARTHEST = 0.1
 """Share of the points whose colour is the first guess of the airlight."""
 LEAST_RADIANCE, MOST_RADIANCE = 1e-4, 10.0
+SELDOM = 1 / 3
+"""Where no point is seen in more than this share of the frames, as in a long clip, each keeps its frames alone."""
 
 
 class Model(NamedTuple):
@@ -61,14 +63,35 @@ class State(NamedTuple):
 
 
 class Points:
-    """The points that a model is fitted to; `unit` is their median distance."""
+    """The n points that a model is fitted to, of F frames in the S in which each of them is seen, or in all.
+
+    Attributes:
+        F: number of frames. frame: [n, S] the frames of each point, ascending, or [1, F] of all points.
+        sparse: whether `frame` leaves frames out.
+        colours, usable, logs: [n, S, 3]. distance, off_axis: [n, S, 1]. unit: median distance.
+    """
 
     def __init__(self, seen: Sightings, rows: np.ndarray) -> None:
-        self.colours, self.usable = seen.colours[rows], seen.usable[rows]
+        self.F, usable = seen.colours.shape[1], seen.usable[rows]
+        self.frame = frames_of(usable.any(axis=2))
+        self.sparse = self.frame.shape[1] < self.F
+
+        def sighted(values: np.ndarray) -> np.ndarray:
+            return values[np.arange(len(values))[:, None], self.frame] if self.sparse else values
+
+        self.colours, self.usable = sighted(seen.colours[rows]), sighted(usable)
         self.logs = np.log(np.maximum(self.colours, np.float32(1e-3)))
-        self.distance, self.off_axis = seen.distance[rows][..., None], seen.off_axis[rows][..., None]
-        self.unit = float(np.median(self.distance)) if len(self.distance) else 1.0
+        self.distance, self.off_axis = (sighted(part[rows])[..., None] for part in (seen.distance, seen.off_axis))
+        self.unit = float(np.median(seen.distance[rows])) if len(usable) else 1.0
         self.reach, self.far_radiance = self._farthest()
+
+    def spread(self, values: np.ndarray) -> np.ndarray:
+        """Values [n, S, ...] as [n, F, ...], 0 in the frames that are left out."""
+        if not self.sparse:
+            return values
+        table = np.zeros((len(values), self.F, *values.shape[2:]), values.dtype)
+        table[np.arange(len(values))[:, None], self.frame] = values
+        return table
 
     def _farthest(self) -> tuple[float, np.ndarray]:
         """Median distance and linear radiance [3] of the most distant sightings; their medians where there are none."""
@@ -90,12 +113,21 @@ class Points:
     def mean_radiance(self, light: Light) -> np.ndarray:
         """Linear radiance [n, 3] behind the fog of the mean colour of each point."""
         count = np.maximum(self.usable.sum(axis=1), 1)
-        level = (light.log_gains + light.vignetting * self.off_axis).astype(np.float32)
+        level = (light.log_gains[self.frame] + light.vignetting * self.off_axis).astype(np.float32)
         shown = np.where(self.usable, np.exp(DISPLAY_GAMMA * (self.logs - level)), 0.0).sum(axis=1) / count
         clear, scattering = fog_over(light, self.distance)
         seen_through, added = (np.where(self.usable, part, 0.0).sum(axis=1) / count for part in (clear, scattering))
         veiled = shown - light.scattered * added
         return brightened(np.maximum(veiled, LEAST_RADIANCE) / np.maximum(seen_through, LEAST_RADIANCE), np.zeros(1))
+
+
+def frames_of(seen: np.ndarray) -> np.ndarray:
+    """The frames [n, S] in which points are seen [n, F] bool, and S > 0 of each; all of them [1, F] unless SELDOM."""
+    F = seen.shape[1]
+    S = max(int(seen.sum(axis=1).max(initial=0)), 1)
+    if S > SELDOM * F:
+        return np.arange(F)[None]
+    return np.sort(np.argsort(~seen, axis=1, kind="stable")[:, :S], axis=1)
 
 
 def fog_over(light: Light, distance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -106,7 +138,7 @@ def fog_over(light: Light, distance: np.ndarray) -> tuple[np.ndarray, np.ndarray
 
 
 def linear_radiance(of: Points, state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Transmittance [n, F, 1], its integral [n, F, 1], and the linear radiance [n, F, 3] > 0 that is seen."""
+    """Transmittance [n, S, 1], its integral [n, S, 1], and the linear radiance [n, S, 3] > 0 that is seen."""
     clear, scattering = fog_over(state.light, of.distance)
     surface = state.radiance[:, None].astype(np.float32) * clear
     shown = surface + state.light.scattered.astype(np.float32) * scattering
@@ -114,14 +146,14 @@ def linear_radiance(of: Points, state: State) -> tuple[np.ndarray, np.ndarray, n
 
 
 def errors_of(of: Points, state: State) -> np.ndarray:
-    """Errors [n, F, 3] of the logarithms of the colours."""
-    level = (state.light.log_gains + state.light.vignetting * of.off_axis).astype(np.float32)
+    """Errors [n, S, 3] of the logarithms of the colours."""
+    level = (state.light.log_gains[of.frame] + state.light.vignetting * of.off_axis).astype(np.float32)
     shown = linear_radiance(of, state)[2] if state.light.extinction > 0 else state.radiance[:, None].astype(np.float32)
     return np.asarray(of.logs - level - np.log(shown) / np.float32(DISPLAY_GAMMA))
 
 
 def slopes_of(of: Points, state: State) -> np.ndarray:
-    """Derivatives [n, F, 3] of the log colours by the log radiances."""
+    """Derivatives [n, S, 3] of the log colours by the log radiances."""
     if state.light.extinction == 0:
         return np.full(of.colours.shape, 1 / DISPLAY_GAMMA, np.float32)
     clear, _, linear = linear_radiance(of, state)
@@ -129,7 +161,7 @@ def slopes_of(of: Points, state: State) -> np.ndarray:
 
 
 def derivatives(of: Points, model: Model, state: State) -> list[np.ndarray]:
-    """Derivatives [n, F, 3] of the log colours by vignetting, and by b and b A [3] over the median distance."""
+    """Derivatives [n, S, 3] of the log colours by vignetting, and by b and b A [3] over the median distance."""
     extras = [np.broadcast_to(of.off_axis, of.colours.shape)]
     if model.fog:
         clear, scattering, linear = linear_radiance(of, state)
