@@ -30,6 +30,8 @@ from stages.shared.warp import is_inside, matches, warp
 
 PAIRS = 12
 """Number of pairs of frames, those between which the speeds differ most."""
+MOST_PAIRS = 1000
+"""Of more pairs, those of clips over some 300 frames, every second or every so-manieth is compared."""
 HELD_FRAMES = 48
 """Frames whose motion is kept for the next edge."""
 MAX_STRIDE = 2
@@ -63,13 +65,8 @@ def shutter_evidence(seen: Observed, least_px: float, given: float | None = None
     """
     F = len(seen.dynamic)
     motion = functools.lru_cache(HELD_FRAMES)(functools.partial(_motion, seen))
-    fast = []
-    for k in progress(range(F), "speeds"):
-        velocity, trusted = motion(k).velocity, motion(k).trusted
-        if trusted.any():
-            fast.append(np.quantile(np.linalg.norm(velocity, axis=-1)[trusted], FAST_QUANTILE))
-    evidence = {"speed_px": float(max(fast, default=0.0))}
-    edges = _edges(seen, motion)
+    speed, edges = _speeds(seen, motion)
+    evidence = {"speed_px": speed}
     if evidence["speed_px"] < least_px or not edges:
         return evidence
     evidence["speed_agreement"] = _agreement(seen, motion, edges)
@@ -137,19 +134,35 @@ def _agreement(seen: Observed, motion: Motions, edges: list[int]) -> float:
     return float(products[0, 1] / max(np.sqrt(products[0, 0] * products[1, 1]), 1e-12))
 
 
-def _edges(seen: Observed, motion: Motions) -> list[int]:
-    """Rows of the edges between the PAIRS pairs of frames whose speeds differ most, both ways."""
+def _speeds(seen: Observed, motion: Motions) -> tuple[float, list[int]]:
+    """The speed of the fastest frame in px, and the rows of the edges between the PAIRS pairs of frames whose speeds
+    differ most, both ways.
+
+    Frame by frame, so that the motion of each is read once while all that it is compared with is held.
+    """
     row_of = {tuple(edge): row for row, edge in enumerate(seen.edges.tolist())}
-    contrast = {}
-    for (i, j), row in progress(row_of.items(), "changes of speed", len(row_of)):
-        if i < j and (j, i) in row_of:
-            flow, part = seen.flow[row], (slice(None, None, 4), slice(None, None, 4))
-            here, there = motion(i), motion(j)
-            change = (here.velocity**2).sum(axis=-1) - (warp(there.velocity, flow) ** 2).sum(axis=-1)
-            good = (seen.confidence[row] >= MIN_CONFIDENCE) & here.trusted & is_inside(flow)
-            contrast[i, j] = float((np.minimum(np.abs(change), STEEPEST_PX**2) ** 2 * good)[part].mean())
+    pairs = sorted((j, i) for i, j in row_of if i < j and (j, i) in row_of)
+    before: dict[int, list[int]] = {}
+    for j, i in pairs[:: -(-len(pairs) // MOST_PAIRS) or 1]:
+        before.setdefault(j, []).append(i)
+    fastest, contrast = 0.0, {}
+    for j in progress(range(len(seen.dynamic)), "speeds"):
+        there = motion(j)
+        if there.trusted.any():
+            speed = np.linalg.norm(there.velocity, axis=-1)[there.trusted]
+            fastest = max(fastest, float(np.quantile(speed, FAST_QUANTILE)))
+        for i in before.get(j, []):
+            contrast[i, j] = _contrast(seen, row_of[i, j], motion(i), there)
     best = sorted(contrast, key=lambda pair: -contrast[pair])[:PAIRS]
-    return [row_of[way] for i, j in best for way in ((i, j), (j, i))]
+    return fastest, [row_of[way] for i, j in best for way in ((i, j), (j, i))]
+
+
+def _contrast(seen: Observed, row: int, here: _Motion, there: _Motion) -> float:
+    """How much the squared speeds differ along an edge: the mean square over its pixels."""
+    flow, part = seen.flow[row], (slice(None, None, 4), slice(None, None, 4))
+    change = (here.velocity**2).sum(axis=-1) - (warp(there.velocity, flow) ** 2).sum(axis=-1)
+    good = (seen.confidence[row] >= MIN_CONFIDENCE) & here.trusted & is_inside(flow)
+    return float((np.minimum(np.abs(change), STEEPEST_PX**2) ** 2 * good)[part].mean())
 
 
 def _compare(seen: Observed, grey: Frames[np.ndarray], motion: Motions, edge: int) -> np.ndarray:
