@@ -12,6 +12,7 @@ from stages.gaussians.densify import GradientRecord, densify
 from stages.gaussians.options import GaussiansOptions
 from stages.gaussians.ssim import Target, ssim
 from stages.gaussians.training_frames import TrainingFrames
+from stages.shared.adam import Adam
 from stages.shared.drawing import spread
 from stages.shared.frame_store import Computed
 from stages.shared.log import progress
@@ -161,7 +162,7 @@ class Trainer:
         other = np.random.default_rng([self.options.seed, self.step, 1]).integers(len(self.targets))
         return torch.tensor([self.times[f], self.times[other]], dtype=torch.float32, device=self.device)
 
-    def new_optimiser(self) -> torch.optim.Adam:
+    def new_optimiser(self) -> Adam:
         """Adam over the present parameters of the scene, without moments; each group has its initial `rate`."""
         groups = [
             {"params": [self.scene.gaussians[name]], "rate": rate, "name": name}
@@ -177,7 +178,7 @@ class Trainer:
             groups.append({"params": [self.scene.poses.twists], "rate": POSE_RATE, "name": "poses"})
         if self.scene.exposure is not None:
             groups.append({"params": [self.scene.exposure.log_gains], "rate": EXPOSURE_RATE, "name": "exposure"})
-        return torch.optim.Adam(groups, lr=0.0, eps=1e-15, fused=True)
+        return Adam(groups, lr=0.0, eps=1e-15, fused=True)
 
     def _set_rates(self) -> None:
         decay = FINAL_RATE ** (self.step / self.options.steps)
