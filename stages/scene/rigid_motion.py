@@ -8,7 +8,8 @@ length is the mean distance, so that d is 1 + relief.
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+
+from stages.shared import lie
 
 STEPS, STIFF_STEPS = 11, 3
 """Of all parameters, and how many of these before the relief may change."""
@@ -121,7 +122,7 @@ def _step(patch: Patch, motion: Motion, relief: np.ndarray, stiff: bool) -> tupl
     flat = _relief_step(scatter, pull, relief)
     right = np.einsum("epck,epc->ek", weighted, left) - np.einsum("epk,p->ek", mixed, flat)
     change = np.linalg.solve(normal.reshape(E * n, E * n), right.ravel()).reshape(E, n)
-    moved = Motion(Rotation.from_rotvec(change[:, :3]).as_matrix() @ motion.R, motion.t + change[:, 3:])
+    moved = Motion(lie.exp_so3(change[:, :3]) @ motion.R, motion.t + change[:, 3:])
     if stiff:
         return moved, relief
     relief = relief + flat - np.einsum("epk,ek->p", mixed, change) / below
