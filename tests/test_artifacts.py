@@ -20,6 +20,7 @@ from stages.shared import artifacts, atomic, lie, sintel
 from stages.shared.cameras import intrinsics, make_cameras, read_cameras, write_cameras, write_tum
 from stages.shared.columns import array_of, column_of
 from stages.shared.errors import InputError
+from stages.shared.finite import is_finite
 from stages.shared.packing import Packed, pack
 
 floats = st.floats(-1e6, 1e6, width=32)
@@ -64,6 +65,18 @@ def test_tables_and_packed_flow_import_neither_pandas_nor_compiled_code(tmp_path
         "assert not {'pandas', 'numba', 'scipy.stats', 'scipy.interpolate', 'torch'} & set(sys.modules)\n"
     )
     subprocess.run([sys.executable, "-c", code, str(tmp_path)], check=True)
+
+
+@pytest.mark.parametrize("dtype", [np.float16, np.float32, np.float64])
+@pytest.mark.parametrize("shape", [(50_000, 3), (3, 40, 60, 50), (100_000,), (0, 3), ()])
+def test_a_number_that_is_not_finite_is_found_anywhere(dtype: type, shape: tuple[int, ...]) -> None:
+    values = np.ones(shape, dtype)
+    assert is_finite(values)
+    for at in {0, values.size // 2, values.size - 1} if values.size else ():
+        for bad in (np.nan, np.inf, -np.inf):
+            values.flat[at] = bad
+            assert not is_finite(values)
+        values.flat[at] = 1
 
 
 @pytest.mark.parametrize("dtype", [np.float16, np.float32, np.float64, np.uint8])
