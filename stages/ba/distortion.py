@@ -8,11 +8,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from stages.ba import classify, dba, held_out, initialise, rotation
+from stages.ba import classify, dba, held_out, initialise, rotation, zoom
 from stages.ba.arguments import undistorted
-from stages.ba.classify import Statistics
 from stages.ba.graph import MIN_MATCHES, FlowGraph, favour_distance, shared_matches, thin_graph
-from stages.ba.guesses import Observed, guess
+from stages.ba.guesses import MAX_PAIR_PX, Observed, guess
 from stages.ba.held_out import Fit
 from stages.ba.start import COARSE_PIXELS
 from stages.ba.state import FocalPrior, Level, State, Unknowns
@@ -87,12 +86,12 @@ def find_lens(graph: FlowGraph, prior: FocalPrior, seed: int, assumed: bool = Fa
         seconds = time.process_time() - began
         return Lens(None, Evidence("not observable", "the camera hardly moves", seconds=seconds))
     observed = Observed(coarse, coarse, None, [START_FOCAL * coarse.width], statistics, prior, seed)
-    evidence, best = _weigh(observed, len(coarse.pixels) / len(graph.pixels))
+    evidence, best, straight = _weigh(observed, len(coarse.pixels) / len(graph.pixels))
     if assumed and evidence.decision != "not observable":
         evidence = replace(evidence, decision="distorted", reason=f"as the options say; {evidence.reason}")
     coefficients = None
     if evidence.decision == "distorted":
-        two = replace(_unknowns(statistics), lens=2)
+        two = replace(straight, lens=2)
         parts = held_out.halves(coarse)
         richer = held_out.fit(parts, best.state, two, prior, "lens, two coefficients")
         saved, sigma = held_out.gain(coarse, (best, richer))
@@ -107,36 +106,81 @@ def undistorted_graph(graph: FlowGraph, lens: np.ndarray) -> FlowGraph:
     return replace(graph, pixels=pixels, matches=matches.astype(np.float32))
 
 
-def _weigh(observed: Observed, density: float) -> tuple[Evidence, Fit]:
-    """Evidence for a distortion, and the best cameras with one, fitted to half of the tiles."""
-    graph, parts = observed.graph, held_out.halves(observed.graph)
-    straight = _unknowns(observed.statistics)
-    bent = replace(straight, lens=1)
+@dataclass(frozen=True)
+class _Rivals:
+    """The best cameras without and with a distortion, with `unknowns` else, and what the latter save."""
 
-    def fit(state: State, unknowns: Unknowns, swapped: bool = False) -> Fit:
-        return held_out.fit(parts[::-1] if swapped else parts, state, unknowns, observed.prior, "lens")
+    unknowns: Unknowns
+    plain: Fit
+    bent: Fit
+    gain: float
+    gain_sigma: float
 
-    plain = fit(_start(observed), straight)
-    best = fit(replace(plain.state, lens=np.zeros(2)), bent)
+
+def _weigh(observed: Observed, density: float) -> tuple[Evidence, Fit, Unknowns]:
+    """Evidence for a distortion, the best cameras with one, fitted to half of the tiles, and their other unknowns.
+
+    Beside a zoom, cameras at one focal length tell nothing about the lens: it hides in what they leave, or stands in
+    for the zoom. Where a zoom is found beside a lens, the lens is therefore judged among cameras that zoom.
+    """
+    graph = observed.graph
+    straight = Unknowns(focal=True, translation=observed.statistics.camera != "rotating")
+    rivals = _compare(observed, straight, _fit(observed, _start(observed), straight))
+    found = _evidence(graph, rivals, density)
+    if straight.translation:
+        zooming = replace(straight, zoom=True)
+        plain = _fit(observed, rivals.plain.state, zooming)
+        if found.decision == "distorted" or held_out.gain(graph, (rivals.plain, plain))[0] > zoom.SUSPECTED_GAIN:
+            bent = _fit(observed, rivals.bent.state, replace(zooming, lens=1))
+            gain, sigma = held_out.gain(graph, (rivals.bent, bent))
+            if gain >= max(zoom.MIN_GAIN, zoom.SIGNIFICANT * sigma):
+                rivals = _among_zooms(observed, zooming, plain)
+                found = _evidence(graph, rivals, density)
+                found = replace(found, reason=f"beside a focal length that changes {found.reason}")
+            elif found.decision == "distorted" and held_out.gain(graph, (plain, bent))[0] < MIN_GAIN:
+                reason = f"{found.reason}; a focal length that changes explains as much"
+                found = replace(found, decision="straight", reason=reason)
+    return found, rivals.bent, rivals.unknowns
+
+
+def _evidence(graph: FlowGraph, rivals: _Rivals, density: float) -> Evidence:
+    shift = _shift(rivals.bent)
+    shift_sigma = float(np.sqrt(density)) * _shift_sigma(graph, rivals.bent.state, replace(rivals.unknowns, lens=1))
+    decision, reason = judge(rivals.gain, rivals.gain_sigma, shift, shift_sigma)
+    return Evidence(decision, reason, rivals.gain, rivals.gain_sigma, MIN_GAIN, shift=shift, shift_sigma=shift_sigma)
+
+
+def _fit(observed: Observed, state: State, unknowns: Unknowns, swapped: bool = False) -> Fit:
+    parts = held_out.halves(observed.graph)
+    return held_out.fit(parts[::-1] if swapped else parts, state, unknowns, observed.prior, "lens")
+
+
+def _compare(observed: Observed, straight: Unknowns, plain: Fit) -> _Rivals:
+    """Cameras with a distortion beside `plain`, those without one; both searched anew where there is a suspicion."""
+    graph, bent = observed.graph, replace(straight, lens=1)
+    best = _fit(observed, replace(plain.state, lens=np.zeros(2)), bent)
     gain, gain_sigma = held_out.gain(graph, (plain, best))
     if gain > SUSPECTED_GAIN or abs(_shift(best)) > SUSPECTED_SHIFT:
-        searched = fit(_search(observed, np.copysign(TRIED, _shift(best))), bent)
+        searched = _fit(observed, _search(observed, np.copysign(TRIED, _shift(best))), bent)
         best = min((best, searched), key=lambda fit: fit.cost)
-        plain = min((plain, fit(replace(best.state, lens=None), straight)), key=lambda fit: fit.cost)
-        swapped = fit(plain.state, straight, True), fit(best.state, bent, True)
+        plain = min((plain, _fit(observed, replace(best.state, lens=None), straight)), key=lambda fit: fit.cost)
+        swapped = _fit(observed, plain.state, straight, True), _fit(observed, best.state, bent, True)
         gain, gain_sigma = held_out.gain(graph, (plain, best), swapped)
-    shift, shift_sigma = _shift(best), float(np.sqrt(density)) * _shift_sigma(graph, best.state, bent)
-    decision, reason = judge(gain, gain_sigma, shift, shift_sigma)
-    if decision == "distorted" and straight.translation:
-        zoomed = fit(plain.state, replace(straight, zoom=True)), fit(best.state, replace(bent, zoom=True))
-        if held_out.gain(graph, zoomed)[0] < MIN_GAIN:
-            decision, reason = "straight", f"{reason}; a focal length that changes explains as much"
-    return Evidence(decision, reason, gain, gain_sigma, MIN_GAIN, shift=shift, shift_sigma=shift_sigma), best
+    return _Rivals(straight, plain, best, gain, gain_sigma)
 
 
-def _unknowns(statistics: Statistics) -> Unknowns:
-    """Those of a pinhole that moves or only turns."""
-    return Unknowns(focal=True, translation=statistics.camera != "rotating")
+def _among_zooms(observed: Observed, zooming: Unknowns, plain: Fit) -> _Rivals:
+    """The same among cameras with a focal length per frame, whose change is first seen in pairs of frames."""
+    graph, focal_px = observed.graph, plain.state.focal_px
+    threshold_px = min(observed.threshold_px / 2, MAX_PAIR_PX)
+    curves = [
+        zoom.curve_of_pairs(graph, focal_px, step, threshold_px, observed.seed)
+        for step in sorted({1, classify.longest_step(graph)})
+    ]
+    tried = [replace(observed, focals_px=[focal_px], curve=curve) for curve in curves]
+    fits = [plain, *(_fit(observed, _start(of), zooming) for of in tried)]
+    best = int(np.argmin([fit.cost for fit in fits]))
+    return _compare(tried[max(best - 1, 0)], zooming, fits[best])
 
 
 def _start(observed: Observed) -> State:
@@ -156,7 +200,8 @@ def _search(observed: Observed, shift: float) -> State:
 def _refine(graph: FlowGraph, state: State, unknowns: Unknowns, prior: FocalPrior) -> State:
     """The state refined on all pixels, down to the scale of the noise."""
     if unknowns.translation:
-        state = initialise.initial_state(graph, state.cam_from_world, state.focal_px, FINE_PX[0], lens=state.lens)
+        cameras = state.cam_from_world, state.focal_px
+        state = initialise.initial_state(graph, *cameras, FINE_PX[0], zoom=state.zoom, lens=state.lens)
     else:
         state = replace(state, inverse_depth=np.zeros((graph.T, len(graph.pixels))))
     state, _ = dba.solve(graph, state, [Level(px, ITERATIONS) for px in FINE_PX], unknowns, prior, "lens")

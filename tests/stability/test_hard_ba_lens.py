@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from synthetic import PLANE, camera_path, make_scene, observe
+from synthetic import PLANE, Scene, camera_path, make_scene, observe
 
 from stages.ba.distortion import Lens, find_lens
 from stages.ba.graph import FlowGraph
@@ -78,9 +78,31 @@ def test_pinholes_are_not_taken_for_lenses(scene: dict[str, object]) -> None:
     assert decide(view(None, **scene)[0]).coefficients is None
 
 
+def zooming(ratio: float) -> dict[str, object]:
+    """A camera on a curve whose focal length changes by this much; its mean logarithm is that of the scene."""
+    return {"path": camera_path(T, "curve"), "zoom": np.exp(-np.log(ratio) * np.cos(np.linspace(0, np.pi, T)) / 2)}
+
+
 def test_a_zoom_is_no_distortion() -> None:
-    zoom = np.exp(np.log(1.3) * (1 - np.cos(np.linspace(0, np.pi, T))) / 2)
-    assert decide(view(None, path=camera_path(T, "curve"), zoom=zoom)[0]).coefficients is None
+    assert decide(view(None, **zooming(1.3))[0]).coefficients is None
+
+
+def test_a_zoom_hides_no_distortion(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a lens that moves a pixel of every frame alike, as the adjustment has it."""
+
+    def fixed(scene: Scene) -> Scene:
+        return replace(scene, zoom=None)
+
+    pinhole, pictured = Scene.pinhole, Scene.pictured
+    monkeypatch.setattr(Scene, "pinhole", lambda scene, pixels, k: pinhole(fixed(scene), pixels, k))
+    monkeypatch.setattr(Scene, "pictured", lambda scene, pixels, k: pictured(fixed(scene), pixels, k))
+    graph, ratio = view(**zooming(1.15))
+    found = decide(graph)
+    assert found.evidence.decision == "distorted"
+    assert found.coefficients is not None
+    assert found.evidence.shift_sigma is not None
+    assert abs(found.coefficients[0] - K[0] / ratio**2) < 3 * found.evidence.shift_sigma
+    assert_allclose(found.coefficients[0] * ratio**2, K[0], rtol=0.06)
 
 
 def test_a_strong_lens_has_two_coefficients() -> None:
