@@ -27,8 +27,8 @@ class Patch(NamedTuple):
     """P pixels of a frame and their flow to E others.
 
     Attributes:
-        uv: [P, 2] px. flow: [E, P, 2] px. good: [E, P] bool, where it can be trusted. K: [3, 3]. Ks: [E, 3, 3], of the
-            other frames.
+        uv: [P, 2] px. flow: [E, P, 2] px, anything where it is not good, NaN too. good: [E, P] bool, where it can be
+            trusted. K: [3, 3]. Ks: [E, 3, 3], of the other frames.
     """
 
     uv: np.ndarray
@@ -95,7 +95,8 @@ def _linear(patch: Patch, motion: Motion, relief: np.ndarray) -> tuple[np.ndarra
     x, y, z = np.moveaxis(turned + (1 + relief)[:, None] * motion.t[:, None], -1, 0)
     z = np.maximum(z, NEAREST)
     seen = np.stack([x / z, y / z], axis=-1)
-    left = patch.uv + patch.flow - focal * seen - patch.Ks[:, None, :2, 2]
+    # A match that cannot be trusted leaves nothing: a weight of 0 would still carry a NaN of it into every sum.
+    left = np.where(patch.good[..., None], patch.uv + patch.flow - focal * seen - patch.Ks[:, None, :2, 2], 0.0)
     weight = patch.good / np.maximum(np.linalg.norm(left, axis=-1), LEAST_RESIDUAL_PX)
     by_point = np.zeros((*left.shape, 3))
     by_point[..., [0, 1], [0, 1]] = focal / z[..., None]

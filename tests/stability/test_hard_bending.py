@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from bodies import body
+from numpy.testing import assert_array_equal
 from square_inputs import observe
 
 from stages.scene import bending, rigid_motion, rules
@@ -49,6 +50,16 @@ def test_wrong_matches_do_not_bend_a_body() -> None:
         flow[np.isin(hit, random.choice(np.unique(hit), len(np.unique(hit)) // 10, replace=False))] += [20, -22]
     assert saved_px2(patch) < rules.MIN_BENDING_PX**2
     assert saved_px2(patch._replace(flow=patch.flow + body(strain=0.2).flow - body().flow)) > rules.MIN_BENDING_PX**2
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_flow_that_cannot_be_trusted_may_be_anything(value: float) -> None:
+    """No sum may meet it: a weight of 0 times NaN is NaN."""
+    patch, random = body(strain=0.2), np.random.default_rng(2)
+    good = patch.good & (random.random(patch.good.shape) < 0.9)
+    numbers, anything = (patch._replace(good=good, flow=np.where(good[..., None], patch.flow, of)) for of in (7, value))
+    for expected, found in zip(bending.held_out_errors(numbers), bending.held_out_errors(anything), strict=True):
+        assert_array_equal(found, expected)
 
 
 def test_a_body_at_rest_has_no_depth_and_does_not_bend() -> None:
