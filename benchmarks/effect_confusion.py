@@ -1,6 +1,7 @@
 """Which effects are found, and where none is: a confusion table over scenes with one effect at five strengths.
 
     python -m benchmarks.effect_confusion /tmp/effects docs/effects.md         # and yard: on this base alone
+    python -m benchmarks.effect_confusion /tmp/effects docs/effects.md grove medium  # medium strengths and no effect
 
 The scenes (benchmarks/effect_cases.py) are rendered and solved by the pipeline itself, up to scene.json, with the
 preset fast; what is finished in the folder is not made again. The report is a page of Markdown, whose last section,
@@ -20,6 +21,8 @@ from stages.shared.artifacts import read_json
 
 RIGHT_SHARE = 0.95
 NOTES = "## What the tables say"
+ALONE = "medium"
+"""Leaves out all other strengths than this one."""
 BATCH = 8
 """Scenes that are planned at once: Snakemake may do the same step of all of them before it begins the next."""
 
@@ -137,9 +140,13 @@ def page(verdicts: Verdicts, unsolved: list[str], about: str) -> str:
 
 
 def main(folder: Path, output: Path, *names: str) -> None:
-    """Render, solve, judge, and write the page, on the base scenes of these names, or on all."""
-    bases = [base for base in BASES if base.stem in (names or {base.stem})]
-    wanted = cases(bases)
+    """Render, solve, judge, and write the page, on the base scenes of these names, or on all.
+
+    With ALONE among the names, strengths other than the medium one are left out.
+    """
+    named = set(names) - {ALONE}
+    bases = [base for base in BASES if base.stem in (named or {base.stem})]
+    wanted = [case for case in cases(bases) if ALONE not in names or _turn(case) == 0]
     ordered = sorted(wanted, key=_turn)
     for first in range(0, len(ordered), BATCH):
         solve(folder, ordered[first : first + BATCH])
@@ -148,7 +155,8 @@ def main(folder: Path, output: Path, *names: str) -> None:
     about = (
         "Written by `python -m benchmarks.effect_confusion`, but for the last section."
         f" {run['written']}, commit {run['commit']}, preset `fast`;"
-        f" base scenes {', '.join(base.stem for base in bases)}, of 20 frames of 384 x 216 px."
+        f" base scenes {', '.join(base.stem for base in bases)}, of 20 frames of 384 x 216 px"
+        f"{', at medium strength alone' if ALONE in names else ''}."
     )
     unsolved = [case.name for case, verdict in found if verdict is None]
     text = page([(case, verdict) for case, verdict in found if verdict is not None], unsolved, about)
