@@ -121,10 +121,11 @@ def _start(
         focals = [prior.focal_px]
     unmasked = problem.unmasked or problem.graph
     observed = Observed(problem.graph, unmasked, previous, focals, statistics, prior, options.seed)
-    if statistics.camera == "moving" and not problem.known_focal_px and not previous:
+    free = statistics.camera == "moving" and not problem.known_focal_px
+    if free and not previous:
         observed = replace(observed, focals_px=focals_of_part(observed))
-    tested = statistics.camera == "moving" and not problem.known_focal_px and options.zoom != "no"
-    return find_start(replace(observed, tested=tested, assumed=options.zoom == "yes"))
+    tested = free and options.zoom != "no"
+    return find_start(replace(observed, free=free, tested=tested, assumed=options.zoom == "yes"))
 
 
 def _estimate_rotations(problem: Problem, statistics: Statistics, prior: FocalPrior, options: BAOptions) -> Estimate:

@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from stages.ba import dba, initialise
+from stages.ba import initialise
 from stages.ba.graph import MIN_WEIGHT, FlowGraph, cut_out
 from stages.ba.guesses import Observed, guess
 from stages.ba.part import FRAMES, best_part
-from stages.ba.refinement import CONSISTENT_SHARE, FINE_PX, WEAK_FOCAL
+from stages.ba.refinement import CONSISTENT_SHARE, FINE_PX, WEAK_FOCAL, consistent_share
 from stages.ba.state import Level, Unknowns
 from stages.ba.uncertainty import focal_sigma
 
@@ -29,8 +29,7 @@ def focals_of_part(observed: Observed) -> list[float]:
     best = initialise.choose(guess(replace(observed, graph=part, unmasked=part, previous=None), part))
     levels = [Level(sigma_px, ITERATIONS) for sigma_px in FINE_PX]
     found = initialise.adjust(part, best.state, levels, Unknowns(focal=True), observed.prior, "part, focal").state
-    consistent = part.weights[dba.errors_px(part, found) < 1.0].sum() / part.weights.sum()
-    if not consistent >= CONSISTENT_SHARE or focal_sigma(part, found) > WEAK_FOCAL:
+    if not consistent_share(part, found) >= CONSISTENT_SHARE or focal_sigma(part, found) > WEAK_FOCAL:
         return list(observed.focals_px)
     return [found.focal_px]
 

@@ -43,7 +43,8 @@ class Observed:
         graph: masked observations; unmasked: the same without masks (the same object if there are none).
         previous: the solution of the previous round.
         focals_px: focal lengths to try; curve: the zoom to try them with, as in `state.State`.
-        tested: whether a changing focal length is tried besides; assumed: whether it is taken without a test.
+        free: whether the focal length is to be found; tested: whether a changing one is tried besides; assumed: whether
+            that is taken without a test.
     """
 
     graph: FlowGraph
@@ -54,8 +55,14 @@ class Observed:
     prior: FocalPrior
     seed: int
     curve: np.ndarray | None = None
+    free: bool = False
     tested: bool = False
     assumed: bool = False
+
+    @property
+    def masked(self) -> bool:
+        """Whether there are masks, or poses of an earlier round that was solved with masks."""
+        return self.unmasked is not self.graph or self.previous is not None
 
     @property
     def threshold_px(self) -> float:

@@ -6,7 +6,7 @@ import numpy as np
 
 from stages.ba import dba, initialise, trim
 from stages.ba.classify import Statistics
-from stages.ba.graph import favour_distance
+from stages.ba.graph import FlowGraph, favour_distance
 from stages.ba.initialise import Candidate
 from stages.ba.problem import Focal, Problem
 from stages.ba.state import FocalPrior, Level, State, Unknowns
@@ -41,14 +41,18 @@ def refine(problem: Problem, statistics: Statistics, start: Candidate, prior: Fo
     return refined, Focal("held at prior", focal_sigma(graph, refined.state), reason)
 
 
+def consistent_share(graph: FlowGraph, state: State) -> float:
+    """Share of the matches, by weight, that fit a static scene to 1 px."""
+    return float(graph.weights[dba.errors_px(graph, state) < 1.0].sum() / graph.weights.sum())
+
+
 def _reason_to_hold(problem: Problem, statistics: Statistics, state: State) -> str:
     """The reason to hold the focal length fixed, in words; empty if it may be free."""
     if problem.known_focal_px:
         return "it is known"
     if statistics.camera != "moving":
         return "the camera hardly moves"
-    graph = problem.graph
-    consistent = graph.weights[dba.errors_px(graph, state) < 1.0].sum() / graph.weights.sum()
+    consistent = consistent_share(problem.graph, state)
     if not problem.masked and consistent < CONSISTENT_SHARE:
         return f"there are no masks yet and only {100 * consistent:.0f} % of the matches fit a static scene"
     return ""
