@@ -9,6 +9,7 @@ from track_tables import sightings
 
 from stages.control import adapt, fitting, stage1
 from stages.control.options import ControlOptions
+from stages.control.rest import rest_positions
 from stages.control.sightings import Sightings
 from stages.deformation import lbs
 from stages.deformation.motion_models import Deformation, TableDeformation
@@ -177,7 +178,7 @@ def test_a_mover_that_enters_late_rests_at_its_own_moment() -> None:
     moved = np.concatenate([body, visitor])
     visible = np.ones(moved.shape[:2], bool)
     visible[400:, :6] = False
-    rest, own = stage1.rest_positions(tracks_of(moved, visible), 3)
+    rest, own = rest_positions(tracks_of(moved, visible), 3)
     assert own == 400
     np.testing.assert_allclose(rest[:400], body[:, 3], atol=1e-5)
     np.testing.assert_allclose(rest[400:], visitor[:, 6], atol=1e-5)
@@ -188,8 +189,34 @@ def test_a_part_hidden_in_the_canonical_frame_is_carried_there() -> None:
     moved, _ = turning_body(times)
     visible = np.ones(moved.shape[:2], bool)
     visible[:100, :6] = False
-    rest, own = stage1.rest_positions(tracks_of(moved, visible), 3)
+    rest, own = rest_positions(tracks_of(moved, visible), 3)
     assert own == 0
     error = np.linalg.norm(rest[:100] - moved[:100, 3], axis=1)
     travelled = np.linalg.norm(moved[:100, 6] - moved[:100, 3], axis=1)
     assert np.median(error) < 0.2 * np.median(travelled)
+
+
+def test_a_mover_that_comes_back_after_long_rests_at_one_moment_of_each_visit() -> None:
+    """Its tracks are short, and where control points lie no track sees all of a visit; the start follows it all."""
+    T, visits, span, rng = 120, ((0, 40), (70, 120)), 14, np.random.default_rng(0)
+    moved, visible = [], []
+    for first, last in visits:
+        body, _ = turning_body(np.linspace(0, 1, last - first), 500)
+        moved.append(np.full((500, T, 3), np.nan))
+        moved[-1][:, first:last] = 4 * (body - [0, 0, 4.0]) + [8.0 * (first > 0), 0, 9.0]
+        starts = rng.integers(first, last - span + 1, (500, 1))
+        visible.append((np.arange(T) >= starts) & (np.arange(T) < starts + span))
+    positions, seen = np.concatenate(moved), np.concatenate(visible)
+    tracks = tracks_of(np.where(seen[..., None], positions, 0.0), seen)
+    rest, own = rest_positions(tracks, 20)
+    assert own == 0
+    np.testing.assert_array_less(np.median(np.linalg.norm(rest[:500] - positions[:500, 20], axis=1)), 0.3)
+    errors = np.linalg.norm(rest[500:, None] - positions[500:, 70:], axis=-1)
+    moment = int(np.median(errors, axis=0).argmin())
+    assert np.median(errors[:, moment]) < 0.3
+    table = stage1._new_table(rest, tracks, 120)
+    for k in (3, 37, 72, 95, 117):
+        inside = seen[:, k]
+        off = np.linalg.norm(carried(table, rest[inside], k / (T - 1)) - positions[inside, k], axis=1)
+        travelled = np.linalg.norm(rest[inside] - positions[inside, k], axis=1)
+        assert np.median(off) < max(0.25 * np.median(travelled), 0.2), k

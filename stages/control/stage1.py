@@ -9,15 +9,13 @@ import torch
 from stages.control import adapt, canonical, distil, fitting
 from stages.control.fitting import NEIGHBOURS, TrackPositions
 from stages.control.options import ControlOptions
+from stages.control.rest import LONG_FRAMES, rest_positions, seed_from_tracks, worth_of
 from stages.control.sightings import Sightings
 from stages.deformation import lbs
 from stages.deformation.motion_models import Deformation, MLPDeformation, TableDeformation
 from stages.shared.cameras import Cameras
 from stages.shared.log import logger
 
-CARRIERS = 256
-ALONE_RADII = 4.0
-TRACKS_PER_POINT = 8
 MAX_POINTS = 1000
 MIN_ARAP, ARAP_PER_PX = 0.05, 0.5
 MAX_EXTENT = 2.0
@@ -70,13 +68,18 @@ def fit_sightings(
 
 
 def _attempts(sightings: Sightings, count: int, options: ControlOptions) -> list[_Attempt]:
-    """The default fit, then retries if it is stuck: more points, or more steps if the user set the number of points."""
-    lengths = np.diff(sightings.starts)
-    worth = np.bincount(sightings.frame, lengths[sightings.track], len(sightings.frames))
+    """The default fit, then retries if it is stuck: more points, or more steps if the user set the number of points.
+
+    In a long clip a canonical frame of another visit would come with the same moments (`rest_positions`): it is not
+    tried.
+    """
+    worth = worth_of(sightings)
     first, second = canonical.choose_frames(worth)
     more = max(count, min(4 * count, MAX_POINTS)) if options.control_points == "auto" else count
     steps = options.steps if more > count else 2 * options.steps
-    return [_Attempt(first, count, options.steps), _Attempt(first, more, steps), _Attempt(second, more, steps)]
+    attempts = [_Attempt(first, count, options.steps), _Attempt(first, more, steps), _Attempt(second, more, steps)]
+    same_visit = bool(worth[min(first, second) : max(first, second)].all())
+    return attempts if same_visit or len(sightings.frames) <= LONG_FRAMES else attempts[:2]
 
 
 def _fit(
@@ -176,71 +179,3 @@ def _observations(rest: np.ndarray, sightings: Sightings, cameras: Cameras) -> T
         tensor(cameras.cam_from_world[sightings.frames]),
         tensor(cameras.Ks[sightings.frames]),
     )
-
-
-def rest_positions(sightings: Sightings, frame: int) -> tuple[np.ndarray, int]:
-    """Position of every track in the canonical frame.
-
-    A track visible in `frame` has its position there. Any other is moved from its observation nearest in time by the
-    inverse motion of the tracks around it. A track far from all others keeps the position of that observation.
-
-    Args:
-        frame: in [0, F), seen by at least one track.
-
-    Returns:
-        positions float32 [n, 3], and the number of tracks that keep the position of another frame.
-    """
-    away = np.abs(sightings.frame - frame)
-    nearest = np.lexsort((sightings.frame, away, sightings.track))[sightings.starts[:-1]]
-    anchored = away[nearest] == 0
-    rest = sightings.moved[nearest].astype(np.float32)
-    chosen = canonical.farthest_points(rest[anchored], np.ones(anchored.sum()), CARRIERS)
-    points = rest[anchored][chosen]
-    carriers = TableDeformation(
-        torch.from_numpy(points),
-        torch.from_numpy(np.log(canonical.kernel_radii(points))).float(),
-        torch.from_numpy(sightings.times),
-    )
-    seed_from_tracks(carriers, rest[anchored], sightings.only(anchored))
-    own = 0
-    for k in np.unique(sightings.frame[nearest[~anchored]]):
-        members = np.flatnonzero(~anchored & (sightings.frame[nearest] == k))
-        seen_at = torch.from_numpy(rest[members])
-        with torch.no_grad():
-            quats, translations = carriers(carriers.knots[k : k + 1])
-        carried, remoteness = lbs.inverse_blend(
-            seen_at, carriers.points, quats[0], translations[0], carriers.log_radii, NEIGHBOURS
-        )
-        alone = remoteness > ALONE_RADII
-        rest[members] = torch.where(alone[:, None], seen_at, carried).numpy()
-        own += int(alone.sum())
-    return rest, own
-
-
-def seed_from_tracks(deformation: TableDeformation, canonical: np.ndarray, sightings: Sightings) -> None:
-    """Initialise the table, in place, with the median shift of the tracks nearest to each control point.
-
-    Without it the photometric gradient never finds the motion, and the fit to tracks takes far longer. Rotations start
-    at the identity: those of the Procrustes problem amplify errors of depth and are a worse initialisation.
-
-    Args:
-        canonical: [n, 3] tracked points. sightings: of the n tracks.
-    """
-    nearest, _ = lbs.neighbours(torch.from_numpy(canonical), deformation.points, TRACKS_PER_POINT)
-    times = deformation.knots.numpy()
-    motion = np.empty((len(times), len(nearest), 3))
-    for p, tracks in enumerate(nearest.numpy()):  # frames without an observation are interpolated
-        moved, seen = sightings.spread(sightings.moved, tracks)
-        known = seen.any(axis=0)
-        medians = _medians(moved[:, known] - canonical[tracks][:, None], seen[:, known])
-        motion[:, p] = np.stack([np.interp(times, times[known], medians[:, axis]) for axis in range(3)], axis=-1)
-    with torch.no_grad():
-        deformation.table[..., 4:] = torch.from_numpy(motion) / deformation.extent
-
-
-def _medians(values: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """Median [F, 3] over the first axis of values [K, F, 3] where they are known [K, F], once at least in each."""
-    ordered = np.sort(np.where(known[..., None], values, np.inf), axis=0)
-    count = known.sum(axis=0)
-    low, high = (ordered[rank, np.arange(len(count))] for rank in ((count - 1) // 2, count // 2))
-    return np.asarray((low + high) / 2)

@@ -16,7 +16,8 @@ from stages.shared.warp import bilinear
 DISAGREEMENT_PX, DISAGREEMENT_PER_PX = 1.0, 0.05
 """A track ends where forward and backward flow differ by more than this: a floor plus a share of the motion. Flow
 confidence is too strict here: it keeps the few pixels that poses need, and only half to a sixth of a mover's."""
-HELD_EDGES = 128
+HELD_BYTES = 250_000_000
+"""Memory for flow that tracks have followed."""
 MIN_FRAMES = 3
 """A track seen in fewer training frames hardly separates motion from noise; it is used only where no other passes."""
 
@@ -43,7 +44,8 @@ class Links:
     @cached_property
     def _edge(self) -> Callable[[int], np.ndarray]:
         """The flow of an edge; those used last are kept, as tracks of neighbouring frames pass the same ones."""
-        return lru_cache(HELD_EDGES)(lambda row: np.asarray(self.flow[row]))
+        most = max(HELD_BYTES // max(self.flow[0].nbytes, 1), 2) if len(self.flow) else 2
+        return lru_cache(most)(lambda row: np.asarray(self.flow[row]))
 
     def motion(self, way: int, step: int, uv: np.ndarray) -> np.ndarray:
         """Flow [n, 2] of a step at pixels uv [n, 2] of the frame that it leaves."""

@@ -14,6 +14,9 @@ from stages.deformation.arap import arap_energy, arap_graph
 from stages.deformation.splines import at_times, spline_basis
 from stages.shared import quaternions
 
+LONG_KNOTS, LEAST_WEIGHT = 100, 1e-12
+"""With more knots their own values are looked up; weights up to the least one are rounding of the spline."""
+
 
 class Deformation(torch.nn.Module, abc.ABC):
     """Canonical control points with their motion.
@@ -125,6 +128,8 @@ class TableDeformation(Deformation):
 
     def raw_motion(self, times: Tensor) -> Tensor:
         basis = spline_basis(self.knots, times.detach().cpu().numpy())
+        if len(self.knots) > LONG_KNOTS and (basis.abs() > LEAST_WEIGHT).sum(dim=1).max() == 1:
+            return self.table.index_select(0, basis.argmax(dim=1).to(self.table.device))  # the times are knots
         return at_times(basis, self.table)
 
     def bending(self) -> Tensor:

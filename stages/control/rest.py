@@ -1,0 +1,135 @@
+"""Where tracked points rest in the canonical frame, and how control points that rest there move to begin with."""
+
+import numpy as np
+import torch
+from scipy.spatial import cKDTree
+
+from stages.control import canonical
+from stages.control.fitting import NEIGHBOURS
+from stages.control.sightings import Sightings
+from stages.deformation import lbs
+from stages.deformation.motion_models import TableDeformation
+
+CARRIERS = 256
+ALONE_RADII = 4.0
+LONG_FRAMES, MOST_MOMENTS = 100, 8
+"""Beyond so many training frames, what no track of the canonical frame carries rests at a moment of its own: a mover
+that comes and goes has one for each visit. At most so many of them, besides."""
+TRACKS_PER_POINT = 8
+
+
+def worth_of(sightings: Sightings) -> np.ndarray:
+    """Number [F] of observations of the tracks that each training frame sees."""
+    lengths = np.diff(sightings.starts)
+    return np.bincount(sightings.frame, lengths[sightings.track], len(sightings.frames))
+
+
+def rest_positions(sightings: Sightings, frame: int) -> tuple[np.ndarray, int]:
+    """Position of every track in the canonical frame.
+
+    A track visible in `frame` has its position there. Any other is moved from its observation nearest in time by the
+    inverse motion of the tracks around it. A track far from all others keeps the position of that observation; in a
+    long clip these tracks get a canonical frame among themselves, and so on.
+
+    Args:
+        frame: in [0, F), seen by at least one track.
+
+    Returns:
+        positions float32 [n, 3], and the number of tracks that keep the position of an observation of their own.
+    """
+    rest, alone = _carried(sightings, frame)
+    for _ in range(MOST_MOMENTS if len(sightings.frames) > LONG_FRAMES else 0):
+        if not alone.any():
+            break
+        others = sightings.only(alone)
+        at, still_alone = _carried(others, canonical.choose_frames(worth_of(others))[0])
+        rest[alone] = at
+        alone[alone] = still_alone
+    return rest, int(alone.sum())
+
+
+def _carried(sightings: Sightings, frame: int) -> tuple[np.ndarray, np.ndarray]:
+    """Positions float32 [n, 3] of the tracks in a frame, and which [n] bool keep that of another one."""
+    away = np.abs(sightings.frame - frame)
+    nearest = np.lexsort((sightings.frame, away, sightings.track))[sightings.starts[:-1]]
+    anchored = away[nearest] == 0
+    rest = sightings.moved[nearest].astype(np.float32)
+    chosen = canonical.farthest_points(rest[anchored], np.ones(anchored.sum()), CARRIERS)
+    points = rest[anchored][chosen]
+    carriers = TableDeformation(
+        torch.from_numpy(points),
+        torch.from_numpy(np.log(canonical.kernel_radii(points))).float(),
+        torch.from_numpy(sightings.times),
+    )
+    known = sightings.only(anchored)
+    seed_from_tracks(carriers, rest[anchored], known)
+    watched = np.isin(np.arange(len(sightings.frames)), known.frame) | (len(sightings.frames) <= LONG_FRAMES)
+    left = ~anchored
+    for k in np.unique(sightings.frame[nearest[~anchored & watched[sightings.frame[nearest]]]]):
+        members = np.flatnonzero(~anchored & (sightings.frame[nearest] == k))
+        seen_at = torch.from_numpy(rest[members])
+        with torch.no_grad():
+            quats, translations = carriers(carriers.knots[k : k + 1])
+        carried, remoteness = lbs.inverse_blend(
+            seen_at, carriers.points, quats[0], translations[0], carriers.log_radii, NEIGHBOURS
+        )
+        alone = remoteness > ALONE_RADII
+        rest[members] = torch.where(alone[:, None], seen_at, carried).numpy()
+        left[members] = alone.numpy()
+    return rest, left
+
+
+def seed_from_tracks(deformation: TableDeformation, canonical: np.ndarray, sightings: Sightings) -> None:
+    """Initialise the table, in place, with the median shift of the tracks nearest to each control point.
+
+    Without it the photometric gradient never finds the motion, and the fit to tracks takes far longer. Rotations start
+    at the identity: those of the Procrustes problem amplify errors of depth and are a worse initialisation.
+
+    Of a long clip the nearest tracks see a small part, and less than the mover's visit: there, those nearest in each
+    frame count.
+
+    Args:
+        canonical: [n, 3] tracked points. sightings: of the n tracks.
+    """
+    if len(deformation.knots) > LONG_FRAMES:
+        _seed_by_frame(deformation, canonical, sightings)
+        return
+    nearest, _ = lbs.neighbours(torch.from_numpy(canonical), deformation.points, TRACKS_PER_POINT)
+    times = deformation.knots.numpy()
+    motion = np.empty((len(times), len(nearest), 3))
+    for p, tracks in enumerate(nearest.numpy()):  # frames without an observation are interpolated
+        moved, seen = sightings.spread(sightings.moved, tracks)
+        known = seen.any(axis=0)
+        medians = _medians(moved[:, known] - canonical[tracks][:, None], seen[:, known])
+        motion[:, p] = np.stack([np.interp(times, times[known], medians[:, axis]) for axis in range(3)], axis=-1)
+    with torch.no_grad():
+        deformation.table[..., 4:] = torch.from_numpy(motion) / deformation.extent
+
+
+def _seed_by_frame(deformation: TableDeformation, canonical: np.ndarray, sightings: Sightings) -> None:
+    """`seed_from_tracks` with the tracks that are nearest among those of each frame; none beyond ALONE_RADII counts."""
+    points, times = deformation.points.double().numpy(), deformation.knots.numpy()
+    reach = ALONE_RADII * np.exp(deformation.log_radii.detach().double().numpy())
+    shifts, motion = sightings.moved - canonical[sightings.track], np.full((len(times), *points.shape), np.nan)
+    order = np.argsort(sightings.frame, kind="stable")
+    for k, rows in enumerate(np.split(order, np.searchsorted(sightings.frame[order], np.arange(1, len(times))))):
+        if len(rows) >= TRACKS_PER_POINT:
+            at = cKDTree(canonical[sightings.track[rows]].astype(float))
+            distance, nearest = at.query(points, k=TRACKS_PER_POINT)
+            near = distance[:, 0] <= reach
+            motion[k, near] = np.median(shifts[rows[nearest[near]]], axis=1)
+    for p in range(len(points)):
+        known = np.isfinite(motion[:, p, 0])
+        seen = motion[known, p] if known.any() else np.zeros((1, 3))
+        at_times = times[known] if known.any() else times[:1]
+        motion[:, p] = np.stack([np.interp(times, at_times, seen[:, axis]) for axis in range(3)], axis=-1)
+    with torch.no_grad():
+        deformation.table[..., 4:] = torch.from_numpy(motion) / deformation.extent
+
+
+def _medians(values: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """Median [F, 3] over the first axis of values [K, F, 3] where they are known [K, F], once at least in each."""
+    ordered = np.sort(np.where(known[..., None], values, np.inf), axis=0)
+    count = known.sum(axis=0)
+    low, high = (ordered[rank, np.arange(len(count))] for rank in ((count - 1) // 2, count // 2))
+    return np.asarray((low + high) / 2)
