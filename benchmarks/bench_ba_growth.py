@@ -37,8 +37,8 @@ def walk(T: int) -> np.ndarray:
     return np.asarray(poses @ lie.inverse(poses[0]))
 
 
-def clip(T: int, stride: int) -> tuple[FlowGraph, np.ndarray]:
-    """Matches of T frames, and their true poses [T, 4, 4]."""
+def clip(T: int, stride: int, zoom: np.ndarray | None = None) -> tuple[FlowGraph, np.ndarray]:
+    """Matches of T frames, and their true poses [T, 4, 4]; `zoom`: focal length of each frame [T], over FOCAL_PX."""
     random, poses = np.random.default_rng(0), walk(T)
     pixels = frame_from_grid(pixel_grid(HEIGHT // stride, WIDTH // stride), stride).reshape(-1, 2)
     (u, v), phase = (pixels / [WIDTH, HEIGHT]).T, random.uniform(0, 2 * np.pi, (T, 3, 1))
@@ -49,11 +49,13 @@ def clip(T: int, stride: int) -> tuple[FlowGraph, np.ndarray]:
     source, target = np.array([(i, j) for i in range(T) for j in range(T) if abs(i - j) in OFFSETS]).T
     centre = np.array([WIDTH - 1, HEIGHT - 1]) / 2
     rays = np.column_stack([(pixels - centre) / FOCAL_PX, np.ones(len(pixels))])
+    focals_px = FOCAL_PX * (np.ones(T) if zoom is None else zoom)
     matches = np.empty((len(source), len(pixels), 2), np.float32)
     weights = np.empty(matches.shape[:2], np.float32)
     for e, motion in enumerate(poses[target] @ lie.inverse(poses)[source]):
+        rays[:, :2] = (pixels - centre) / focals_px[source[e]]
         points = rays @ motion[:3, :3].T + inverse_depth[source[e], :, None] * motion[:3, 3]
-        match = FOCAL_PX * points[:, :2] / np.maximum(points[:, 2:], 0.05) + centre
+        match = focals_px[target[e]] * points[:, :2] / np.maximum(points[:, 2:], 0.05) + centre
         seen = (points[:, 2] > 0.1) & (match >= 0).all(axis=1) & (match < [WIDTH, HEIGHT]).all(axis=1)
         noise = NOISE_PX * random.standard_normal(match.shape) + EDGE_NOISE_PX * random.standard_normal(2)
         matches[e], weights[e] = match + noise, np.where(seen, random.uniform(0.6, 1, len(seen)), 0)

@@ -1,15 +1,17 @@
 """Paths of more than a hundred frames: the work of the adjustment is linear in the frames, and finds the same path."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from benchmarks.bench_ba_growth import FOCAL_PX, clip, path_error, walk
+from stages.ba import classify, first_focal, proposal, shutter, zoom
 from stages.ba import estimate as estimation
-from stages.ba import proposal, shutter
 from stages.ba.graph import FlowGraph
+from stages.ba.guesses import Observed
 from stages.ba.options import BAOptions
 from stages.ba.part import FRAMES
 from stages.ba.problem import Problem
@@ -80,3 +82,42 @@ def test_a_shutter_is_told_from_the_hundred_frames_that_shake_most(monkeypatch: 
     (first,) = np.flatnonzero((poses == path[0]).all(axis=(1, 2)))
     np.testing.assert_array_equal(path, poses[first : first + FRAMES])
     assert first + FRAMES >= T - 1
+
+
+def test_a_zoom_is_told_from_more_than_a_hundred_frames() -> None:
+    """And a part of them, spread over the clip, suffices for the predicted error of its change."""
+    frames = zoom.COMPARED + 10
+    curve = np.exp(0.15 * np.sin(np.arange(frames) / 30))
+    graph, truth = clip(frames, 2 * STRIDE, curve)
+    fixed = State(truth, np.full((frames, len(graph.pixels)), 0.5), FOCAL_PX)
+    evidence, best = zoom.weigh(graph, fixed, list, FocalPrior(FOCAL_PX))
+    assert evidence.decision == "changing", evidence.reason
+    assert evidence.change == pytest.approx(np.log(curve.max() / curve.min()), rel=0.05)
+    assert evidence.change_sigma is not None
+    assert 0 < evidence.change_sigma < zoom.MAX_SIGMA
+    np.testing.assert_allclose(best.focals_px, FOCAL_PX * curve, rtol=0.03)
+
+
+@pytest.mark.parametrize("case", ["seen", "short", "noise", "blind"])
+def test_the_focal_length_of_a_part_is_taken_where_the_part_shows_it(
+    case: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Otherwise those remain that are to be tried."""
+    graph, truth = clip(FRAMES if case == "short" else T, 2 * STRIDE)
+    if case == "noise":
+        matches = graph.matches + 20 * np.random.default_rng(0).standard_normal(graph.matches.shape)
+        graph = replace(graph, matches=matches.astype(np.float32))
+    if case == "blind":  # as of a camera that moves straight ahead
+        monkeypatch.setattr(first_focal, "focal_sigma", lambda *_: 0.06)
+
+    def starting(_: Any) -> SimpleNamespace:
+        return SimpleNamespace(state=State(truth[:FRAMES], np.full((FRAMES, len(graph.pixels)), 0.5), 1.1 * FOCAL_PX))
+
+    monkeypatch.setattr(first_focal, "best_part", lambda _: slice(0, FRAMES))
+    monkeypatch.setattr(first_focal, "guess", lambda *_: [])
+    monkeypatch.setattr(first_focal.initialise, "choose", starting)
+    tried = [0.8 * FOCAL_PX, 1.1 * FOCAL_PX]
+    statistics = classify.Statistics(*(1.0,) * len(classify.Statistics.__dataclass_fields__))
+    observed = Observed(graph, graph, None, tried, statistics, FocalPrior(FOCAL_PX), 0)
+    found = first_focal.focals_of_part(observed)
+    assert found == (pytest.approx([FOCAL_PX], rel=0.02) if case == "seen" else tried)
