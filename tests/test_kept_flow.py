@@ -18,6 +18,14 @@ assert all(path.exists() for path in reads)
 """
 """A stage that makes all of its outputs, empty."""
 
+AXES = {
+    "frames": {"inspect.max_frames": []},
+    "pixels": {"flow.max_width_px": []},
+    "gaussians": {"gaussians.stride_px": []},
+    "control points": {"control.control_points": []},
+}
+"""The growth over the configured run alone."""
+
 
 def with_stand_ins(folder: Path) -> tuple[str, ...]:
     """Put them in place of the stages, and return the options of a run without flow that is kept, on one clip."""
@@ -48,6 +56,13 @@ def test_flow_is_removed_after_its_last_reader_and_made_again_for_a_stage_that_r
     again = planned(repo_copy, "-R", "segment", *options)
     assert {"flow", "lens", "segment", "evaluate"} <= again
     assert "inspect" not in again
+    (repo_copy / "growth.yaml").write_text("scaling: {axes: " + str(AXES) + "}")
+    assert planned(repo_copy, "scaling", *options, "growth.yaml") == {
+        "list_runs",
+        "collect_scaling",
+        "report",
+        "scaling",
+    }
 
 
 def test_the_second_name_of_the_flow_is_the_first_output_of_its_rule() -> None:

@@ -12,7 +12,7 @@ from stages.comparisons import scaling, sweep
 from stages.comparisons.training_speed import compare_training
 from stages.inspect import __main__ as inspect_stage
 from stages.inspect.options import PartOptions
-from stages.shared.artifacts import read_metadata, write_dense, write_json, write_model, write_table
+from stages.shared.artifacts import read_metadata, write_json, write_model, write_table
 from stages.shared.sequences import read_sequence
 from stages.shared.tables import read_rows, write_rows
 
@@ -133,11 +133,12 @@ def test_rows_of_growth_add_rounds_up(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("axis", "size"), [("pixels", 96 * 64), ("gaussians", 7), ("control points", 5)])
 def test_sizes_come_from_the_artifacts(tmp_path: Path, axis: str, size: int) -> None:
-    write_dense(tmp_path / "pairs.arrow", {"source": np.zeros(3)}, {"width": 96, "height": 64})
+    write_json(tmp_path / "flow.json", {"options": {"max_width_px": 96}})
+    write_json(tmp_path / "sequence.json", {"width": 192, "height": 129})
     write_model(tmp_path / "model.safetensors", {"means": np.zeros((7, 3)), "other": np.zeros(2)})
     write_table(tmp_path / "points.parquet", {"x": np.zeros(5)})
-    files = {"pixels": "pairs.arrow", "gaussians": "model.safetensors", "control points": "points.parquet"}
-    assert scaling.measure_size(axis, tmp_path / files[axis]) == size
+    files = {"pixels": "flow.json", "gaussians": "model.safetensors", "control points": "points.parquet"}
+    assert scaling.measure_size(axis, tmp_path / files[axis], tmp_path / "sequence.json") == size
 
 
 def test_a_limit_of_frames_cuts_the_sequence_and_its_truth(tmp_path: Path) -> None:

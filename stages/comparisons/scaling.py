@@ -1,12 +1,14 @@
 """Collect the cost of every stage at every size into one table."""
 
+import math
 from pathlib import Path
 from typing import Annotated
 
 from stages.comparisons import made_under
 from stages.shared import cli
-from stages.shared.artifacts import read_json, read_metadata, read_model, read_table
+from stages.shared.artifacts import read_json, read_model, read_table
 from stages.shared.cli import In, Out
+from stages.shared.images import reduced_size
 from stages.shared.tables import Row, write_rows
 
 COLUMNS = ("axis", "n", "stage", "wall_s", "cpu_s", "peak_mb", "output_mb")
@@ -31,9 +33,9 @@ def run_rows(folder: Path, run: Row) -> list[Row]:
 
     Args:
         folder: of the dataset's results; paths in `run` are relative to it.
-        run: axis, size (a file), stats (stage -> time files, one per round).
+        run: sequence, axis, size (a file), stats (stage -> time files, one per round).
     """
-    n = measure_size(run["axis"], folder / run["size"])
+    n = measure_size(run["axis"], folder / run["size"], folder / run["sequence"] / "sequence.json")
     rows = []
     for stage, files in run["stats"].items():
         spent = [read_json(folder / file) for file in files]
@@ -43,13 +45,17 @@ def run_rows(folder: Path, run: Row) -> list[Row]:
     return rows
 
 
-def measure_size(axis: str, path: Path) -> int:
-    """The number of frames, pixels per frame, Gaussians or control points, from the artifact at `path`."""
+def measure_size(axis: str, path: Path, sequence: Path) -> int:
+    """The number of frames, pixels of the flow per frame, Gaussians or control points, from the artifact at `path`.
+
+    Args:
+        sequence: sequence.json. With the options in the time file of the flow it gives the size of the flow.
+    """
     if axis == "frames":
         return len(read_json(path)["numbers"])
     if axis == "pixels":
-        about = read_metadata(path)
-        return int(about["width"]) * int(about["height"])
+        frames = read_json(sequence)
+        return math.prod(reduced_size(frames["width"], frames["height"], read_json(path)["options"]["max_width_px"]))
     if axis == "gaussians":
         return len(read_model(path)["means"])
     return len(read_table(path)["x"])

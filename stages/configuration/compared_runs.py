@@ -13,11 +13,11 @@ from stages.shared.chain import MEASURED
 
 SIZES = {
     "frames": ("inspect", "sequence.json"),
-    "pixels": ("flow", "flow/pairs.arrow"),
+    "pixels": ("flow", "stats/flow.json"),
     "gaussians": ("gaussians", "gaussians/model.safetensors"),
     "control points": ("control", "control/points.parquet"),
 }
-"""The stage and the file from which the size along each axis of the scaling is read."""
+"""The stage and file from which the size along each axis of the scaling is read; the flow itself may be gone."""
 CONVERGENCE = "gaussians/convergence.parquet"
 SCORES = ("poses", "images", "masks", "time")
 
