@@ -63,9 +63,10 @@ def strength_table(verdicts: Verdicts) -> list[str]:
     lines = ["| effect | unit | found at strength: scenes of all | found in all from |", "| --- | --- | --- | --- |"]
     for name, effect in EFFECTS.items():
         found = {s: [v[name] for case, v in verdicts if case.strengths == {name: s}] for s in effect.strengths}
-        words = ", ".join(f"{strength:g}: {sum(of)}/{len(of)}" for strength, of in found.items())
+        words = ", ".join(f"{strength:g}: {sum(of)}/{len(of)}" for strength, of in found.items() if of)
         sure = [s for n, s in enumerate(effect.strengths) if all(map(all, list(found.values())[n:])) and found[s]]
-        lines.append(f"| {name} | {effect.unit} | {words} | {f'{sure[0]:g}' if sure else 'never'} |")
+        where = f"{sure[0]:g}" if sure else "never" if words else "not run"
+        lines.append(f"| {name} | {effect.unit} | {words or '-'} | {where} |")
     return lines
 
 
@@ -74,6 +75,8 @@ def confusion_table(verdicts: Verdicts) -> list[str]:
     lines = ["| scenes with | scenes | " + " | ".join(EFFECTS) + " |", "| --- |" + " ---: |" * (len(EFFECTS) + 1)]
     for row in [None, *EFFECTS]:
         of = [v for case, v in verdicts if list(case.strengths) == ([row] if row else [])]
+        if not of:
+            continue
         cells = [
             f"**{sum(v[name] for v in of)}**" if name == row else str(sum(v[name] for v in of)) for name in EFFECTS
         ]
@@ -99,9 +102,11 @@ def right_table(verdicts: Verdicts) -> list[str]:
     for name, effect in EFFECTS.items():
         there = [v[name] for case, v in verdicts if name in case.effects and _is_medium(case, name, effect)]
         absent = [not v[name] for case, v in verdicts if name not in case.effects]
-        right = (np.mean(there) + np.mean(absent)) / 2 if there and absent else np.nan
-        goal = "" if right >= RIGHT_SHARE else f" (goal {RIGHT_SHARE:.0%})"
-        lines.append(f"| {name} | {sum(there)}/{len(there)} | {sum(absent)}/{len(absent)} | {right:.0%}{goal} |")
+        words = "not run"
+        if there and absent:
+            right = (np.mean(there) + np.mean(absent)) / 2
+            words = f"{right:.0%}" if right >= RIGHT_SHARE else f"{right:.0%} (goal {RIGHT_SHARE:.0%})"
+        lines.append(f"| {name} | {sum(there)}/{len(there)} | {sum(absent)}/{len(absent)} | {words} |")
     return lines
 
 
