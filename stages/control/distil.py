@@ -4,6 +4,7 @@ import torch
 from torch.nn.functional import mse_loss
 
 from stages.deformation.motion_models import MLPDeformation, TableDeformation
+from stages.shared.adam import Adam
 from stages.shared.log import progress
 
 STEPS = 1000
@@ -18,7 +19,7 @@ def distil(table: TableDeformation, network: MLPDeformation, seed: int) -> None:
     of the extent.
     """
     generator = torch.Generator().manual_seed(seed)
-    optimiser = torch.optim.Adam([*network.hidden.parameters(), *network.head.parameters()], RATE, fused=True)
+    optimiser = Adam([*network.hidden.parameters(), *network.head.parameters()], RATE, fused=True)
     schedule = torch.optim.lr_scheduler.ExponentialLR(optimiser, 0.02 ** (1 / STEPS))
     for _ in progress(range(STEPS), "distil"):
         times = torch.rand(TIMES_PER_STEP, generator=generator)

@@ -13,6 +13,7 @@ from torch.nn.functional import smooth_l1_loss
 
 from stages.deformation import lbs
 from stages.deformation.motion_models import Deformation, TableDeformation
+from stages.shared.adam import Adam
 from stages.shared.log import progress
 
 NEIGHBOURS = 4
@@ -62,7 +63,7 @@ def fit(
     index, sq_dist = lbs.neighbours(deformation.points, seen.canonical, NEIGHBOURS)
     motion = [parameter for name, parameter in deformation.named_parameters() if name != "log_radii"]
     groups = [{"params": motion, "lr": learning_rate}, {"params": [deformation.log_radii], "lr": 1e-3}]
-    optimiser = torch.optim.Adam(groups, fused=True)
+    optimiser = Adam(groups, fused=True)
     schedule = torch.optim.lr_scheduler.ExponentialLR(optimiser, 0.05 ** (1 / max(steps, 1)))
     counts = torch.bincount(seen.frame, minlength=len(seen.times)).tolist()
     rows_of_frame = torch.split(torch.argsort(seen.frame, stable=True), counts)
