@@ -131,15 +131,18 @@ def _weigh(observed: Observed, density: float) -> tuple[Evidence, Fit, Unknowns]
         zooming = replace(straight, zoom=True)
         plain = _fit(observed, rivals.plain.state, zooming)
         if found.decision == "distorted" or held_out.gain(graph, (rivals.plain, plain))[0] > zoom.SUSPECTED_GAIN:
-            bent = _fit(observed, rivals.bent.state, replace(zooming, lens=1))
-            gain, sigma = held_out.gain(graph, (rivals.bent, bent))
+            # Of two coefficients: a focal length per frame also explains some of what the second one does.
+            fits = [_fit(observed, rivals.bent.state, replace(of, lens=2)) for of in (straight, zooming)]
+            gain, sigma = held_out.gain(graph, (fits[0], fits[1]))
             if gain >= max(zoom.MIN_GAIN, zoom.SIGNIFICANT * sigma):
                 rivals = _among_zooms(observed, zooming, plain)
                 found = _evidence(graph, rivals, density)
                 found = replace(found, reason=f"beside a focal length that changes {found.reason}")
-            elif found.decision == "distorted" and held_out.gain(graph, (plain, bent))[0] < MIN_GAIN:
-                reason = f"{found.reason}; a focal length that changes explains as much"
-                found = replace(found, decision="straight", reason=reason)
+            elif found.decision == "distorted":
+                bent = _fit(observed, rivals.bent.state, replace(zooming, lens=1))
+                if held_out.gain(graph, (plain, bent))[0] < MIN_GAIN:
+                    reason = f"{found.reason}; a focal length that changes explains as much"
+                    found = replace(found, decision="straight", reason=reason)
     return found, rivals.bent, rivals.unknowns
 
 
