@@ -21,6 +21,7 @@ from stages.gaussians import ssim_kernels
 from stages.gaussians.optimise import Trainer
 from stages.gaussians.options import GaussiansOptions
 from stages.gaussians.training_frames import TrainingFrames
+from stages.shared.adam import Adam
 from stages.shared.cameras import centred_intrinsics
 from stages.splatting import projection_kernels, raster_adjoint, raster_bins, raster_kernels
 from stages.splatting.cloud import Cloud
@@ -47,7 +48,7 @@ PARTS: dict[str, list[tuple[Any, str]]] = {
     ],
     "SSIM with gradient": [(ssim_kernels, name) for name in ("products", "blur", "similarity", "assemble")],
     "ARAP, forward": [(motion_models, "arap_energy"), (motion_models, "arap_graph")],
-    "Adam": [(torch.optim.Adam, "step")],
+    "Adam": [(Adam, "step")],
 }
 
 

@@ -60,11 +60,15 @@ Verdicts = list[tuple[Case, dict[str, bool]]]
 
 def strength_table(verdicts: Verdicts) -> list[str]:
     """A row per effect: in how many of the scenes with it alone it was found, by strength, and where that flips."""
-    lines = ["| effect | unit | found at strength: scenes of all | found in all from |", "| --- | --- | --- | --- |"]
+    lines = [
+        "| effect | unit | found at strength: scenes of all | found in all run from |",
+        "| --- | --- | --- | --- |",
+    ]
     for name, effect in EFFECTS.items():
         found = {s: [v[name] for case, v in verdicts if case.strengths == {name: s}] for s in effect.strengths}
-        words = ", ".join(f"{strength:g}: {sum(of)}/{len(of)}" for strength, of in found.items() if of)
-        sure = [s for n, s in enumerate(effect.strengths) if all(map(all, list(found.values())[n:])) and found[s]]
+        found = {strength: of for strength, of in found.items() if of}
+        words = ", ".join(f"{strength:g}: {sum(of)}/{len(of)}" for strength, of in found.items())
+        sure = [s for n, s in enumerate(found) if all(map(all, list(found.values())[n:]))]
         where = f"{sure[0]:g}" if sure else "never" if words else "not run"
         lines.append(f"| {name} | {effect.unit} | {words or '-'} | {where} |")
     return lines

@@ -3,13 +3,14 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 import torch
 from scipy.spatial.transform import Rotation
 from track_tables import sightings
 
 from stages.control import adapt, fitting, stage1
 from stages.control.options import ControlOptions
-from stages.control.rest import rest_positions
+from stages.control.rest import LONG_FRAMES, rest_positions
 from stages.control.sightings import Sightings
 from stages.deformation import lbs
 from stages.deformation.motion_models import Deformation, TableDeformation
@@ -194,6 +195,14 @@ def test_a_part_hidden_in_the_canonical_frame_is_carried_there() -> None:
     error = np.linalg.norm(rest[:100] - moved[:100, 3], axis=1)
     travelled = np.linalg.norm(moved[:100, 6] - moved[:100, 3], axis=1)
     assert np.median(error) < 0.2 * np.median(travelled)
+
+
+@pytest.mark.parametrize("frames", [LONG_FRAMES, LONG_FRAMES + 1])
+def test_the_start_follows_a_mover_that_few_tracks_see(frames: int) -> None:
+    body = np.random.default_rng(0).uniform(-0.5, 0.5, (5, 3)) + np.array([0, 0, 4.0])
+    moved = body[:, None] + np.linspace(0, 1, frames)[:, None] * [1.0, 0, 0]
+    table = stage1._new_table(body, tracks_of(moved, np.ones(moved.shape[:2], bool)), 5)
+    np.testing.assert_allclose(carried(table, body, 1.0), moved[:, -1], atol=1e-3)
 
 
 def test_a_mover_that_comes_back_after_long_rests_at_one_moment_of_each_visit() -> None:

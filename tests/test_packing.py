@@ -4,6 +4,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import pyarrow as pa
 import pytest
 
 from stages.shared.artifacts import Dense, dense_writer, read_dense, read_metadata
@@ -22,6 +23,12 @@ def test_every_number_of_half_precision_is_kept_bit_for_bit() -> None:
         assert not finite
     numbers = np.where(np.isfinite(bits.view(np.float16)), bits.view(np.float16), np.float16(-0.0))
     assert unpack(pack(numbers), numbers.shape)[1]
+
+
+def test_packed_bytes_are_those_of_older_files() -> None:
+    """Low bytes, then high bytes, of what the plane through the neighbours before leaves."""
+    planes = pa.Codec("zstd").decompress(pack(np.array([[1, 2], [-1, np.nan]], np.float16)), 8)
+    assert list(bytes(planes)) == [0, 0, 1, 253, 120, 8, 240, 147]
 
 
 def test_smooth_flow_takes_less_than_half() -> None:

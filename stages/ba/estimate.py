@@ -125,7 +125,7 @@ def _start(
     if free and not previous:
         observed = replace(observed, focals_px=focals_of_part(observed))
     tested = free and options.zoom != "no"
-    return find_start(replace(observed, free=free, tested=tested, assumed=options.zoom == "yes"))
+    return find_start(replace(observed, masked=problem.masked, free=free, tested=tested, assumed=options.zoom == "yes"))
 
 
 def _estimate_rotations(problem: Problem, statistics: Statistics, prior: FocalPrior, options: BAOptions) -> Estimate:

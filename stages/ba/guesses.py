@@ -43,8 +43,8 @@ class Observed:
         graph: masked observations; unmasked: the same without masks (the same object if there are none).
         previous: the solution of the previous round.
         focals_px: focal lengths to try; curve: the zoom to try them with, as in `state.State`.
-        free: whether the focal length is to be found; tested: whether a changing one is tried besides; assumed: whether
-            that is taken without a test.
+        masked: as in `problem.Problem`. free: whether the focal length is to be found; tested: whether a changing one
+            is tried besides; assumed: whether that is taken without a test.
     """
 
     graph: FlowGraph
@@ -55,14 +55,10 @@ class Observed:
     prior: FocalPrior
     seed: int
     curve: np.ndarray | None = None
+    masked: bool = False
     free: bool = False
     tested: bool = False
     assumed: bool = False
-
-    @property
-    def masked(self) -> bool:
-        """Whether there are masks, or poses of an earlier round that was solved with masks."""
-        return self.unmasked is not self.graph or self.previous is not None
 
     @property
     def threshold_px(self) -> float:

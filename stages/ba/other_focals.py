@@ -18,7 +18,7 @@ from stages.ba.uncertainty import median_residual
 RATIOS = (0.8, 1.25)
 """Other focal lengths to try, over that of the adjusted guess: in that room 0.7 to 1.05 of the right one lead to it."""
 PIXELS = 150
-"""They are compared on a grid of at least this many pixels per frame."""
+"""They are compared on a grid of about this many pixels per frame."""
 ITERATIONS = 15
 
 

@@ -113,11 +113,12 @@ def _seed_by_frame(deformation: TableDeformation, canonical: np.ndarray, sightin
     shifts, motion = sightings.moved - canonical[sightings.track], np.full((len(times), *points.shape), np.nan)
     order = np.argsort(sightings.frame, kind="stable")
     for k, rows in enumerate(np.split(order, np.searchsorted(sightings.frame[order], np.arange(1, len(times))))):
-        if len(rows) >= TRACKS_PER_POINT:
+        if len(rows):
             at = cKDTree(canonical[sightings.track[rows]].astype(float))
-            distance, nearest = at.query(points, k=TRACKS_PER_POINT)
+            distance, nearest = at.query(points, k=np.arange(1, min(TRACKS_PER_POINT, len(rows)) + 1))
             near = distance[:, 0] <= reach
-            motion[k, near] = np.median(shifts[rows[nearest[near]]], axis=1)
+            counts = (distance[near] <= reach[near, None])[..., None]
+            motion[k, near] = np.nanmedian(np.where(counts, shifts[rows[nearest[near]]], np.nan), axis=1)
     for p in range(len(points)):
         known = np.isfinite(motion[:, p, 0])
         seen = motion[known, p] if known.any() else np.zeros((1, 3))

@@ -37,7 +37,8 @@ def fit_sightings(
 ) -> tuple[Deformation | None, dict[str, Any]]:
     """The fitted motion and its metadata; None if there is no track to fit.
 
-    A fit that is stuck is repeated with more points or steps, then from another canonical frame; the best one is kept.
+    A fit that is stuck is repeated with more points or steps, then from another canonical frame, in a long clip only of
+    the same visit; the best one is kept.
 
     Args:
         non_rigid: the decision of scene.json: `points`, and `arap_weight`, the largest rigidity for noisy tracks.

@@ -44,7 +44,8 @@ class Links:
     @cached_property
     def _edge(self) -> Callable[[int], np.ndarray]:
         """The flow of an edge; those used last are kept, as tracks of neighbouring frames pass the same ones."""
-        most = max(HELD_BYTES // max(self.flow[0].nbytes, 1), 2) if len(self.flow) else 2
+        of_edge = int(np.prod(self.flow.shape[1:])) * self.flow.dtype.itemsize
+        most = max(HELD_BYTES // max(of_edge, 1), 2)
         return lru_cache(most)(lambda row: np.asarray(self.flow[row]))
 
     def motion(self, way: int, step: int, uv: np.ndarray) -> np.ndarray:

@@ -60,7 +60,7 @@ def bending_evidence(seen: Observed) -> dict[int, Bending]:
     frames = np.unique(np.linspace(0, len(seen.rgb) - 1, FRAMES).astype(int))
     for n, k in enumerate(frames):
         for instance, mask in _movers(seen, k):
-            if mask.sum() < MIN_POINTS:  # nor has its shape elsewhere, of which a speck has thousands of places
+            if mask.sum() < MIN_POINTS:  # its shape would be too few elsewhere, and a speck has thousands of places
                 continue
             beside = _static_patch(seen, k, mask, (n + 0.5) / len(frames))
             for static, where in ((False, mask), (True, beside)):

@@ -31,7 +31,7 @@ from stages.shared.warp import is_inside, matches, warp
 PAIRS = 12
 """Number of pairs of frames, those between which the speeds differ most."""
 MOST_PAIRS = 1000
-"""Of more pairs, those of clips over some 300 frames, every second or every so-manieth is compared."""
+"""Of more pairs, those of clips over some 250 frames, so many spread over the clip are compared."""
 HELD_FRAMES = 48
 """Frames whose motion is kept for the next edge."""
 MAX_STRIDE = 2
@@ -143,7 +143,8 @@ def _speeds(seen: Observed, motion: Motions) -> tuple[float, list[int]]:
     row_of = {tuple(edge): row for row, edge in enumerate(seen.edges.tolist())}
     pairs = sorted((j, i) for i, j in row_of if i < j and (j, i) in row_of)
     before: dict[int, list[int]] = {}
-    for j, i in pairs[:: -(-len(pairs) // MOST_PAIRS) or 1]:
+    compared = np.unique(np.linspace(0, len(pairs) - 1, min(len(pairs), MOST_PAIRS)).astype(int))
+    for j, i in (pairs[n] for n in compared):
         before.setdefault(j, []).append(i)
     fastest, contrast = 0.0, {}
     for j in progress(range(len(seen.dynamic)), "speeds"):

@@ -8,7 +8,7 @@ import torch
 class Adam(torch.optim.Adam):
     """`torch.optim.Adam`, with the same steps bit for bit.
 
-    The methods of torch's own import its compiler when they are first called, to keep themselves out of it: 1.4 CPU
+    The methods of torch's own import its compiler when they are first called, to keep themselves out of it: 1.3 CPU
     seconds, although nothing here is compiled. These are the same functions without that wrapper.
     """
 

@@ -37,7 +37,7 @@ def write_table(path: Path, columns: Mapping[str, Any], metadata: Mapping[str, A
 
 
 def read_table(path: Path) -> dict[str, np.ndarray]:
-    """Read a Parquet table into arrays: [n] for scalars, [n, k] for lists; strings and nulls as objects."""
+    """Read a Parquet table into arrays: [n] for scalars, [n, k] for lists; text as objects, nulls as NaN or as None."""
     table = _checked(path, "a Parquet table", lambda: pq.ParquetFile(path).read())
     return {name: array_of(table[name]) for name in table.column_names}
 

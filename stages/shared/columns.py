@@ -22,7 +22,8 @@ def column_of(values: Any) -> pa.Array:
         builder = pa.lib.StringBuilder()
         builder.append_values(values)
         return builder.finish()
-    if kinds == {bool} or kinds <= {int, float, np.float64}:
+    exact = kinds <= {int, float, np.float64} and all(abs(v) <= 2**53 for v in values if type(v) is int)
+    if kinds == {bool} or exact:
         filled = np.array([0 if value is None else value for value in values], None if kinds != {bool} else bool)
         known = np.array([value is not None for value in values])
         return _numbers(filled, None if known.all() else known)

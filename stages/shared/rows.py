@@ -89,7 +89,7 @@ def column_in(path: Path, field: pa.Field, column: pa.ChunkedArray, give_back: C
 
 
 def _unpacked(path: Path, field: pa.Field, column: pa.ChunkedArray, give_back: Callable[[], None]) -> Rows:
-    from stages.shared.packing import unpack  # compiled code, which few stages need
+    from stages.shared.packing import unpack  # imports OpenCV, which few stages of tables need
 
     buffers, shape = _buffers(column), tuple(json.loads(field.metadata[PACKED]))
     advice = "run the stage that writes it again"

@@ -52,5 +52,5 @@ def test_another_focal_length_is_taken_only_where_it_clearly_costs_less(monkeypa
     stuck = initialise.choose(guess(wrong, wrong.graph))
     monkeypatch.setattr(other_focals, "CONSISTENT_SHARE", 1.01)
     assert better_focal(wrong, wrong.graph, stuck) is None
-    masked = replace(wrong, unmasked=replace(wrong.graph))
+    masked = replace(wrong, masked=True)
     assert better_focal(masked, masked.graph, stuck) == pytest.approx(scene.focal_px, rel=0.02)
