@@ -13,8 +13,8 @@ were measured on few frames since, `scene` also on the 300 (1.5 GB used, 1.2 tim
 follows from what they keep, by calculation: of `gaussians` 39 bytes per pixel of the training frames up to 2 GB
 (`inputs.PICTURE_BYTES`, `optimise.TARGET_BYTES`), of `scene` 29 bytes per pixel of the flow grid (`HELD_BYTES`) and
 the motion of 48 frames. `colmap` was measured on small frames alone. What `control` holds grows with what moves: 8 %
-of the pixels were assumed. `export` was measured on 8 frames with all formats. The bases of `motion`, `ba`, `scene`,
-`gaussians` and `evaluate` leave room for a process that compiles kernels, which takes up to 110 MB more.
+of the pixels were assumed. `export` was measured on 8 frames with all formats. The bases of `motion`, `ba` and
+`gaussians` leave room for a process that compiles kernels, which takes up to 110 MB more.
 `simulate` and `report`, which read no sequence, have a constant.
 `motion` was measured on 300 frames of 512 x 288 px with flow that was drawn, and on 200 of 320 x 136.
 `ba` was measured on 200 frames on grids of 320 x 136 px (502 MiB) and, its flow enlarged, 512 x 218 (624 MiB, 1570
@@ -22,7 +22,8 @@ edges), and on 40 of the former (335 MiB).
 `lens` was measured on 28 frames of 384 x 216 px and 200 of 512 x 218 with a distortion, which takes more than none.
 `flow`, `motion`, `segment` and the stages after the adjustment, but `export`, were measured on the 1,000 frames of
 long_walk too, of 512 x 218 px with flow of 320 x 136.
-`flow` and `segment` were measured on 12, 50 and 300 frames of 512 x 218 px; of the 300, `flow` until 208 were matched.
+`flow` and `segment` were measured on 12, 50 and 300 frames of 512 x 218 px, `flow` on those of long_walk, with its
+loops.
 `video` was measured on 20 and 90 frames of 1920 x 1080, whose peaks are alike, and on 40 of 3840 x 2160, on 4 threads;
 its pixels are those of a frame not yet reduced.
 """
@@ -78,18 +79,18 @@ NEEDS = {
     "simulate": Need(520),
     "video": Need(170, per_frame=30),
     "inspect": Need(135, per_frame=17),
-    "flow": Need(365, per_grid=1, per_window=6),
+    "flow": Need(230, per_grid=3, per_window=7.5),
     "lens": Need(360, per_edges=0.4, per_frame=40, per_window=0.7),
     "motion": Need(420, per_grid=24),
     "segment": Need(250, per_grid=9.5, per_window=5),
     "ba": Need(400, per_edges=1.5),
-    "scene": Need(320, per_grid=4, kept_grid=26, kept_mb=1200),
+    "scene": Need(200, per_grid=4, kept_grid=26, kept_mb=1200),
     "control": Need(590, per_grid=8, kept_grid=8, kept_mb=300),
     "gaussians": Need(785, per_frames=0.6, per_frame=370, kept_frames=34, kept_mb=2000),
     "render": Need(555, per_frames=0.6, per_frame=90),
     "viewer": Need(580, per_frames=0.35, per_frame=20),
     "colmap": Need(260, per_frames=10, per_frame=250),
-    "evaluate": Need(290, per_edges=1, per_frames=0.75, per_frame=150),
+    "evaluate": Need(195, per_edges=1, per_frames=0.75, per_frame=150),
     "export": Need(555, per_frame=138),
     "report": Need(1300),
 }
