@@ -91,41 +91,43 @@ def seed_from_tracks(deformation: TableDeformation, canonical: np.ndarray, sight
     Args:
         canonical: [n, 3] tracked points. sightings: of the n tracks.
     """
-    if len(deformation.knots) > LONG_FRAMES:
-        _seed_by_frame(deformation, canonical, sightings)
-        return
-    nearest, _ = lbs.neighbours(torch.from_numpy(canonical), deformation.points, TRACKS_PER_POINT)
+    long = len(deformation.knots) > LONG_FRAMES
+    shifts = (_shifts_by_frame if long else _shifts_of_nearest)(deformation, canonical, sightings)
     times = deformation.knots.numpy()
-    motion = np.empty((len(times), len(nearest), 3))
-    for p, tracks in enumerate(nearest.numpy()):  # frames without an observation are interpolated
+    for p in range(shifts.shape[1]):  # frames without an observation are interpolated
+        known = np.isfinite(shifts[:, p, 0])
+        at_times, seen = (times[known], shifts[known, p]) if known.any() else (times[:1], np.zeros((1, 3)))
+        shifts[:, p] = np.stack([np.interp(times, at_times, seen[:, axis]) for axis in range(3)], axis=-1)
+    with torch.no_grad():
+        deformation.table[..., 4:] = torch.from_numpy(shifts) / deformation.extent
+
+
+def _shifts_of_nearest(deformation: TableDeformation, canonical: np.ndarray, sightings: Sightings) -> np.ndarray:
+    """Median shift [F, P, 3] of the tracks nearest to each control point, NaN in frames that see none of them."""
+    nearest, _ = lbs.neighbours(torch.from_numpy(canonical), deformation.points, TRACKS_PER_POINT)
+    shifts = np.full((len(deformation.knots), len(nearest), 3), np.nan)
+    for p, tracks in enumerate(nearest.numpy()):
         moved, seen = sightings.spread(sightings.moved, tracks)
         known = seen.any(axis=0)
-        medians = _medians(moved[:, known] - canonical[tracks][:, None], seen[:, known])
-        motion[:, p] = np.stack([np.interp(times, times[known], medians[:, axis]) for axis in range(3)], axis=-1)
-    with torch.no_grad():
-        deformation.table[..., 4:] = torch.from_numpy(motion) / deformation.extent
+        shifts[known, p] = _medians(moved[:, known] - canonical[tracks][:, None], seen[:, known])
+    return shifts
 
 
-def _seed_by_frame(deformation: TableDeformation, canonical: np.ndarray, sightings: Sightings) -> None:
-    """`seed_from_tracks` with the tracks that are nearest among those of each frame; none beyond ALONE_RADII counts."""
-    points, times = deformation.points.double().numpy(), deformation.knots.numpy()
+def _shifts_by_frame(deformation: TableDeformation, canonical: np.ndarray, sightings: Sightings) -> np.ndarray:
+    """The same of the tracks that are nearest among those of each frame; none beyond ALONE_RADII counts."""
+    points = deformation.points.double().numpy()
     reach = ALONE_RADII * np.exp(deformation.log_radii.detach().double().numpy())
-    shifts, motion = sightings.moved - canonical[sightings.track], np.full((len(times), *points.shape), np.nan)
+    of_sighting = sightings.moved - canonical[sightings.track]
+    shifts = np.full((len(deformation.knots), *points.shape), np.nan)
     order = np.argsort(sightings.frame, kind="stable")
-    for k, rows in enumerate(np.split(order, np.searchsorted(sightings.frame[order], np.arange(1, len(times))))):
+    for k, rows in enumerate(np.split(order, np.searchsorted(sightings.frame[order], np.arange(1, len(shifts))))):
         if len(rows):
             at = cKDTree(canonical[sightings.track[rows]].astype(float))
             distance, nearest = at.query(points, k=np.arange(1, min(TRACKS_PER_POINT, len(rows)) + 1))
             near = distance[:, 0] <= reach
             counts = (distance[near] <= reach[near, None])[..., None]
-            motion[k, near] = np.nanmedian(np.where(counts, shifts[rows[nearest[near]]], np.nan), axis=1)
-    for p in range(len(points)):
-        known = np.isfinite(motion[:, p, 0])
-        seen = motion[known, p] if known.any() else np.zeros((1, 3))
-        at_times = times[known] if known.any() else times[:1]
-        motion[:, p] = np.stack([np.interp(times, at_times, seen[:, axis]) for axis in range(3)], axis=-1)
-    with torch.no_grad():
-        deformation.table[..., 4:] = torch.from_numpy(motion) / deformation.extent
+            shifts[k, near] = np.nanmedian(np.where(counts, of_sighting[rows[nearest[near]]], np.nan), axis=1)
+    return shifts
 
 
 def _medians(values: np.ndarray, known: np.ndarray) -> np.ndarray:

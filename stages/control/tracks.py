@@ -17,7 +17,7 @@ DISAGREEMENT_PX, DISAGREEMENT_PER_PX = 1.0, 0.05
 """A track ends where forward and backward flow differ by more than this: a floor plus a share of the motion. Flow
 confidence is too strict here: it keeps the few pixels that poses need, and only half to a sixth of a mover's."""
 HELD_BYTES = 250_000_000
-"""Memory for flow that tracks have followed."""
+"""Memory for flow that tracks have followed; two edges at least."""
 MIN_FRAMES = 3
 """A track seen in fewer training frames hardly separates motion from noise; it is used only where no other passes."""
 
