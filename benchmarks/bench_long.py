@@ -135,7 +135,8 @@ def measured(folder: Path, home: Path, settings: Sequence[str]) -> list[Row]:
         found = sorted((home / setting).glob("stats/*.json")) + sorted((home / setting).glob("round*/stats/*.json"))
         stats = {stage: [file for file in found if file.stem == stage] for stage in ORDER}
         listed = {stage: [str(file.relative_to(home)) for file in files] for stage, files in stats.items() if files}
-        for row in scaling.run_rows(home, {"axis": "frames", "size": f"{setting}sequence.json", "stats": listed}):
+        frames = {"sequence": setting, "axis": "frames", "size": f"{setting}sequence.json", "stats": listed}
+        for row in scaling.run_rows(home, frames):
             samples = [peaks.get(str(file.relative_to(folder))) for file in stats[row["stage"]]]
             resident = max((sample for sample in samples if sample is not None), default=None)
             rows.append(row | {"peak_mb": row["peak_mb"] * MIB, "resident_mb": resident})

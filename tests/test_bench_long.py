@@ -13,7 +13,7 @@ from benchmarks import bench_long
 from benchmarks.resident import held_mb, watched
 from stages.comparisons import growth, tradeoff_charts
 from stages.configuration import settings
-from stages.shared.artifacts import read_json
+from stages.shared.artifacts import read_json, write_json
 from stages.shared.errors import InputError
 
 HOLDS_40_READS_60_MB = """
@@ -57,6 +57,21 @@ def rows() -> list[dict[str, Any]]:
         *(row(n, "ba", 3 + 0.01 * n**1.5, 7.0 * n) for n in sizes),
         *(row(n, "scene", 9.0, None) for n in sizes),
     ]
+
+
+def test_rounds_are_summed_and_samples_found_per_number_of_frames(tmp_path: Path) -> None:
+    home = tmp_path / "results/clip"
+    spent = {"wall_s": 1.0, "cpu_s": 2.0, "output_mb": 3.0, "peak_mb": 4.0}
+    for setting, frames in (("settings/inspect.max_frames=3/", 3), ("", 5)):
+        for file in (f"{setting}stats/ba.json", f"{setting}round1/stats/ba.json"):
+            write_json(home / file, spent)
+        write_json(home / f"{setting}sequence.json", {"numbers": list(range(frames))})
+    write_json(
+        tmp_path / bench_long.SAMPLES, {"results/clip/stats/ba.json": 70, "results/clip/round1/stats/ba.json": 90}
+    )
+    short, whole = bench_long.measured(tmp_path, home, ["settings/inspect.max_frames=3/", ""])
+    assert (short["n"], short["cpu_s"], short["resident_mb"]) == (3, 4.0, None)
+    assert (whole["n"], whole["cpu_s"], whole["resident_mb"]) == (5, 4.0, 90)
 
 
 def test_the_table_says_which_stage_misses_which_goal() -> None:
