@@ -10,7 +10,7 @@ import torch
 from gaussian_training import CANONICAL, TRAIN, image_at, new_scene, psnr
 
 from stages.gaussians import checkpoint
-from stages.gaussians.births import birth_frames
+from stages.gaussians.births import birth_frames, movers_stride
 from stages.gaussians.densify import densify
 from stages.gaussians.initial_cloud import cloud_within, initial_cloud
 from stages.gaussians.lifting import near_plane_of
@@ -145,11 +145,19 @@ def test_movers_are_lifted_from_even_frames_within_the_cap() -> None:
     assert torch.allclose(spans, torch.full_like(spans, 0.75 / 3), rtol=1e-5)  # three gaps over the clip
     for frame in BIRTHS:
         born = (cloud.births - seen.times[frame]).abs() < 1e-6
-        assert (born & cloud.dynamic).sum() == pytest.approx(seen.masks[frame, 1::2, 1::2].sum(), rel=0.1)
+        assert (born & cloud.dynamic).sum() == pytest.approx(seen.masks[frame].sum(), rel=0.1)
     most = len(cloud.means) - 1
     fitting, _ = cloud_within(seen, motion, CANONICAL, 2, 4, 0, most, EVERY)
     assert len(fitting.means) <= most
     assert fitting.log_spans[fitting.dynamic].max() < ALWAYS
+
+
+def test_movers_are_lifted_a_pixel_finer_where_there_is_room_for_them() -> None:
+    masked, births = np.array([90, 0, 0, 90]), [0, 3]
+    assert movers_stride(masked, births, 3, room=60) == 2  # 180 pixels at a stride of 2 are 45 Gaussians
+    assert movers_stride(masked, births, 3, room=59) == 3
+    assert movers_stride(masked, births, 3, room=-1) == 3  # the static scene alone is too large
+    assert movers_stride(masked, births, 1, room=10_000) == 1
 
 
 def test_a_mover_that_only_frames_between_show_is_lifted_from_them(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -161,7 +169,7 @@ def test_a_mover_that_only_frames_between_show_is_lifted_from_them(monkeypatch: 
     monkeypatch.undo()
     arguments = (seen, truth.true_motion(), CANONICAL, 2, 4, 0)
     cloud = initial_cloud(*arguments, movers_every=EVERY)
-    assert cloud.dynamic.sum() == pytest.approx(seen.masks[2, 1::2, 1::2].sum(), rel=0.1)
+    assert cloud.dynamic.sum() == pytest.approx(seen.masks[2].sum(), rel=0.1)
     assert (cloud.births[cloud.dynamic] - seen.times[2]).abs().max() < 1e-6
     full = initial_cloud(*arguments, movers_every=EVERY, max_gaussians=len(cloud.means) - 1)
     assert not full.dynamic.any()  # nor is the scene lifted more coarsely for it

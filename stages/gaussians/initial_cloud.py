@@ -7,7 +7,7 @@ import numpy as np
 import torch
 
 from stages.deformation.motion_models import Deformation
-from stages.gaussians.births import birth_frames, with_life_spans
+from stages.gaussians.births import birth_frames, movers_stride, with_life_spans
 from stages.gaussians.lifting import frame_order, join, lift_dynamic, lift_static, make_cloud
 from stages.gaussians.skinning import skin, to_canonical
 from stages.gaussians.training_frames import TrainingFrames
@@ -65,7 +65,8 @@ def initial_cloud(
         canonical: index (into the F training frames) of the canonical frame.
         stride_px: distance between lifted pixels, px. K: control points per Gaussian.
         movers_every: dynamic Gaussians have life spans, and are lifted from one frame in this many, from the others
-            where none of them is; 0: they are there at all times, and each frame adds what those before do not show.
+            where none of them is, more densely where there is room (`movers_stride`); 0: they are there at all times,
+            and each frame adds what those before do not show.
         max_gaussians: to stay within, movers are lifted from fewer frames, but from no less than half as many; a cloud
             that is beyond it need not be complete.
     """
@@ -81,11 +82,13 @@ def initial_cloud(
     recovered, found = to_canonical(static.positions[claimed], claimed_times, deformation, K)
     room = max_gaussians - len(static.frames)
     births = birth_frames(seen.masked, movers_every, stride_px**2 * room) if movers_every else []
+    stride_of_movers_px = stride_px
     if births:  # a mover that passes by may show between these frames only
+        stride_of_movers_px = movers_stride(seen.masked, births, stride_px, room)
         order = births + [f for f in range(len(seen.images)) if f not in births and seen.masked[f]]
     left = max_gaussians - int((~claimed).sum() + found.sum())
     most = room if births else sys.maxsize
-    dynamic, means = lift_dynamic(seen, order, stride_px, deformation, K, births, most, left)
+    dynamic, means = lift_dynamic(seen, order, stride_of_movers_px, deformation, K, births, most, left)
     if len(means) > left:  # too many, whatever the votes
         moves = np.ones(len(means), bool)
     else:

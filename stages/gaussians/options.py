@@ -13,7 +13,9 @@ class GaussiansOptions(SplitOptions):
     steps: int = Field(
         1000, ge=0, le=100_000, description="optimisation steps, one training frame each; 0: the result of stage 1"
     )
-    stride_px: int = Field(2, ge=1, le=16, description="one initial Gaussian per this many pixels, each way")
+    stride_px: int = Field(
+        2, ge=1, le=16, description="one initial Gaussian per this many pixels, each way; of movers one px finer"
+    )
     movers_every: int = Field(
         3,
         ge=0,
