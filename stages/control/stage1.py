@@ -71,16 +71,19 @@ def fit_sightings(
 def _attempts(sightings: Sightings, count: int, options: ControlOptions) -> list[_Attempt]:
     """The default fit, then retries if it is stuck: more points, or more steps if the user set the number of points.
 
-    In a long clip a canonical frame of another visit would come with the same moments (`rest_positions`): it is not
-    tried.
+    A long clip begins with more points, which the visits of a mover share: at fewer the fits of both long scenes of the
+    library were stuck, and took half of the time. There a canonical frame of another visit would come with the same
+    moments (`rest_positions`): it is not tried.
     """
-    worth = worth_of(sightings)
+    worth, long = worth_of(sightings), len(sightings.frames) > LONG_FRAMES
     first, second = canonical.choose_frames(worth)
     more = max(count, min(4 * count, MAX_POINTS)) if options.control_points == "auto" else count
     steps = options.steps if more > count else 2 * options.steps
     attempts = [_Attempt(first, count, options.steps), _Attempt(first, more, steps), _Attempt(second, more, steps)]
+    if long and more > count:
+        attempts = attempts[1:]
     same_visit = bool(worth[min(first, second) : max(first, second)].all())
-    return attempts if same_visit or len(sightings.frames) <= LONG_FRAMES else attempts[:2]
+    return attempts if same_visit or not long else attempts[:-1]
 
 
 def _fit(
