@@ -10,7 +10,7 @@ from PIL import Image
 from scipy import sparse
 
 from stages.configuration import config as configuration
-from stages.configuration import given_inputs
+from stages.configuration import given_inputs, settings
 from stages.export.clip import Clip
 from stages.export.images import write_masks
 from stages.given.masks import find_masks, read
@@ -198,7 +198,7 @@ def test_paths_are_checked_before_any_work(tmp_path: Path, frames: Sequence) -> 
     two = {"clip": frames, "other": replace(frames, name="other", frames=elsewhere)}
 
     def check(path: object, sequences: dict[str, Sequence]) -> None:
-        given_inputs.check([(configuration.load({"segment": {"source": str(path)}}), sequences.values())])
+        given_inputs.check([(settings.configured({"segment": {"source": str(path)}}), sequences.values())])
 
     write(tmp_path / "masks/clip", [Image.fromarray(m) for m in labels()])
     check(tmp_path / "masks/{sequence}", {"clip": frames})

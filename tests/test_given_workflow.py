@@ -9,7 +9,7 @@ from conftest import run_snakemake, write_frames
 from test_workflow import planned, with_options
 
 from stages.configuration import config as configuration
-from stages.configuration import given_inputs
+from stages.configuration import given_inputs, settings
 from stages.shared.artifacts import write_json, write_table
 from stages.shared.errors import InputError
 from stages.shared.run_inputs import read_run_inputs
@@ -72,11 +72,12 @@ def test_one_file_for_several_sequences_is_refused(tmp_path: Path) -> None:
     cameras = tmp_path / "cameras.txt"
     cameras.write_text("1 PINHOLE 64 48 50 50 32 24")
     one, two = (check_sequence(name, write_frames(tmp_path / name)) for name in ("one", "two"))
-    config = configuration.load({"intrinsics": str(cameras)})
-    given_inputs.check([(config, [one])])
-    with pytest.raises(InputError, match=r"ba.intrinsics: expected \{sequence\} in the path.* names of 2 sequences"):
-        given_inputs.check([(config, [one, two])])
-    given_inputs.check([(configuration.load({"intrinsics": 60}), [one, two])])
+    setting = settings.configured({"intrinsics": str(cameras)})
+    given_inputs.check([(setting, [one])])
+    expected = r"the configuration: intrinsics: expected \{sequence\} in the path.* names of 2 sequences"
+    with pytest.raises(InputError, match=expected):
+        given_inputs.check([(setting, [one, two])])
+    given_inputs.check([(settings.configured({"intrinsics": 60}), [one, two])])
 
 
 @pytest.mark.parametrize(
@@ -99,7 +100,7 @@ def test_cameras_that_cannot_be_right_are_refused_before_any_job(
     lines = [f"{number} 0 0 {number} 0 0 0 1\n" for number in one.numbers]
     Path("all.tum").write_text("".join(lines))
     Path("half.tum").write_text("".join(lines[::2]))
-    runs = [(configuration.load(options), [one])]
+    runs = [(settings.configured(options), [one])]
     if expected is None:
         given_inputs.check(runs)
     else:

@@ -160,7 +160,9 @@ def test_sequences_of_a_comparison() -> None:
 @pytest.mark.parametrize("key", ["sequences", "scenes"])
 def test_a_run_without_any_sequence_is_refused(key: str) -> None:
     """Every job of it would be left out but the report, which fails without results."""
-    with pytest.raises(InputError, match=rf"^config.yaml: {key}: expected 'all' or at least one name, found \[\]"):
+    with pytest.raises(
+        InputError, match=rf"^the configuration: {key}: expected 'all' or at least one name, found \[\]"
+    ):
         configuration.load({key: []})
 
 

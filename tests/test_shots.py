@@ -14,7 +14,7 @@ from encoded_video import SIZE, encode, moving
 
 from stages.ba import cuts
 from stages.configuration import config as configuration
-from stages.configuration import datasets, given_inputs
+from stages.configuration import datasets, given_inputs, settings
 from stages.inspect import __main__ as inspect_stage
 from stages.inspect.options import PartOptions
 from stages.report.clips import shot_lines
@@ -204,10 +204,11 @@ def test_given_files_of_a_clip_serve_its_shots(tmp_path: Path, monkeypatch: pyte
     config = configuration.load(values)
     whole = datasets.find_sequences(config, datasets.frame_folders(config, {}), {})
     shots, _ = datasets.divided(config, whole, {})
-    given_inputs.check([(config, shots.values())])
+    setting = settings.configured(values)
+    given_inputs.check([(setting, shots.values())])
     other = replace(whole["clip"], name="b", frames=[tmp_path / "b" / path.name for path in whole["clip"].frames])
     with pytest.raises(InputError, match=r"\{sequence\} in the path"):
-        given_inputs.check([(config, [*shots.values(), other])])
+        given_inputs.check([(setting, [*shots.values(), other])])
 
 
 @pytest.mark.long

@@ -23,7 +23,7 @@ from stages.render.options import RenderOptions
 from stages.report.options import ReportOptions
 from stages.scene.options import SceneOptions
 from stages.segment.options import SegmentOptions
-from stages.shared.errors import InputError
+from stages.shared.errors import OptionError
 from stages.shared.options import Options, to_flags, validate
 from stages.simulate.options import SimulateOptions
 from stages.video.options import VideoOptions
@@ -108,20 +108,19 @@ SHARED_KEYS = ("intrinsics", "holdout_every", "holdout_first", "device", "seed")
 """Top-level keys that sections inherit."""
 
 
-def load(raw: Mapping[str, Any], mine: Mapping[str, Any] | None = None, where: str = "config.yaml") -> Config:
+def load(raw: Mapping[str, Any], mine: Mapping[str, Any] | None = None) -> Config:
     """Check a parsed config.yaml (merged with its overrides) and apply its preset, and what given poses make needless.
 
     Args:
         mine: values from the user's own files and flags. They win over the preset, as does every value that differs
             from the default.
-        where: source of `raw`, named in error messages.
 
     Raises:
-        InputError: one line for the first wrong value.
+        OptionError: one line for the first wrong value.
     """
-    config = validate(Config, raw, where)
+    config = validate(Config, raw)
     if hands_in_views(config):
-        raw = override(raw, {"lens.distortion": _no_lens(config, where)})
+        raw = override(raw, {"lens.distortion": _no_lens(config)})
     values, defaults = config.model_dump(by_alias=True), Config().model_dump(by_alias=True)
     needless = (FIXED_POSES if config.segment.estimates else FIXED_ALL) if config.ba.poses_fixed else {}
     open_values = {
@@ -129,7 +128,7 @@ def load(raw: Mapping[str, Any], mine: Mapping[str, Any] | None = None, where: s
         for name, value in (PRESETS[config.preset] | needless).items()
         if value_of(mine or {}, name) is None and value_of(values, name) == value_of(defaults, name)
     }
-    return validate(Config, override(raw, open_values), where)
+    return validate(Config, override(raw, open_values))
 
 
 def hands_in_views(config: Config) -> bool:
@@ -141,11 +140,11 @@ def hands_in_views(config: Config) -> bool:
     return bool(masks) or any(value not in (ESTIMATE, TRUTH) for value in taken)
 
 
-def _no_lens(config: Config, where: str) -> str:
+def _no_lens(config: Config) -> str:
     if config.lens.distortion == "yes":
         advice = "leave out what is given, or `lens: {distortion: yes}`"
         expected = "no or auto where intrinsics, poses, masks or depth are given: they do not fit undistorted frames"
-        raise InputError(f"{where}: lens.distortion", expected, "'yes'", advice)
+        raise OptionError(["lens", "distortion"], expected, "'yes'", advice)
     return "no"
 
 
@@ -155,6 +154,13 @@ def section(config: Config, name: str) -> Options:
     inherited = {key: getattr(config, key) for key in SHARED_KEYS if key in type(options).model_fields}
     chosen = inherited | {key: getattr(options, key) for key in options.model_fields_set}
     return type(options)(**(options.model_dump() | chosen))
+
+
+def keys_of(config: Config, option: str) -> list[str]:
+    """The keys that lead to the value of a stage's option: those of its dotted name, or the top-level key's alone."""
+    name, _, key = option.partition(".")
+    inherited = key in SHARED_KEYS and key not in getattr(config, name).model_fields_set
+    return [key] if inherited else [name, key]
 
 
 def flags(config: Config, name: str) -> str:

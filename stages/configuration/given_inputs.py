@@ -9,11 +9,11 @@ from pathlib import Path
 from stages.ba.options import BAOptions
 from stages.configuration.config import Config
 from stages.configuration.config import section as section_of
+from stages.configuration.settings import Setting
 from stages.given import depth, flow, masks
 from stages.given.cameras_files import find_cameras, read_intrinsics, read_poses, require_lens
 from stages.given.files import PLACEHOLDER, of_sequence
 from stages.given.intrinsics import ESTIMATE, EXIF, TRUTH, parse
-from stages.shared.errors import InputError
 from stages.shared.options import allowed_words
 from stages.shared.sequences import Sequence, frames_digest
 
@@ -38,36 +38,37 @@ def given(config: Config, section: str = "") -> dict[str, str]:
     return found
 
 
-def check(runs: Iterable[tuple[Config, Iterable[Sequence]]]) -> None:
-    """Find the files that the user hands in for the sequences of every configuration, and read those of cameras.
+def check(runs: Iterable[tuple[Setting, Iterable[Sequence]]]) -> None:
+    """Find the files that the user hands in for the sequences of every setting, and read those of cameras.
 
     Raises:
         InputError: for a path that does not exist, one path for several sequences, a frame without its file or pose,
             and cameras that cannot be right.
     """
-    asked: dict[tuple[str, str], tuple[Config, dict[str, Sequence]]] = {}
-    seen: dict[tuple[str, ...], tuple[Config, dict[str, Sequence]]] = {}
-    for config, sequences in runs:
+    asked: dict[tuple[str, str], tuple[Setting, dict[str, Sequence]]] = {}
+    seen: dict[tuple[str, ...], tuple[Setting, dict[str, Sequence]]] = {}
+    for setting, sequences in runs:
         named = {sequence.name: sequence for sequence in sequences}
-        for found in given(config).items():
-            asked.setdefault(found, (config, {}))[1].update(named)
-        cameras = _adjustment(config)
-        seen.setdefault((cameras.intrinsics, cameras.poses_from, cameras.poses_as), (config, {}))[1].update(named)
-    for (option, path), (config, of_name) in asked.items():
-        where, allowed = f"config.yaml: {option}", _words(config, option)
+        for found in given(setting.config).items():
+            asked.setdefault(found, (setting, {}))[1].update(named)
+        cameras = _adjustment(setting.config)
+        key = cameras.intrinsics, cameras.poses_from, cameras.poses_as
+        seen.setdefault(key, (setting, {}))[1].update(named)
+    for (option, path), (setting, of_name) in asked.items():
         if PLACEHOLDER not in path and not Path(path).exists():
+            allowed = _words(setting.config, option)
             near = difflib.get_close_matches(path, allowed, n=1)
             advice = f"did you mean '{near[0]}'?" if near else f"correct '{option}'"
-            raise InputError(where, f"{', '.join([*allowed, 'or a path that exists'])}", f"'{path}'", advice)
+            raise setting.error(option, ", ".join([*allowed, "or a path that exists"]), f"'{path}'", advice)
         if PLACEHOLDER not in path and len(set(map(_clip, of_name.values()))) > 1:
             expected = f"{PLACEHOLDER} in the path, for the names of {len(of_name)} sequences"
             advice = f"write it where the names differ, as in folder/{PLACEHOLDER}, or choose one of `sequences:`"
-            raise InputError(where, expected, f"'{path}'", advice)
+            raise setting.error(option, expected, f"'{path}'", advice)
         for sequence in of_name.values():
-            FINDERS[option](of_sequence(path, sequence.name), _used(config, sequence))
-    for config, of_name in seen.values():
+            FINDERS[option](of_sequence(path, sequence.name), _used(setting.config, sequence))
+    for setting, of_name in seen.values():
         for sequence in of_name.values():
-            _check_cameras(config, _used(config, sequence))
+            _check_cameras(setting.config, _used(setting.config, sequence))
 
 
 def added_edges(config: Config, sequence: Sequence) -> int:

@@ -3,14 +3,14 @@
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 from stages.configuration import config as configuration
 from stages.configuration.comparison_options import Knobs, ScalingOptions, SweepOptions
 from stages.configuration.config import SHARED_KEYS, Config
 from stages.configuration.presets import Overrides, override, value_of
 from stages.shared.chain import MEASURED
-from stages.shared.errors import InputError
+from stages.shared.errors import OptionError
 
 LENS = "lens.distortion"
 """No run varies it where cameras, masks or depth are given, which are of the frames as they are."""
@@ -25,6 +25,7 @@ class Setting:
         group: the comparison that it belongs to, as under `sweep:` or `scaling:`. name: unique within the group.
         knob, value: the dotted name and the value of the varied option, if the setting is one of a series.
         overrides: the options in which it differs from the configured run, by dotted name.
+        place: the keys that lead to it in the configuration.
     """
 
     folder: str
@@ -34,6 +35,13 @@ class Setting:
     knob: str | None = None
     value: Any = None
     overrides: Overrides = field(default_factory=dict)
+    place: tuple[str, ...] = ()
+
+    def error(self, option: str, expected: str, found: str, advice: str) -> OptionError:
+        """What is wrong with the value of a stage's option under this setting, by its dotted name."""
+        keys = configuration.keys_of(self.config, option)
+        wrong = OptionError(keys, expected, found, advice)
+        return wrong.of_setting(self.place, _title(self)) if wrong.name in self.overrides else wrong
 
 
 def configured(raw: Mapping[str, Any], mine: Mapping[str, Any] | None = None) -> Setting:
@@ -53,12 +61,24 @@ def compared(raw: Mapping[str, Any], mine: Mapping[str, Any] | None = None) -> t
     """
     config = configuration.load(raw, mine)
     groups = _groups(config.sweep)
-    listed = [*_presets(config), *_series("knobs", config.sweep.knobs, config), *_runs(config)]
-    sweep = [run for run in listed if run[0] in groups]
-    scaling = [run for axis, knobs in config.scaling.axes.items() for run in _series(axis, knobs, config)]
-    settings = [[_setting(raw, mine, *run) for run in runs] for runs in (sweep, scaling)]
+    listed = [*_presets(config), *_series("knobs", config.sweep.knobs, config, ("sweep", "knobs")), *_runs(config)]
+    sweep = [run for run in listed if run.group in groups]
+    axes = config.scaling.axes.items()
+    scaling = [run for axis, knobs in axes for run in _series(axis, knobs, config, ("scaling", "axes", axis))]
+    settings = [[_setting(raw, mine, run) for run in runs] for runs in (sweep, scaling)]
     _refuse_equal_folders(settings[0] + settings[1])
     return settings[0], settings[1]
+
+
+class _Run(NamedTuple):
+    """A setting that is asked for: attributes as in `Setting`."""
+
+    group: str
+    name: str
+    overrides: Overrides
+    place: tuple[str, ...]
+    knob: str | None = None
+    value: Any = None
 
 
 def _groups(options: SweepOptions) -> list[str]:
@@ -72,63 +92,59 @@ def _groups(options: SweepOptions) -> list[str]:
         return known
     for name in options.groups:
         if name not in known:
-            raise InputError(
-                "config.yaml: sweep.groups", f"some of {', '.join(known)}", f"'{name}'", "name one of these"
-            )
+            expected = f"some of {', '.join(known)}"
+            raise OptionError(["sweep", "groups"], expected, f"'{name}'", "name one of these")
     return options.groups
 
 
-def _presets(config: Config) -> Iterator[tuple[str, str, str | None, Any, Overrides]]:
-    yield from (("presets", preset, None, None, {"preset": preset}) for preset in config.sweep.presets)
+def _presets(config: Config) -> Iterator[_Run]:
+    yield from (_Run("presets", name, {"preset": name}, ("sweep", "presets")) for name in config.sweep.presets)
 
 
-def _series(group: str, knobs: Knobs, config: Config) -> Iterator[tuple[str, str, str | None, Any, Overrides]]:
+def _series(group: str, knobs: Knobs, config: Config, place: tuple[str, ...]) -> Iterator[_Run]:
     """One run per value of each knob, the configured value among them."""
     values = config.model_dump(mode="json", by_alias=True)
     for knob, wanted in knobs.items():
         present = value_of(values, knob)
         for value in [*wanted, *([present] if wanted and present not in wanted else [])]:
             text = ",".join(map(str, value)) if isinstance(value, list) else str(value)
-            yield group, f"{knob}={text}", knob, value, {knob: value}
+            yield _Run(group, f"{knob}={text}", {knob: value}, (*place, knob), knob, value)
 
 
-def _runs(config: Config) -> Iterator[tuple[str, str, str | None, Any, Overrides]]:
+def _runs(config: Config) -> Iterator[_Run]:
     """The runs of every group, with the options that may be varied."""
     kept = {LENS} if configuration.hands_in_views(config) else set()
     for group, runs in config.sweep.runs.items():
         for name, changes in (runs or {}).items():
             if changes is not None:
                 chosen = {option: value for option, value in changes.items() if option not in kept}
-                yield group, name, None, None, chosen
+                yield _Run(group, name, chosen, ("sweep", "runs", group, name))
 
 
-def _setting(
-    raw: Mapping[str, Any],
-    mine: Mapping[str, Any] | None,
-    group: str,
-    name: str,
-    knob: str | None,
-    value: Any,
-    overrides: Overrides,
-) -> Setting:
-    where = f"config.yaml, setting '{name}' of '{group}'"
-    for option in overrides:
-        _refuse_data(option, where, is_knob=knob is not None)
-    chosen = override(mine or {}, {name: value for name, value in overrides.items() if name != "preset"})
-    config = configuration.load(override(raw, overrides), chosen, where)
-    words = name if knob else f"{group}-{name}"
-    return Setting(
-        f"settings/{re.sub(r'[^A-Za-z0-9_.,=+-]+', '_', words)}/", config, group, name, knob, value, overrides
-    )
+def _setting(raw: Mapping[str, Any], mine: Mapping[str, Any] | None, run: _Run) -> Setting:
+    chosen = override(mine or {}, {name: value for name, value in run.overrides.items() if name != "preset"})
+    try:
+        for option in run.overrides:
+            _refuse_data(option, is_knob=run.knob is not None)
+        config = configuration.load(override(raw, run.overrides), chosen)
+    except OptionError as error:
+        raise error.of_setting(run.place, _title(run)) from error
+    words = run.name if run.knob else f"{run.group}-{run.name}"
+    folder = f"settings/{re.sub(r'[^A-Za-z0-9_.,=+-]+', '_', words)}/"
+    return Setting(folder, config, run.group, run.name, run.knob, run.value, run.overrides, run.place)
 
 
-def _refuse_data(option: str, where: str, is_knob: bool) -> None:
+def _title(run: "_Run | Setting") -> str:
+    return f"setting '{run.name}' of '{run.group}'"
+
+
+def _refuse_data(option: str, is_knob: bool) -> None:
     """Refuse options that choose the sequences, and options of COLMAP as knobs: a knob varies our own stages."""
     section, _, _ = option.partition(".")
     stages = [stage for stage in (*MEASURED, "evaluate") if not (is_knob and stage == "colmap")]
     if section not in (*stages, *SHARED_KEYS, "rounds", "first_masks", "preset"):
         expected = f"an option of {', '.join(stages)}, or one of {', '.join(SHARED_KEYS)}, rounds, first_masks"
-        raise InputError(where, expected, f"'{option}'", "write it as section.option")
+        raise OptionError(option.split("."), expected, f"'{option}'", "write it as section.option")
 
 
 def choose_sequences(options: SweepOptions | ScalingOptions, names: Iterable[str]) -> list[str]:
@@ -143,7 +159,8 @@ def choose_sequences(options: SweepOptions | ScalingOptions, names: Iterable[str
     for name in options.sequences:
         if name not in known:
             advice = "name sequences that `sequences:` chooses"
-            raise InputError("config.yaml: sweep, scaling", f"one of {', '.join(known)}", f"'{name}'", advice)
+            comparison = "sweep" if isinstance(options, SweepOptions) else "scaling"
+            raise OptionError([comparison, "sequences"], f"one of {', '.join(known)}", f"'{name}'", advice)
     return options.sequences
 
 
@@ -163,6 +180,5 @@ def _refuse_equal_folders(settings: Sequence[Setting]) -> None:
     for setting in settings:
         other = found.setdefault(setting.folder, setting)
         if other.overrides != setting.overrides:
-            raise InputError(
-                "config.yaml: sweep", "names that differ", f"'{other.name}', '{setting.name}'", "rename one"
-            )
+            names = f"'{other.name}', '{setting.name}'"
+            raise OptionError(setting.place, "names that differ", names, "rename one")

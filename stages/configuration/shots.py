@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from stages.shared.dataset_folders import MIN_FRAMES, choose
-from stages.shared.errors import InputError
+from stages.shared.errors import OptionError
 from stages.shared.number_ranges import number_ranges
 from stages.shared.sequences import Sequence
 
@@ -48,26 +48,26 @@ def read_option(value: Any) -> Any:
 
 
 def check_names(option: Stated | dict[str, Stated], clips: Iterable[str]) -> None:
-    """Check that the option names clips of the dataset alone; raises InputError."""
+    """Check that the option names clips of the dataset alone; raises OptionError."""
     known = list(clips)
     for name in option if isinstance(option, dict) else ():
         if name not in known:
             near = difflib.get_close_matches(name, known, n=1)
             advice = f"did you mean '{near[0]}'?" if near else f"there are: {', '.join(known)}"
-            raise InputError("config.yaml: shots", "names of clips of the dataset", f"'{name}'", advice)
+            raise OptionError(["shots"], "names of clips of the dataset", f"'{name}'", advice)
 
 
 def of_clip(option: Stated | dict[str, Stated], clip: str, clips: Sized) -> Stated:
     """What the option says of one of the chosen clips.
 
     Raises:
-        InputError: for one list of shots where there are several clips.
+        OptionError: for one list of shots where there are several clips.
     """
     if isinstance(option, dict):
         return option.get(clip, "auto")
     if isinstance(option, list) and len(clips) > 1:
         advice = f"write `shots: {{{clip}: {EXAMPLE}}}`, or choose one of `sequences:`"
-        raise InputError("config.yaml: shots", f"shots by name for {len(clips)} clips", "one list of shots", advice)
+        raise OptionError(["shots"], f"shots by name for {len(clips)} clips", "one list of shots", advice)
     return option
 
 
@@ -84,11 +84,11 @@ def clip_of(name: str, clips: Iterable[str]) -> str:
 
 
 def check_ranges(ranges: list[Range], first: int, last: int, clip: str) -> None:
-    """Check that shots lie within the frames `first` to `last` of a clip; raises InputError."""
+    """Check that shots lie within the frames `first` to `last` of a clip; raises OptionError."""
     for a, b in ranges:
         if a < first or b > last:
             advice = "correct `shots`: they count the frames as they are numbered without cuts"
-            raise InputError("config.yaml: shots", f"frames {first} to {last} of {clip}", f"[{a}, {b}]", advice)
+            raise OptionError(["shots"], f"frames {first} to {last} of {clip}", f"[{a}, {b}]", advice)
 
 
 def divided(

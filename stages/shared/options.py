@@ -10,7 +10,7 @@ from typing import Any, Literal, TypeVar, Union, get_args, get_origin
 from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo, field_validator
 from pydantic.fields import FieldInfo
 
-from stages.shared.errors import InputError
+from stages.shared.errors import THE_CONFIGURATION, OptionError
 
 
 class Options(BaseModel):
@@ -44,19 +44,19 @@ class Options(BaseModel):
 OptionsT = TypeVar("OptionsT", bound=Options)
 
 
-def validate(model: type[OptionsT], values: Mapping[str, Any], where: str) -> OptionsT:
+def validate(model: type[OptionsT], values: Mapping[str, Any], where: str = THE_CONFIGURATION) -> OptionsT:
     """Build `model` from `values`.
 
     Args:
-        where: source of the values, named before the option in messages, e.g. "config.yaml".
+        where: source of the values, named before the option in messages, e.g. a stage or the name of a file.
 
     Raises:
-        InputError: one line for the first wrong option, with the nearest name if it is unknown.
+        OptionError: one line for the first wrong option, with the nearest name if it is unknown.
     """
     try:
         return model(**values)
     except ValidationError as error:
-        raise _as_input_error(model, error.errors(), where) from error
+        raise _as_option_error(model, error.errors(), where) from error
 
 
 def to_flags(options: Options) -> str:
@@ -73,7 +73,7 @@ def to_flags(options: Options) -> str:
     return shlex.join(words)
 
 
-def _as_input_error(model: type[Options], errors: list[Any], where: str) -> InputError:
+def _as_option_error(model: type[Options], errors: list[Any], where: str) -> OptionError:
     error, place = errors[0], errors[0]["loc"]
     # Pydantic reports each branch of a union, and a list without its wrong items: all of it is one mistake.
     branches = [other for other in errors if str(place[-1]).startswith("literal[") and _within(other, place[:-1])]
@@ -85,14 +85,14 @@ def _as_input_error(model: type[Options], errors: list[Any], where: str) -> Inpu
         known = _known_names(model, location[:-1])
         near = difflib.get_close_matches(location[-1], known, n=1)
         advice = f"did you mean '{near[0]}'?" if near else f"known here: {', '.join(sorted(known))}"
-        return InputError(f"{where}: {name}", "a known option", f"'{location[-1]}'", advice + more)
+        return OptionError(location, "a known option", f"'{location[-1]}'", advice + more, where)
     if error["type"] == "missing":
         meanings = [found[location[-1]].description for found in _fields(model, location[:-1]) if location[-1] in found]
         meaning = f" ({meanings[0]})" if meanings and meanings[0] else ""
-        return InputError(f"{where}: {name}", f"a value{meaning}", "nothing", f"set '{name}'{more}")
+        return OptionError(location, f"a value{meaning}", "nothing", f"set '{name}'{more}", where)
     expected = " or ".join(dict.fromkeys(_expected(one) for one in branches or [error]))
     found = textwrap.shorten(repr(error["input"]), 80, placeholder=" ...")
-    return InputError(f"{where}: {name}", expected, found, f"correct '{name}'{more}")
+    return OptionError(location, expected, found, f"correct '{name}'{more}", where)
 
 
 def _within(error: Any, place: tuple[Any, ...]) -> bool:

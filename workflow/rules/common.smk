@@ -27,6 +27,7 @@ from stages.configuration import (
     plan,
     required_truth,
     settings,
+    sources,
 )
 from stages.flow.edges import most_edges, most_loops
 from stages.shared.artifacts import write_json
@@ -52,18 +53,28 @@ os.environ.update(
 )
 
 
-def own_values():
-    """The values from the user's own files and flags, without the shipped file: they win over a preset."""
+def own_sources():
+    """The user's own files and flags with their values, without the shipped file, in the order in which they win."""
+    files = [
+        (sources.shown(path), load_configfile(path))
+        for path in workflow.overwrite_configfiles
+        if path.resolve() != (REPO / "config.yaml").resolve()
+    ]
+    return [*files, ("--config", dict(workflow.config_settings.config))]
+
+
+def own_values(own):
+    """The values from the user's own files and flags: they win over a preset."""
     values = {}
-    for path in workflow.overwrite_configfiles:
-        if path.resolve() != (REPO / "config.yaml").resolve():
-            update_config(values, load_configfile(path))
-    update_config(values, dict(workflow.config_settings.config))
+    for _, stated in own:
+        update_config(values, stated)
     return values
 
 
+OWN = own_sources()
+
 try:
-    MINE = own_values()
+    MINE = own_values(OWN)
     CONFIGURED = settings.configured(config, MINE)
     CONFIG = CONFIGURED.config
     VIDEO_SHOTS = datasets.video_shots(CONFIG)
@@ -78,7 +89,7 @@ try:
     SCALED_SEQUENCES = settings.choose_sequences(CONFIG.scaling, SEQUENCES)
     if workflow.is_main_process:
         given_inputs.check(
-            (setting.config, [SEQUENCES[name] for name in names])
+            (setting, [SEQUENCES[name] for name in names])
             for listed, names in (
                 ([CONFIGURED], SEQUENCES),
                 (SWEPT, SWEPT_SEQUENCES),
@@ -87,7 +98,9 @@ try:
             for setting in listed
         )
 except InputError as error:
-    sys.stderr.write(f"{error}\n")
+    # The merged values stand for the shipped file, which names every option.
+    shipped = sources.shown(REPO / "config.yaml"), config
+    sys.stderr.write(f"{sources.named(error, [shipped, *OWN])}\n")
     sys.exit(2)
 
 FOLDERS = CLIPS | {name: CLIPS[part.clip] for name, part in PARTS.items()}
