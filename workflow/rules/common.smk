@@ -27,6 +27,7 @@ from stages.configuration import (
     plan,
     required_truth,
     settings,
+    sizes,
     sources,
 )
 from stages.flow.edges import most_edges, most_loops

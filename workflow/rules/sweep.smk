@@ -9,10 +9,20 @@ RUNS = {
     "scaling": [
         compared_runs.scaled_run(EVERY_SETTING, setting, name)
         for name in SCALED_SEQUENCES
-        for setting in SCALED
+        for setting in sizes.distinct(CONFIGURED, SCALED, SEQUENCES[name])[0]
         if can_run(name, setting)
     ],
 }
+
+
+@functools.cache
+def listed_runs(comparison):
+    """The runs of a comparison that is asked for; says, once, which sizes of the scaling are not among them."""
+    if comparison == "scaling" and workflow.is_main_process:
+        for name in SCALED_SEQUENCES:
+            for line in sizes.distinct(CONFIGURED, SCALED, SEQUENCES[name])[1]:
+                logger.warning(line)
+    return RUNS[comparison]
 
 
 rule list_runs:
@@ -24,7 +34,7 @@ rule list_runs:
         comparison="sweep|scaling",
     localrule: True
     params:
-        runs=lambda wildcards: RUNS[wildcards.comparison],
+        runs=lambda wildcards: listed_runs(wildcards.comparison),
     run:
         write_json(Path(output.runs), {"runs": params.runs})
 

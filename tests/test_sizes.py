@@ -1,0 +1,57 @@
+"""Sizes of the scaling that a clip does not have: left out and named, since they would measure another size again."""
+
+from pathlib import Path
+
+from conftest import REPO, run_snakemake, write_frames
+
+from stages.configuration import settings, sizes
+from stages.shared.sequences import Sequence
+
+CLIP = Sequence("clip", [Path(f"{n}.png") for n in range(1, 81)], list(range(1, 81)), 320, 240)
+
+
+def measured(axes: dict, **options: dict) -> tuple[list[object], list[str]]:
+    """The values that are measured on a clip of 80 frames, 320 px wide, and what is said of the others."""
+    raw = {"scaling": {"axes": axes}} | options
+    kept, told = sizes.distinct(settings.configured(raw), settings.compared(raw)[1], CLIP)
+    return [setting.value for setting in kept], told
+
+
+def test_numbers_of_frames_that_the_clip_does_not_have_are_left_out() -> None:
+    values, told = measured({"frames": {"inspect.max_frames": [25, 80, 100, 200]}})
+    assert values == [25, "all"]
+    assert told == [
+        "scaling: clip has 80 frames: inspect.max_frames 80, 100, 200 would measure the same again; left out"
+    ]
+
+
+def test_all_frames_are_measured_once_where_the_configured_run_uses_fewer() -> None:
+    axes = {"frames": {"inspect.max_frames": [25, 100, 200]}}
+    values, told = measured(axes, inspect={"max_frames": 50})
+    assert values == [25, 100, 50]
+    assert told == ["scaling: clip has 80 frames: inspect.max_frames 200 would measure the same again; left out"]
+
+
+def test_widths_beyond_that_of_the_frames_are_left_out() -> None:
+    values, told = measured({"pixels": {"flow.max_width_px": [128, 256, 384]}})
+    assert values == [128, 256, 512]
+    assert told == ["scaling: clip is 320 px wide: flow.max_width_px 384 would measure the same again; left out"]
+
+
+def test_what_fits_is_measured_without_a_word() -> None:
+    axes = {"frames": {"inspect.max_frames": [25, 50]}, "gaussians": {"gaussians.stride_px": [2, 4]}}
+    assert measured(axes) == ([25, 50, "all", 2, 4], [])
+
+
+def test_a_plan_of_the_scaling_says_what_it_leaves_out(tmp_path: Path) -> None:
+    write_frames(tmp_path / "clips/clip", 6)
+    axes = "{frames: {inspect.max_frames: [3, 4, 20]}, pixels: {flow.max_width_px: []}}"
+    (tmp_path / "mine.yaml").write_text(f"dataset: clips\nscaling: {{axes: {axes}}}")
+    for target, said in (("scaling", True), ("poses", False)):
+        arguments = ("-s", str(REPO / "Snakefile"), "-n", target, "--configfile", "mine.yaml")
+        plan = run_snakemake(tmp_path, *arguments)
+        words = plan.stdout + plan.stderr
+        assert plan.returncode == 0, words
+        assert ("clip has 6 frames: inspect.max_frames 20 would measure the same again" in words) == said
+        assert ("settings/inspect.max_frames=4/" in words) == said
+        assert "settings/inspect.max_frames=20/" not in words
