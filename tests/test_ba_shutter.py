@@ -109,6 +109,19 @@ def test_without_one_the_solution_is_that_of_a_global_shutter_to_the_bit() -> No
     assert tested.flags == off.flags
 
 
+def test_a_shutter_that_is_asked_for_of_a_camera_that_hardly_moves_is_not_followed_and_said() -> None:
+    """Its readout would be that of the noise: 0.2 of the frame interval here, within a predicted error of 0.04."""
+    graph, _ = observe_rolled(hand(0.0005, 0.0005, steady=(0.0,) * 6), 0.0)
+    off, asked = (
+        estimate(Problem(graph, masked=True), OPTIONS.model_copy(update={"rolling_shutter": word}))
+        for word in ("no", "yes")
+    )
+    assert (off.camera, asked.rolling.decision) == ("near-still", "global")
+    assert_allclose(asked.state.cam_from_world, off.state.cam_from_world, rtol=0, atol=0)
+    assert any("`rolling_shutter: yes` is not followed: the camera hardly moves" in flag for flag in asked.flags)
+    assert not any("not followed" in flag for flag in off.flags)
+
+
 def test_depths_are_carried_to_other_pixels() -> None:
     graph, depth = observe_rolled(SHAKY, 0.0, T=3)
     state = State(SHAKY(np.arange(3)), graph.resample(1 / depth, 1), FOCAL * graph.width)

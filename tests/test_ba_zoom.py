@@ -58,6 +58,23 @@ def test_zoom_can_be_set_where_it_is_not_found() -> None:
     assert solution.zoom.decision == "changing"
     assert solution.zoom.reason.startswith("as the options say")
     assert_allclose(solution.state.focals_px, scene.focal_px, rtol=0.01)
+    (told,) = solution.flags
+    assert told.startswith("a focal length per frame, as the options say; it saves -")
+
+
+@pytest.mark.parametrize(("motion", "why"), [("still", "the camera hardly moves"), ("rotate", "the camera only turns")])
+def test_a_zoom_that_is_asked_for_of_a_camera_that_does_not_move_is_not_followed_and_said(
+    motion: str, why: str
+) -> None:
+    graph = observe(make_scene(T=10, size=(96, 160), motion=motion), noise_px=NOISE_PX)
+    auto, asked = (
+        estimate(Problem(graph, masked=True), OPTIONS.model_copy(update={"zoom": word})) for word in ("auto", "yes")
+    )
+    assert asked.state.zoom is None
+    assert [flag for flag in asked.flags if flag not in auto.flags] == [
+        flag for flag in asked.flags if f"`zoom: yes` is not followed: {why}" in flag
+    ]
+    assert len(asked.flags) == len(auto.flags) + 1
 
 
 def test_epipolar_geometry_of_a_pair_gives_the_ratio_of_its_focal_lengths() -> None:

@@ -137,6 +137,32 @@ def test_frames_are_not_undistorted_under_what_was_made_of_them(given: dict) -> 
         configuration.load(given | {"lens": {"distortion": "yes"}})
 
 
+@pytest.mark.parametrize(
+    ("given", "option", "has_room"),
+    [
+        ({"intrinsics": "1200"}, "zoom", False),
+        ({"intrinsics": "truth"}, "zoom", False),
+        ({"intrinsics": "1200"}, "rolling_shutter", True),
+        ({"ba": {"poses_from": "a.tum"}}, "zoom", False),
+        ({"ba": {"poses_from": "a.tum"}}, "rolling_shutter", False),
+        ({"ba": {"poses_from": "truth"}}, "rolling_shutter", False),
+        ({"ba": {"poses_from": "a.tum", "poses_as": "start"}}, "zoom", True),
+        ({"ba": {"poses_from": "a.tum", "poses_as": "start"}}, "rolling_shutter", True),
+    ],
+)
+def test_an_effect_of_the_camera_that_nothing_would_estimate_is_refused(
+    given: dict, option: str, has_room: bool
+) -> None:
+    """It would be ignored. Without `yes` nothing is said."""
+    for word, refused in (("yes", not has_room), ("auto", False), ("no", False)):
+        raw = given | {"ba": given.get("ba", {}) | {option: word}}
+        if refused:
+            with pytest.raises(InputError, match=rf"ba\.{option}: expected no or auto where .* given: .*'yes'; leave"):
+                configuration.load(raw)
+        else:
+            assert getattr(configuration.load(raw).ba, option) == word
+
+
 @pytest.mark.parametrize("given", [{}, {"intrinsics": "truth"}, {"flow": {"source": "flows"}}])
 def test_truth_and_flow_are_carried_over_to_undistorted_frames(given: dict) -> None:
     assert configuration.load(given).lens.distortion == "auto"

@@ -93,6 +93,22 @@ def test_a_lens_is_left_alone_where_cameras_are_given() -> None:
     found = effects(intrinsics=1200)
     assert {run.config.lens.distortion for run in found.values()} == {"no"}
     assert found["all"].config.ba.rolling_shutter == "yes"
+    assert found["all"].config.ba.zoom == "auto"
+    fixed = effects(intrinsics=1200, ba={"poses_from": "a.tum"})
+    assert {run.config.ba.rolling_shutter for run in fixed.values()} == {"auto"}
+
+
+def test_a_zoom_that_is_asked_for_is_left_out_of_the_runs_with_true_cameras() -> None:
+    """They would stop the plan of every run: in these alone nothing could follow it."""
+    listed, _ = settings.compared(SHIPPED | {"ba": SHIPPED["ba"] | {"zoom": "yes", "rolling_shutter": "yes"}})
+    runs = {run.name: run for run in listed if run.group == "inputs"}
+    assert {name for name, run in runs.items() if run.config.ba.zoom == "yes"} == {"true flow", "true masks"}
+    shutter = {name for name, run in runs.items() if run.config.ba.rolling_shutter == "yes"}
+    assert shutter == {"true intrinsics", "true flow", "true masks"}
+    assert runs["true intrinsics"].overrides == {"intrinsics": "truth", "ba.zoom": "auto"}
+    both = {"mine": {"both": {"intrinsics": "truth", "ba.zoom": "yes"}}}
+    with pytest.raises(InputError, match=r"setting 'both' of 'mine': ba.zoom: expected no or auto where"):
+        settings.compared({"sweep": {"runs": both}})
 
 
 def test_the_sweep_runs_the_groups_that_are_asked_for() -> None:

@@ -9,6 +9,8 @@ from stages.ba import shutter, zoom
 from stages.ba.classify import FLOOR_PX, RESIDUAL_RATIO, Statistics, longest_step
 from stages.ba.graph import MIN_WEIGHT, FlowGraph
 from stages.ba.initialise import Candidate
+from stages.ba.options import BAOptions
+from stages.ba.problem import Estimate
 from stages.shared import lie
 
 ROUGH_PATH = 0.2
@@ -68,10 +70,14 @@ def of_focal(camera: str, focal: Mapping[str, Any]) -> list[str]:
 
 
 def of_zoom(evidence: zoom.Evidence) -> list[str]:
-    """A warning if a focal length that changes explains the flow, but not observably so."""
+    """A warning about a focal length that changes: it explains the flow, but not observably so, or it is asked for and
+    explains nothing.
+    """
     explains = evidence.gain is None or evidence.gain >= max(
         zoom.MIN_GAIN, zoom.SIGNIFICANT * (evidence.gain_sigma or 0.0)
     )
+    if evidence.decision == "changing" and not explains:
+        return [f"a focal length per frame, {evidence.reason}"]
     if evidence.decision != "not observable" or not explains:
         return []
     return [f"the focal length may change over the frames, which is not observable: {evidence.reason}"]
@@ -86,6 +92,17 @@ def of_shutter(evidence: shutter.Evidence) -> list[str]:
     if evidence.decision == "not observable" and gain >= max(shutter.MIN_GAIN, shutter.SIGNIFICANT * gain_sigma):
         return [f"the shutter may roll, which is not observable: {evidence.reason}"]
     return []
+
+
+def of_options(solution: Estimate, options: BAOptions) -> list[str]:
+    """Warnings about effects that the options ask for, and that a camera which does not move leaves no room for."""
+    found = []
+    still = {"near-still": "the camera hardly moves", "rotating": "the camera only turns, at one focal length"}
+    if options.zoom == "yes" and solution.zoom.decision == "not tested" and solution.camera in still:
+        found.append(f"`zoom: yes` is not followed: {still[solution.camera]}")
+    if options.rolling_shutter == "yes" and solution.camera == "near-still" and solution.rolling.decision != "rolling":
+        found.append("`rolling_shutter: yes` is not followed: the camera hardly moves, its rows differ by noise alone")
+    return found
 
 
 def of_rounds(now: Mapping[str, Any], before: Mapping[str, Any]) -> list[str]:

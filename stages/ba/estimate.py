@@ -30,6 +30,11 @@ def estimate(problem: Problem, options: BAOptions) -> Estimate:
     If the solution with masks fails checks and that without masks fails fewer, the masks are ignored: wrong masks do
     more harm than movers, which the robust kernel downweights in part.
     """
+    solution = _best(problem, options)
+    return replace(solution, flags=solution.flags + diagnostics.of_options(solution, options))
+
+
+def _best(problem: Problem, options: BAOptions) -> Estimate:
     solution = _estimate(problem, options)
     if not solution.failed_checks or problem.unmasked is None:
         return solution
@@ -72,7 +77,8 @@ def _estimate(problem: Problem, options: BAOptions) -> Estimate:
     closed = loops.close(graph, state, Unknowns(free, zoom=free and state.zoom is not None), prior)
     graph, problem = closed.graph, replace(problem, graph=closed.graph)
     refined, focal = refine(problem, statistics, replace(found, state=closed.state), prior)
-    rolling = _rolling(graph, refined.state, focal, prior, options)
+    near_still = statistics.camera == "near-still"
+    rolling = _rolling(graph, refined.state, focal, prior, options, may_assume=not near_still)
     if rolling.decision == "rolling":
         turned = classify.measure(
             shutter.correct(graph, refined.state, rolling.readout), problem.known_focal_px, options.seed
@@ -99,14 +105,25 @@ def _estimate(problem: Problem, options: BAOptions) -> Estimate:
 
 
 def _rolling(
-    graph: FlowGraph, state: State, focal: Focal, prior: FocalPrior, options: BAOptions, translation: bool = True
+    graph: FlowGraph,
+    state: State,
+    focal: Focal,
+    prior: FocalPrior,
+    options: BAOptions,
+    translation: bool = True,
+    may_assume: bool = True,
 ) -> shutter.Evidence:
-    """Evidence for a rolling shutter from the solution without one."""
+    """Evidence for a rolling shutter from the solution without one.
+
+    Args:
+        may_assume: whether it is taken without a test if the options say so. The rows of a camera that hardly moves
+            differ by less than the noise, to which the readout would be fitted.
+    """
     if options.rolling_shutter == "no":
         return shutter.NOT_TESTED
     free = focal.decision in ("estimated", "weakly observed")
     unknowns = Unknowns(free, translation, free and state.zoom is not None)
-    return shutter.weigh(graph, state, unknowns, prior, options.rolling_shutter == "yes")
+    return shutter.weigh(graph, state, unknowns, prior, may_assume and options.rolling_shutter == "yes")
 
 
 def _start(

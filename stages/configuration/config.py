@@ -104,6 +104,7 @@ class Config(Options):
         return names
 
 
+LENS = "lens.distortion"
 SHARED_KEYS = ("intrinsics", "holdout_every", "holdout_first", "device", "seed")
 """Top-level keys that sections inherit."""
 
@@ -119,8 +120,9 @@ def load(raw: Mapping[str, Any], mine: Mapping[str, Any] | None = None) -> Confi
         OptionError: one line for the first wrong value.
     """
     config = validate(Config, raw)
-    if hands_in_views(config):
-        raw = override(raw, {"lens.distortion": _no_lens(config)})
+    _refuse_idle(config)
+    if LENS in idle_effects(config):
+        raw = override(raw, {LENS: "no"})
     values, defaults = config.model_dump(by_alias=True), Config().model_dump(by_alias=True)
     needless = (FIXED_POSES if config.segment.estimates else FIXED_ALL) if config.ba.poses_fixed else {}
     open_values = {
@@ -131,21 +133,32 @@ def load(raw: Mapping[str, Any], mine: Mapping[str, Any] | None = None) -> Confi
     return validate(Config, override(raw, open_values))
 
 
-def hands_in_views(config: Config) -> bool:
-    """Whether the user hands in cameras, masks or depth, which are of the frames as they are."""
+def idle_effects(config: Config) -> dict[str, str]:
+    """The effects of the camera, by dotted name, that what is given leaves no room for, and why.
+
+    Cameras, masks and depth that the user hands in are of the frames as they are; given intrinsics are one focal length
+    for all frames; poses that are held fixed are those of all rows.
+    """
     adjustment = section(config, "ba")
     assert isinstance(adjustment, BAOptions), "the section of ba"
     taken = (adjustment.intrinsics, adjustment.poses_from, adjustment.depth_from)
-    masks = config.segment.given or config.segment.evidence
-    return bool(masks) or any(value not in (ESTIMATE, TRUTH) for value in taken)
+    found = {}
+    if config.segment.given or config.segment.evidence or any(value not in (ESTIMATE, TRUTH) for value in taken):
+        found[LENS] = "intrinsics, poses, masks or depth are given: they do not fit undistorted frames"
+    if adjustment.intrinsics != ESTIMATE or adjustment.poses_fixed:
+        found["ba.zoom"] = "intrinsics or fixed poses are given: their focal lengths are not estimated"
+    if adjustment.poses_fixed:
+        found["ba.rolling_shutter"] = "fixed poses are given: they are not estimated, nor is a readout"
+    return found
 
 
-def _no_lens(config: Config) -> str:
-    if config.lens.distortion == "yes":
-        advice = "leave out what is given, or `lens: {distortion: yes}`"
-        expected = "no or auto where intrinsics, poses, masks or depth are given: they do not fit undistorted frames"
-        raise OptionError(["lens", "distortion"], expected, "'yes'", advice)
-    return "no"
+def _refuse_idle(config: Config) -> None:
+    """Refuse an effect that is asked for where there is no room for it: it would be ignored."""
+    for option, reason in idle_effects(config).items():
+        name, key = option.split(".")
+        if getattr(getattr(config, name), key) == "yes":
+            advice = f"leave out what is given, or `{name}: {{{key}: yes}}`"
+            raise OptionError([name, key], f"no or auto where {reason}", "'yes'", advice)
 
 
 def section(config: Config, name: str) -> Options:

@@ -11,9 +11,7 @@ from stages.configuration.config import SHARED_KEYS, Config
 from stages.configuration.presets import Overrides, override, value_of
 from stages.shared.chain import MEASURED
 from stages.shared.errors import OptionError
-
-LENS = "lens.distortion"
-"""No run varies it where cameras, masks or depth are given, which are of the frames as they are."""
+from stages.shared.options import validate
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +111,7 @@ def _series(group: str, knobs: Knobs, config: Config, place: tuple[str, ...]) ->
 
 def _runs(config: Config) -> Iterator[_Run]:
     """The runs of every group, with the options that may be varied."""
-    kept = {LENS} if configuration.hands_in_views(config) else set()
+    kept = configuration.idle_effects(config)
     for group, runs in config.sweep.runs.items():
         for name, changes in (runs or {}).items():
             if changes is not None:
@@ -122,16 +120,23 @@ def _runs(config: Config) -> Iterator[_Run]:
 
 
 def _setting(raw: Mapping[str, Any], mine: Mapping[str, Any] | None, run: _Run) -> Setting:
-    chosen = override(mine or {}, {name: value for name, value in run.overrides.items() if name != "preset"})
     try:
         for option in run.overrides:
             _refuse_data(option, is_knob=run.knob is not None)
-        config = configuration.load(override(raw, run.overrides), chosen)
+        overrides = run.overrides | _idle(override(raw, run.overrides), run.overrides)
+        chosen = override(mine or {}, {name: value for name, value in overrides.items() if name != "preset"})
+        config = configuration.load(override(raw, overrides), chosen)
     except OptionError as error:
         raise error.of_setting(run.place, _title(run)) from error
     words = run.name if run.knob else f"{run.group}-{run.name}"
     folder = f"settings/{re.sub(r'[^A-Za-z0-9_.,=+-]+', '_', words)}/"
-    return Setting(folder, config, run.group, run.name, run.knob, run.value, run.overrides, run.place)
+    return Setting(folder, config, run.group, run.name, run.knob, run.value, overrides, run.place)
+
+
+def _idle(raw: Mapping[str, Any], overrides: Overrides) -> Overrides:
+    """The effects that the configuration asks for and a run does without, since its inputs leave no room for them."""
+    asked = [option for option in configuration.idle_effects(validate(Config, raw)) if option not in overrides]
+    return {option: "auto" for option in asked if value_of(raw, option) in ("yes", True)}
 
 
 def _title(run: "_Run | Setting") -> str:

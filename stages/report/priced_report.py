@@ -10,10 +10,11 @@ from stages.shared.tables import Column, Row, Table
 
 NOTE = (
     "Decided: as scene.json, the adjustment and the lens stage decide by evidence. All: every effect on, but for "
-    "distortion that cannot be measured, fog whose fitted extinction is 0, and the zoom of a camera that does not move "
-    "or has known intrinsics. None: a static scene in steady light before a pinhole; neither masks nor control points "
-    "are made. CPU seconds are of all stages, shared ones in full, and of those that differ between the three. COLMAP "
-    "and evaluation are left out. PSNR is of held-out frames; where the lens is undistorted, of undistorted ones. "
+    "distortion that cannot be measured, fog whose fitted extinction is 0, the zoom of a camera that does not move or "
+    "has known intrinsics, and the rolling shutter of one that hardly moves. None: a static scene in steady light "
+    "before a pinhole; neither masks nor control points are made. CPU seconds are of all stages, shared ones in full, "
+    "and of those that differ between the three. COLMAP and evaluation are left out. PSNR is of held-out frames; where "
+    "the lens is undistorted, of undistorted ones. "
     "Means are over the scenes that have the figure under all three settings."
 )
 FIGURES = (
