@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from stages.flow.edges import Edge
-from stages.flow.loops import FAR, between, find_loops, loop_flow, stations
+from stages.flow.loop_flow import between, loop_flow
+from stages.flow.loops import FAR, find_loops, stations
 
 H, W, STEP = 96, 160, 10
 Clip = tuple[np.ndarray, dict[Edge, np.ndarray]]

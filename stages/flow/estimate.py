@@ -54,13 +54,13 @@ class Estimate:
 
     def loops(self, near: Mapping[Edge, np.ndarray], scene: np.ndarray | None) -> list["Loop"]:
         """Frames too far apart for a chain that show the same place, by what they show; those given are left out."""
-        from stages.flow.loops import find_loops  # imports much of scipy, which short clips do not need
+        from stages.flow.loops import find_loops  # short clips do not need it
 
         return [loop for loop in find_loops(self.frames.grey, near, scene) if loop.pair not in self.others]
 
     def closed(self, loops: list["Loop"]) -> Flows:
         """Both edges of every loop."""
-        from stages.flow.loops import loop_flow
+        from stages.flow.loop_flow import loop_flow  # imports much of scipy, which clips without loops do not need
 
         return loop_flow(self.frames.grey, loops, self.frames.finest_scale)
 

@@ -13,9 +13,7 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from scipy.interpolate import RBFInterpolator
 
-from stages.flow.dis import solve_pair
 from stages.flow.edges import LOOPS_PER_FRAME, Edge, path, track_points, tracked
 from stages.flow.frames import Images
 from stages.flow.matches import Features, features, matched
@@ -34,8 +32,6 @@ CANDIDATES = 4
 """Stations that are compared with each one, the most similar first."""
 MOVING_PX = 2.0
 """Keypoints whose flow is further than this from the epipolar geometry of most pixels belong to movers."""
-NEAREST, STRIDE_PX = 16, 8
-"""Matches that the flow between them follows, and the pixels between points at which it is interpolated."""
 FITTING_PX, ITERATIONS, PROBABILITY = 2.0, 2000, 0.999
 """MAGSAC: inlier threshold, iterations, confidence."""
 MIN_INLIERS, MIN_SHARE = 25, 0.5
@@ -99,40 +95,6 @@ def find_loops(
         if not repeated & set(pair) and _confirmed(pair, found, carried)
     }
     return sorted((Loop((at[a], at[b]), matches) for (a, b), matches in _few(kept)), key=lambda loop: loop.pair)
-
-
-def loop_flow(grey: Images | np.ndarray, loops: Sequence[Loop], finest_scale: int) -> dict[Edge, np.ndarray]:
-    """Flow [h, w, 2] px of both edges of every loop, searched from its matches.
-
-    Args:
-        grey: [T, h, w] uint8. finest_scale: as in `solve_pair`.
-    """
-
-    def both(loop: Loop) -> dict[Edge, np.ndarray]:
-        (i, j), matches = loop
-        starts = (between(of, grey[i].shape) for of in (matches, matches[:, ::-1]))
-        pairs = zip(((i, j), (j, i)), starts, strict=True)
-        return {(a, b): solve_pair(grey[a], grey[b], start, finest_scale) for (a, b), start in pairs}
-
-    return {edge: of for found in threaded(both, loops) for edge, of in found.items()}
-
-
-def between(matches: np.ndarray, size: tuple[int, ...]) -> np.ndarray:
-    """Flow [h, w, 2] px, float32, that is smooth between matches [n, 2, 2] px and within their range beyond them.
-
-    Not by the interpolator of `matches.restarted`, which is given 250 matches and more: from the 39 to 92 of loops of a
-    long walk it raised an error of its own bounds, and the search that it started crashed in some runs.
-
-    Args:
-        size: (height, width) of the frame.
-    """
-    here, flow = matches[:, 0].astype(float), (matches[:, 1] - matches[:, 0]).astype(float)
-    spline = RBFInterpolator(here, flow, neighbors=min(len(here), NEAREST), smoothing=1.0, kernel="linear")
-    coarse = [-(-side // STRIDE_PX) for side in size]
-    at = STRIDE_PX * np.indices(coarse[::-1]).reshape(2, -1).T + (STRIDE_PX - 1) / 2  # (u, v), middles of cells
-    found = spline(at).reshape(*coarse[::-1], 2).swapaxes(0, 1).clip(flow.min(axis=0), flow.max(axis=0))
-    enlarged = cv2.resize(found, None, fx=STRIDE_PX, fy=STRIDE_PX, interpolation=cv2.INTER_LINEAR)
-    return np.ascontiguousarray(enlarged[: size[0], : size[1]], np.float32)
 
 
 def stations(flow: Mapping[Edge, np.ndarray], T: int) -> tuple[list[int], list[int], np.ndarray]:
