@@ -14,8 +14,6 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from stages.shared.artifacts import read_json, write_json
 from stages.shared.bars import BrightestYet
 from stages.shared.dataset_folders import MIN_FRAMES
@@ -23,9 +21,9 @@ from stages.shared.digest import code_digest
 from stages.shared.errors import InputError
 from stages.shared.images import reduce, reduced_size
 from stages.shared.log import progress
-from stages.video import decode
+from stages.video import decode, findings
 from stages.video.options import VideoOptions
-from stages.video.shots import Found, Look, Shot, find_shots, irregular, spans
+from stages.video.shots import Found, Look, Shot, find_shots
 
 LOOK_WIDTH_PX = 512
 
@@ -108,10 +106,10 @@ def make_index(video: Path, options: VideoOptions, cuts: bool = True) -> Index:
         width=width,
         height=height,
         bars_px=bars_px,
-        findings=_findings(video, header, first[0], found, bool(interlaced)),
-        warnings=_bars(bars_px)
-        + _unordered(len(unordered))
-        + _warnings(header, first[0], found, options, bool(interlaced)),
+        findings=findings.describe(video, header, first[0], found, bool(interlaced)),
+        warnings=findings.of_bars(bars_px)
+        + findings.of_order(len(unordered))
+        + findings.of_frames(header, first[0], found, options, bool(interlaced)),
     )
 
 
@@ -137,7 +135,7 @@ def _refuse_incomplete(video: Path, header: decode.Header, options: VideoOptions
             expected = f"frames after `start`, {options.start:g} s{until}"
             raise InputError(video, expected, f"none in a video of {length}", advice)
         raise InputError(video, f"at least {MIN_FRAMES} frames", "none that can be decoded", "export the video again")
-    last_s, interval_s = found.times_s[-1], _interval_s(header, found)
+    last_s, interval_s = found.times_s[-1], findings.interval_s(header, found)
     wanted = options.end is None or options.end > last_s + 2 * interval_s
     if wanted and found.complete and decode.is_cut_short(header, last_s, interval_s):
         advice = f"copy or export the video again, or use what there is by `video: {{end: {last_s:.3f}}}`"
@@ -146,91 +144,10 @@ def _refuse_incomplete(video: Path, header: decode.Header, options: VideoOptions
         total = len(found.times_s)
         used = f", one in {options.every} used" if options.every > 1 else ""
         less = f" ({len(found.duplicates_s)} of them repeat others)" if found.duplicates_s else ""
-        cut = f" with cuts at {_times(found.cuts_s)}" if found.cuts_s else ""
+        cut = f" with cuts at {findings.in_words(found.cuts_s)}" if found.cuts_s else ""
         advice = "give a longer part, or a smaller `video: {every: ...}`"
         expected = f"at least {MIN_FRAMES} frames that differ, without a cut between them"
         raise InputError(video, expected, f"{total} frame{'s' * (total != 1)}{used}{less}{cut}", advice)
-
-
-def _findings(
-    video: Path, header: decode.Header, first: decode.Frame, found: Found, interlaced: bool
-) -> dict[str, Any]:
-    return {
-        "video": str(video.resolve()),
-        "codec": header.codec,
-        "pixel_format": first.image.format.name,
-        "bits": first.image.format.components[0].bits,
-        "coded_size": [first.image.width, first.image.height],
-        "pixel_aspect": header.aspect,
-        "rotation_deg": first.image.rotation,
-        "interlaced": interlaced,
-        "length_s": header.length_s,
-        "frame_rate_hz": header.rate_hz,
-        "variable_frame_rate": irregular(found.times_s),
-        "frames_read": len(found.times_s),
-        "complete": found.complete,
-        "duplicates_s": found.duplicates_s,
-        "cuts_s": found.cuts_s,
-        "left_out_s": found.left_out_s,
-    }
-
-
-def _bars(bars_px: tuple[int, int]) -> list[str]:
-    where = zip(("left and right", "above and below"), bars_px, strict=True)
-    return [f"black bars {sides} are cut off, {px} px each" for sides, px in where if px]
-
-
-def _unordered(count: int) -> list[str]:
-    advice = "if recordings were joined, export the video again"
-    said = f"{count} frames are left out, whose time stamps are missing or not after those before: {advice}"
-    return [said] if count else []
-
-
-def _warnings(
-    header: decode.Header, first: decode.Frame, found: Found, options: VideoOptions, interlaced: bool
-) -> list[str]:
-    warnings = []
-    if interlaced:
-        warnings.append("the video is interlaced: one field of each frame is interpolated")
-    if first.image.color_trc in decode.HDR_TRANSFERS:
-        kind = decode.HDR_TRANSFERS[first.image.color_trc]
-        warnings.append(f"HDR video ({kind}): its colours are used as they are coded, and look flat")
-    if first.image.rotation % 90:
-        warnings.append(f"its metadata ask for a rotation by {first.image.rotation} degrees, which is left out")
-    if irregular(found.times_s):
-        steps = np.diff(found.times_s)
-        warnings.append(f"frames are {steps.min():.3f} to {steps.max():.3f} s apart: their own time stamps are kept")
-    if found.duplicates_s:
-        warnings.append(
-            f"{len(found.duplicates_s)} frames repeat the one before and are left out: {_times(found.duplicates_s)}"
-        )
-    if found.cuts_s:
-        warnings.append(f"cuts at {_times(found.cuts_s)}: each shot is a sequence of its own")
-    if found.left_out_s:
-        runs = spans(found.left_out_s, 2 * options.every * _interval_s(header, found))
-        parts = [f"{a:.3f}" if a == b else f"{a:.3f}..{b:.3f}" for a, b in runs]
-        warnings.append(
-            f"shots of fewer than {MIN_FRAMES} frames, flashes and blank frames are left out: {_few(parts)} s"
-        )
-    if not found.complete:
-        warnings.append(_cut_off(header, found, options))
-    return warnings
-
-
-def _cut_off(header: decode.Header, found: Found, options: VideoOptions) -> str:
-    """That `max_frames` ended the video early, and which `every` would take in all of it."""
-    until = found.shots[-1].times_s[-1]
-    said = f"the first {options.max_frames} frames are used, up to {until:.3f} s"
-    end = min((time for time in (options.end, header.length_s) if time), default=None)
-    if end is None or end <= until:
-        return f"{said}: see `video: {{max_frames: ...}}`"
-    every = int(np.ceil(options.every * (end - options.start) / (until - options.start)))
-    return f"{said} of {end:.3f} s: `video: {{every: {every}}}` covers all of it, `max_frames: all` uses all"
-
-
-def _interval_s(header: decode.Header, found: Found) -> float:
-    """Seconds between frames."""
-    return float(np.median(np.diff(found.times_s))) if len(found.times_s) > 1 else 1 / (header.rate_hz or 25)
 
 
 def _expected_frames(header: decode.Header, options: VideoOptions) -> int:
@@ -239,14 +156,6 @@ def _expected_frames(header: decode.Header, options: VideoOptions) -> int:
     count = rate_hz * max(0, min(options.end or length_s, length_s) - options.start)
     wanted = count if options.max_frames == "all" else options.every * options.max_frames
     return int(min(count, wanted)) or 1
-
-
-def _times(times_s: list[float]) -> str:
-    return _few([f"{time:.3f}" for time in times_s]) + " s"
-
-
-def _few(words: list[str], most: int = 8) -> str:
-    return ", ".join(words[:most]) + (f" and {len(words) - most} more" if len(words) > most else "")
 
 
 def _key(video: Path, options: VideoOptions, cuts: bool) -> str:
