@@ -7,7 +7,7 @@ import finished_run as run
 import numpy as np
 import pytest
 
-from stages.evaluate import costs, pose_diagnostics, score_geometry, score_models, score_poses
+from stages.evaluate import costs, pose_diagnostics, pose_statistics, score_geometry, score_models, score_poses
 from stages.report import overview
 from stages.shared import lie
 from stages.shared.artifacts import read_dense, read_metadata, read_model, write_model
@@ -46,8 +46,8 @@ def test_the_change_of_a_focal_length_is_shown_as_the_largest_over_the_smallest(
     (tmp_path / "ba").mkdir()
     cameras = make_cameras(run.CAM_FROM_WORLD, run.K, np.arange(run.T))
     write_cameras(tmp_path / "ba/poses.parquet", cameras, {"zoom": {"change": float(np.log(1.3))}})
-    label, unit, _ = pose_diagnostics.STATISTICS["zoom_change_percent"]
-    rows = {row["statistic"]: row for row in pose_diagnostics.statistic_rows(tmp_path)}
+    label, unit, _ = pose_statistics.STATISTICS["zoom_change_percent"]
+    rows = {row["statistic"]: row for row in pose_statistics.statistic_rows(tmp_path)}
     assert rows[label]["value"] == pytest.approx(30.0)
     assert unit == "%, largest over smallest"
 
@@ -57,9 +57,9 @@ def test_the_decision_about_the_shutter_is_shown_with_its_numbers(tmp_path: Path
     cameras = make_cameras(run.CAM_FROM_WORLD, run.K, np.arange(run.T))
     write_cameras(tmp_path / "ba/poses.parquet", cameras, run.DECIDED)
     assert pose_diagnostics.decisions(run.DECIDED)["shutter"] == "rolling"
-    rows = {row["statistic"]: row["value"] for row in pose_diagnostics.statistic_rows(tmp_path)}
-    assert rows[pose_diagnostics.STATISTICS["shutter_readout_percent"][0]] == pytest.approx(70.0)
-    assert rows[pose_diagnostics.STATISTICS["shutter_gain_percent"][0]] == pytest.approx(30.0)
+    rows = {row["statistic"]: row["value"] for row in pose_statistics.statistic_rows(tmp_path)}
+    assert rows[pose_statistics.STATISTICS["shutter_readout_percent"][0]] == pytest.approx(70.0)
+    assert rows[pose_statistics.STATISTICS["shutter_gain_percent"][0]] == pytest.approx(30.0)
 
 
 def test_the_focal_curve_is_scored_where_the_true_one_changes() -> None:

@@ -8,7 +8,7 @@ import markupsafe
 import yaml
 
 from stages.comparisons import made_under
-from stages.evaluate import pose_diagnostics
+from stages.evaluate import pose_statistics
 from stages.report import overview, paired_report, priced_report, provenance, tradeoff_report
 from stages.report.clips import clip_of, shot_lines
 from stages.report.effect_tables import decision_rows, simulation_rows
@@ -135,7 +135,7 @@ def gather(folders: list[Path], manifests: Path | None) -> tuple[dict[str, list[
                 rows[kind] += read_rows(path)
                 protocols[kind] = read_metadata(path).get("protocol", "")
     rows["decisions"] = [row for folder in folders for row in decision_rows(folder)]
-    rows["statistics"] = [row for folder in folders for row in pose_diagnostics.statistic_rows(folder)]
+    rows["statistics"] = [row for folder in folders for row in pose_statistics.statistic_rows(folder)]
     rows["simulation"] = [row for folder in folders for row in simulation_rows(manifests, folder.name, clip_of(folder))]
     return rows, protocols
 

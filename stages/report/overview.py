@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from stages.evaluate import pose_diagnostics, ratios, score_models, summaries
+from stages.evaluate import pose_diagnostics, pose_statistics, ratios, score_models, summaries
 from stages.evaluate.costs import is_ours
 from stages.evaluate.score_masks import PRIOR
 from stages.report import detail_tables, published
@@ -76,7 +76,7 @@ def build_groups(rows: Rows, protocols: Mapping[str, str], numbers: Mapping[str,
     checks_mean, checks = detail_tables.check_tables(rows["checks"])
     effects = [detail_tables.decision_table(rows["decisions"]), detail_tables.simulation_table(rows["simulation"])]
     decided = pose_diagnostics.decision_table(rows["poses"])
-    statistics = pose_diagnostics.statistics_table(rows["statistics"])
+    statistics = pose_statistics.statistics_table(rows["statistics"])
     compared = ratios.ratio_table(rows["poses"], rows["settings"])
     other_poses, other_images = published.pose_table(numbers, rows["poses"]), published.image_table(numbers)
     many = len({row["sequence"] for row in rows["time"]}) > 1
