@@ -34,3 +34,12 @@ def test_a_job_on_a_cluster_asks_for_what_is_known_before_it_runs(repo_copy: Pat
     minutes = [int(asked[rule].partition("runtime=")[2].partition(",")[0]) for rule in rules]
     assert minutes == sorted(minutes, reverse=True)
     assert minutes[-1] > 0
+
+
+def test_a_run_on_a_cluster_writes_as_much_as_on_one_machine(repo_copy: Path) -> None:
+    """Rules that say nothing of their disk would count with Snakemake's default, a gigabyte each."""
+    pytest.importorskip("snakemake_executor_plugin_slurm")
+    here, there = (run_snakemake(repo_copy, "-n", *profile) for profile in ((), ("--profile", "profiles/slurm")))
+    told = [re.findall(r"This run writes about (.*?);", plan.stdout + plan.stderr) for plan in (here, there)]
+    assert len(told[0]) == 1
+    assert told[0] == told[1]
