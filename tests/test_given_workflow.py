@@ -84,7 +84,8 @@ def test_one_file_for_several_sequences_is_refused(tmp_path: Path) -> None:
     ("options", "expected"),
     [
         ({"intrinsics": "exif"}, "expected EXIF data"),
-        ({"intrinsics": "5"}, "expected a focal length of"),
+        ({"intrinsics": "5"}, "^the configuration: intrinsics: expected a focal length of"),
+        ({"ba": {"intrinsics": "5"}}, "^the configuration: ba.intrinsics: expected a focal length of"),
         ({"ba": {"poses_from": "all.tum"}}, "expected intrinsics for poses that are held fixed"),
         ({"intrinsics": "60", "ba": {"poses_from": "half.tum"}}, "expected a pose for each of the"),
         ({"intrinsics": "60", "ba": {"poses_from": "all.tum"}}, None),

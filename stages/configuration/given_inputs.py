@@ -13,7 +13,8 @@ from stages.configuration.settings import Setting
 from stages.given import depth, flow, masks
 from stages.given.cameras_files import find_cameras, read_intrinsics, read_poses, require_lens
 from stages.given.files import PLACEHOLDER, of_sequence
-from stages.given.intrinsics import ESTIMATE, EXIF, TRUTH, parse
+from stages.given.intrinsics import ESTIMATE, EXIF, FORMS, TRUTH, parse
+from stages.shared.errors import InputError
 from stages.shared.options import allowed_words
 from stages.shared.sequences import Sequence, frames_digest
 
@@ -68,7 +69,7 @@ def check(runs: Iterable[tuple[Setting, Iterable[Sequence]]]) -> None:
             FINDERS[option](of_sequence(path, sequence.name), _used(setting.config, sequence))
     for setting, of_name in seen.values():
         for sequence in of_name.values():
-            _check_cameras(setting.config, _used(setting.config, sequence))
+            _check_cameras(setting, _used(setting.config, sequence))
 
 
 def added_edges(config: Config, sequence: Sequence) -> int:
@@ -99,13 +100,18 @@ def _used(config: Config, sequence: Sequence) -> Sequence:
     return replace(sequence, frames=sequence.frames[:limit], numbers=sequence.numbers[:limit], times_s=times_s)
 
 
-def _check_cameras(config: Config, frames: Sequence) -> None:
+def _check_cameras(setting: Setting, frames: Sequence) -> None:
     """Read the cameras that the user states for the frames; of EXIF data those of the first, if it is there."""
-    options = _adjustment(config)
+    options = _adjustment(setting.config)
     seen = options.intrinsics != EXIF or frames.times_s is not None or frames.frames[0].is_file()
     if options.intrinsics not in (ESTIMATE, TRUTH) and seen:
-        read_intrinsics(options.intrinsics, replace(frames, frames=frames.frames[:1]))
-    if _path_in(config, "ba.poses_from"):
+        try:
+            read_intrinsics(options.intrinsics, replace(frames, frames=frames.frames[:1]))
+        except InputError as error:
+            if parse(options.intrinsics).kind not in FORMS:
+                raise
+            raise setting.error("ba.intrinsics", *error.words) from error
+    if _path_in(setting.config, "ba.poses_from"):
         _, Ks = read_poses(options.poses_from, frames, lenses=options.intrinsics == ESTIMATE)
         if options.poses_fixed and options.intrinsics == ESTIMATE:
             require_lens(options.poses_from, Ks)

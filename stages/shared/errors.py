@@ -19,7 +19,7 @@ class InputError(Exception):
     """
 
     def __init__(self, subject: Path | str, expected: str, found: str, advice: str) -> None:
-        self.subject = str(subject)
+        self.subject, self.words = str(subject), (expected, found, advice)
         super().__init__(f"{subject}: expected {expected}, found {found}; {advice}")
 
 
@@ -42,16 +42,15 @@ class OptionError(InputError):
         name: str = "",
     ) -> None:
         self.place, self.name = tuple(place), name or ".".join(place)
-        self._words = expected, found, advice
         super().__init__(f"{where}: {self.name}", expected, found, advice)
 
     def standing_in(self, where: str) -> "OptionError":
         """The same, with the file or flag in which the value stands."""
-        return OptionError(self.place, *self._words, where, self.name)
+        return OptionError(self.place, *self.words, where, self.name)
 
     def of_setting(self, place: Sequence[str], setting: str) -> "OptionError":
         """The same of a setting of a comparison, to whose options the keys `place` lead."""
-        return OptionError(place, *self._words, name=f"{setting}: {self.name}")
+        return OptionError(place, *self.words, name=f"{setting}: {self.name}")
 
 
 @contextlib.contextmanager
