@@ -36,6 +36,16 @@ def needed_by(listed):
     return [f"<results>/{DATASET}/{path}" for path in files]
 
 
+@functools.cache
+def listed_runs(comparison):
+    """The runs of a comparison that is asked for; says, once, which sizes of the scaling are not among them."""
+    if comparison == "scaling" and workflow.is_main_process:
+        for name in SCALED_SEQUENCES:
+            for line in sizes.distinct(CONFIGURED, SCALED, SEQUENCES[name])[1]:
+                logger.warning(line)
+    return RUNS[comparison]
+
+
 def masked_baseline(name):
     """The input function of results of COLMAP with our masks; empty if the job's setting does not run it."""
 

@@ -15,16 +15,6 @@ RUNS = {
 }
 
 
-@functools.cache
-def listed_runs(comparison):
-    """The runs of a comparison that is asked for; says, once, which sizes of the scaling are not among them."""
-    if comparison == "scaling" and workflow.is_main_process:
-        for name in SCALED_SEQUENCES:
-            for line in sizes.distinct(CONFIGURED, SCALED, SEQUENCES[name])[1]:
-                logger.warning(line)
-    return RUNS[comparison]
-
-
 rule list_runs:
     output:
         runs=f"<results>/{DATASET}/{{comparison}}/runs.json",
