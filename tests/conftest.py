@@ -7,12 +7,15 @@ import stages  # noqa: F401, I001
 import shutil
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 import yaml
+
+from stages.shared.log import logger
 
 REPO = Path(__file__).resolve().parents[1]
 DATA = REPO.parent / "shared" / "data"
@@ -42,6 +45,19 @@ def write_frames(folder: Path, count: int = 4, size: tuple[int, int] = (48, 64),
         image = rng.integers(0, 255, (*size, 3), dtype=np.uint8)
         cv2.imwrite(str(folder / f"frame_{number:04d}.png"), image)
     return folder
+
+
+@pytest.fixture(autouse=True)
+def _fresh_log() -> Iterator[None]:
+    """The log as at a program's start, after a test that ran a stage's main in this process, too.
+
+    `log.setup` ends the propagation to the root logger, without which `caplog` of every later test stays empty.
+    """
+    yield
+    logger.propagate = True
+    for handler in logger.handlers[:]:
+        logger.removeHandler(handler)
+        handler.close()
 
 
 @pytest.fixture
