@@ -10,8 +10,7 @@ import torch
 from gaussian_training import CANONICAL, OPTIONS, TRAIN, image_at, new_scene, psnr, trained
 from scipy.ndimage import binary_dilation
 
-from stages.gaussians import __main__ as gaussians_stage
-from stages.gaussians import checkpoint, optimise
+from stages.gaussians import beginning, checkpoint, optimise
 from stages.gaussians.densify import densify
 from stages.gaussians.initial_cloud import initial_cloud
 from stages.gaussians.optimise import Trainer
@@ -202,7 +201,7 @@ def test_only_the_gains_that_are_called_for_are_trained(exposure: int, white_bal
     """One for all channels, or one for each; both come back from the model file, and none leaves no tensor."""
     seen, scene = truth.observations(TRAIN), new_scene(truth.observations(TRAIN))
     needs = {"exposure": {"needed": bool(exposure)}, "white_balance": {"needed": bool(white_balance)}}
-    _, gains, _ = gaussians_stage._tables_over_time(seen, None, needs, GaussiansOptions())
+    _, gains, _ = beginning.tables_over_time(seen, None, needs, GaussiansOptions())
     assert (0 if gains is None else gains.log_gains.shape[1]) == channels
     if gains is not None:
         gains.log_gains.data = 0.2 * torch.randn(gains.log_gains.shape, generator=torch.manual_seed(0))
