@@ -1,15 +1,22 @@
-"""Where the time of a training step goes, and what a Gaussian costs in memory.
+"""Where the time of training goes, and what a Gaussian costs in memory.
 
-Run as `python -m benchmarks.bench_training`. The scene is random: 45,000 static and 5,000 dynamic Gaussians on 512
-control points, 512 x 218 pixels. Parts are medians over steps of the same run; "other" is what no part claims. On a
-busy machine trust the CPU milliseconds (all threads together), not the wall clock. Memory is the growth of the peak of
-the process from this to a larger scene.
+`python -m benchmarks.bench_training` takes a random scene: 45,000 static and 5,000 dynamic Gaussians on 512 control
+points, 512 x 218 pixels. Parts are medians over steps of the same run; "other" is what no part claims. On a busy
+machine trust the CPU milliseconds (all threads together), not the wall clock. Memory is the growth of the peak of the
+process from this to a larger scene.
+
+`python -m benchmarks.bench_training results/<dataset>/<sequence> ...` trains sequences again, as they were trained
+there, and prints the share of every part in the whole training; results/<dataset>/<sequence>/settings/<setting> is one
+under a setting of a sweep. Nothing is written. Run it twice: the first run compiles.
 """
 
+import argparse
 import resource
 import time
 from collections import defaultdict
 from collections.abc import Callable
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -18,10 +25,12 @@ import torch
 from stages.deformation import lbs_kernels, motion_models, weight_kernels
 from stages.deformation.motion_models import TableDeformation
 from stages.gaussians import ssim_kernels
+from stages.gaussians.beginning import Beginning, begin
 from stages.gaussians.optimise import Trainer
 from stages.gaussians.options import GaussiansOptions
 from stages.gaussians.training_frames import TrainingFrames
 from stages.shared.adam import Adam
+from stages.shared.artifacts import read_metadata
 from stages.shared.cameras import centred_intrinsics
 from stages.splatting import projection_kernels, raster_adjoint, raster_bins, raster_kernels
 from stages.splatting.cloud import Cloud
@@ -50,6 +59,17 @@ PARTS: dict[str, list[tuple[Any, str]]] = {
     "ARAP, forward": [(motion_models, "arap_energy"), (motion_models, "arap_graph")],
     "Adam": [(Adam, "step")],
 }
+
+INPUTS = {
+    "sequence": "lens/sequence.json",
+    "masks": "masks",
+    "poses": "ba/poses.parquet",
+    "depth": "ba/depth.arrow",
+    "scene": "scene.json",
+    "points": "control/points.parquet",
+    "deformation": "control/deformation.safetensors",
+}
+"""Inputs of the stage, in the folder of a sequence."""
 
 
 def random_trainer(n: int) -> Trainer:
@@ -124,12 +144,61 @@ def peak_bytes() -> int:
     return 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 
 
+def beginning_of(folder: Path, scratch: Path) -> Beginning:
+    """The trainer at step 0 for the results in `folder`, under the options that they were trained with.
+
+    What a setting shares with the sequence that it belongs to lies there: SEQUENCE/settings/SETTING.
+    """
+    places = [folder, folder.parents[1]]
+    found = {
+        name: next((place / path for place in places if (place / path).exists()), None) for name, path in INPUTS.items()
+    }
+    model = folder / "gaussians/model.safetensors"
+    missing = [INPUTS[name] for name, path in found.items() if path is None] + ([] if model.exists() else [str(model)])
+    if missing:
+        raise SystemExit(f"{folder}: no {missing[0]}: name a folder results/<dataset>/<sequence> that is trained")
+    options = GaussiansOptions.model_validate(read_metadata(model)["options"])
+    return begin(**{name: path for name, path in found.items() if path}, options=options, scratch=scratch)
+
+
+def profile(folder: Path, seconds: Times) -> str:
+    """The seconds of one whole training, and the share of every part."""
+    with TemporaryDirectory() as scratch:
+        began = now()
+        start = beginning_of(folder, Path(scratch))
+        begun = now()
+        seconds.clear()
+        start.trainer.run(lambda _: None)
+        (ready_s, _), (wall_s, cpu_s) = begun - began, now() - begun
+    shares = {part: 100 * seconds[part][1] / cpu_s for part in PARTS}
+    scene, threads = start.trainer.scene, torch.get_num_threads()
+    moving = 100 * (1 - scene.n_static / len(scene.anchors))
+    lines = [
+        f"{folder}: {start.trainer.step} steps in {wall_s:.1f} s, {cpu_s:.1f} CPU s, {threads} threads busy "
+        f"{100 * cpu_s / wall_s / threads:.0f} %, after {ready_s:.1f} s to begin; {len(scene.anchors)} Gaussians, "
+        f"{moving:.0f} % of them dynamic; peak memory {peak_bytes() / 1e6:.0f} MB"
+    ]
+    lines += [f"  {part:22}{share:5.0f} % of CPU" for part, share in shares.items()]
+    return "\n".join([*lines, f"  {'other':22}{100 - sum(shares.values()):5.0f} % of CPU"])
+
+
 def main() -> None:
-    """Print the milliseconds of each part and the bytes per Gaussian."""
+    """Print where the time goes in the training of the folders named, or of the random scene."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.bench_training", description=main.__doc__)
+    parser.add_argument("folder", nargs="*", type=Path, help="results/<dataset>/<sequence>, trained")
+    folders = parser.parse_args().folder
     seconds: Times = defaultdict(lambda: np.zeros(2))
     for part, functions in PARTS.items():
         for owner, name in functions:
             setattr(owner, name, clocked(getattr(owner, name), seconds, part))
+    for folder in folders:
+        print(profile(folder, seconds), flush=True)
+    if not folders:
+        random_scene(seconds)
+
+
+def random_scene(seconds: Times) -> None:
+    """Print the milliseconds of each part and the bytes per Gaussian."""
     trainer = random_trainer(N)
     medians = measured_steps(trainer, seconds)
     wall_ms, cpu_ms = medians["step"]
