@@ -2,7 +2,8 @@
 
 Failed flow fits no depth, and neither does the flow of a mover: fog, blur and repeated texture look like motion. The
 images tell them apart. Warped with a static depth (the pixel's own or that of its neighbours) they match as well as
-warped with the flow, unless the pixel moved.
+warped with the flow, unless the pixel moved. Where the light changes they match the flow better; there the texture
+tells (`shadows`).
 """
 
 import itertools
@@ -13,6 +14,7 @@ import numpy as np
 from stages.motion.epipolar import Evidence
 from stages.motion.pooling import PRIOR_WEIGHT
 from stages.motion.resweep import dense_static_flow
+from stages.motion.shadows import at_rest, log_detail, surrounding_plane
 from stages.shared import flow_pairs
 from stages.shared.flow_pairs import FlowPairs
 from stages.shared.threads import threaded
@@ -30,6 +32,8 @@ TOLERANCE = 1.0, 0.5
 """Residual expected of a static pixel: colour levels, and the position error of the best static match in pixels."""
 EXPLAINED = 0.35
 """Residual below which the depth of a pixel is a candidate for its neighbours."""
+STATIC_POWER = 4
+"""The larger, the less the depth of a pixel with a residual counts for the plane around it."""
 WINDOW_PX, NEIGHBOURS_PX = 5, 15
 MEAN_OF_COLOURS = np.full((1, 3), 1 / 3, np.float32)
 NEVER = np.float32(1e30)
@@ -45,6 +49,7 @@ def corroborate(
 ) -> Evidence:
     """Evidence whose residual is reduced where flow is unreliable and the images do not confirm motion.
 
+    It is also reduced where they show a surface at rest under light that changes.
     Where flow has no weight, the images give it one: the share of confident matches of the frame, at least
     PRIOR_WEIGHT. Without this minimum no motion would show in frames whose flow is bad everywhere.
 
@@ -55,7 +60,9 @@ def corroborate(
     """
     T = len(rgb)
 
-    def of_frame(i: int, frames: dict[int, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    def of_frame(
+        i: int, frames: dict[int, np.ndarray], details: dict[int, np.ndarray]
+    ) -> tuple[np.ndarray, np.ndarray]:
         edges = np.array(pairs.leaving(i, i + 1), int)
         edges = edges[np.abs(i - pairs.target[edges]) <= flow_pairs.REACH]
         confidence = pairs.confidence[edges].astype(np.float32)
@@ -63,8 +70,11 @@ def corroborate(
         depths = _static_depths(inverse_depth[i].astype(np.float32), evidence.residual[i])
         near = edges[np.abs(i - pairs.target[edges]) <= REACH]
         cameras = projections[0][near], projections[1][near]
-        contradicted = _contradicted(frames, i, pairs.target[near], pairs.flow[near], cameras, depths)
+        targets, flows = pairs.target[near], pairs.flow[near]
+        contradicted = _contradicted(frames, i, targets, flows, cameras, depths)
         residual = evidence.residual[i] * np.maximum(np.minimum(reliability, 1), contradicted)
+        plane = surrounding_plane(inverse_depth[i], (1 - evidence.residual[i]) ** STATIC_POWER * evidence.weight[i])
+        residual *= 1 - at_rest(details, i, rgb[i], targets, flows, cameras, plane)
         weight = max((confidence > 0.5).mean(), PRIOR_WEIGHT) if len(edges) else 0
         return residual, np.maximum(evidence.weight[i], weight)
 
@@ -72,7 +82,9 @@ def corroborate(
     for first, last in pairs.blocks(T):
         near = range(max(first - REACH, 0), min(last + REACH, T))
         frames = {k: cv2.GaussianBlur(rgb[k], (0, 0), 0.7) for k in near}
-        for k, found in enumerate(threaded(of_frame, range(first, last), itertools.repeat(frames)), first):
+        details = {k: log_detail(rgb[k]) for k in near}
+        both = itertools.repeat(frames), itertools.repeat(details)
+        for k, found in enumerate(threaded(of_frame, range(first, last), *both), first):
             residual[k], weight[k] = found
     return Evidence(residual, weight)
 

@@ -31,7 +31,7 @@ def pool(evidence: Evidence, rgb: np.ndarray, pairs: FlowPairs) -> np.ndarray:
     T, reach = len(pooled), max(POOLED_OFFSETS)
     for first, last in pairs.blocks(T):
         near = slice(max(first - reach, 0), min(last + reach, T))
-        sums = threaded(_spread, evidence.residual[near], evidence.weight[near], rgb[near])
+        sums = threaded(spread, evidence.residual[near], evidence.weight[near], rgb[near])
         of_frame = dict(zip(range(near.start, near.stop), sums, strict=True))
         pooled[first:last] = threaded(lambda k, sums=of_frame: _pooled(k, sums, pairs), range(first, last))
     return pooled
@@ -49,7 +49,7 @@ def _pooled(frame: int, sums: dict[int, np.ndarray], pairs: FlowPairs) -> np.nda
     return np.asarray(pooled / (total + PRIOR_WEIGHT))
 
 
-def _spread(residual: np.ndarray, weight: np.ndarray, rgb: np.ndarray) -> np.ndarray:
+def spread(residual: np.ndarray, weight: np.ndarray, rgb: np.ndarray) -> np.ndarray:
     """Weighted residual and weight of a frame, [2, h, w], both smoothed up to its colour edges.
 
     Their ratio is a normalised convolution (Knutsson and Westin, CVPR 1993) by the fast global smoother (Min et al.,
