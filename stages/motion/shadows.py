@@ -21,7 +21,7 @@ FAINT = 0.005
 """Detail of the logarithm of brightness at which a pixel counts half."""
 ALIKE = 0.2
 """Detail of the difference, as a share of that of both frames, at which they are half alike."""
-TELLING_PX = 1.0
+TELLING_PX = 2.0
 """Distance of the two ways at which a comparison of them counts half."""
 UNKNOWN = 0.1
 """Weight, in pixels of full weight, of the assumption that nothing is alike."""
