@@ -8,7 +8,7 @@ import pytest
 from numpy.testing import assert_allclose
 from synthetic import make_scene, observe, trajectory_error
 
-from stages.ba import dba, proposal, twoview, zoom
+from stages.ba import dba, held_out, proposal, twoview, zoom
 from stages.ba.__main__ import _previous
 from stages.ba.estimate import estimate
 from stages.ba.graph import FlowGraph
@@ -84,6 +84,41 @@ def test_epipolar_geometry_of_a_pair_gives_the_ratio_of_its_focal_lengths() -> N
     motion = twoview.estimate_motion(*rays, scene.focal_px, 0.5, 0)
     assert motion is not None
     assert twoview.zoom_ratio(motion, *rays, 0.5, scene.focal_px) == pytest.approx(1.04, abs=0.002)
+
+
+def compared(graph: FlowGraph, *errors_px: np.ndarray) -> tuple[held_out.Fit, held_out.Fit]:
+    """Simpler and richer cameras that leave these errors [P]."""
+    state = State(np.tile(np.eye(4), (graph.T, 1, 1)), np.ones((graph.T, len(graph.pixels))), 1.0)
+    shape = graph.weights.shape
+    simple, rich = (held_out.Fit(state, 0.0, np.broadcast_to(of, shape).astype(np.float32)) for of in errors_px)
+    return simple, rich
+
+
+def test_a_usual_tile_is_not_that_of_a_mover_which_fits_the_wrong_cameras_alone() -> None:
+    graph = observe(make_scene(size=(96, 144)))
+    x, y = graph.pixels.T
+    mover = (x > 50) & (x < 118) & (y > 24) & (y < 72)
+    pair = compared(graph, np.where(mover, 0.1, 0.3), np.where(mover, 3.0, 0.2))
+    assert held_out.gain(graph, pair)[0] < -0.1
+    gain, sigma = held_out.usual_gain(graph, pair)
+    # The robust scale is twice the median residual, 0.4 px: (0.3 / 0.4)^2 / (1 + (0.3 / 0.4)^2) is 0.36, of 0.2 px 0.2.
+    assert gain == pytest.approx(1 - 0.2 / 0.36, abs=1e-3)
+    assert sigma < 0.02
+
+
+def test_a_usual_gain_is_that_of_the_tiles_that_were_asked_for() -> None:
+    graph = observe(make_scene(size=(96, 144)))
+    fitted = held_out.halves(graph)[0].weights.any(axis=0)
+    pair = compared(graph, np.array(0.3), np.where(fitted, 0.1, 0.3))
+    assert held_out.usual_gain(graph, pair)[0] == pytest.approx(0, abs=1e-6)
+    assert held_out.usual_gain(graph, pair, fitted=True)[0] > 0.5
+
+
+def test_from_a_handful_of_tiles_no_gain_is_told() -> None:
+    graph = observe(make_scene(size=(96, 144)))
+    corner = (graph.pixels[:, 0] < 40) & (graph.pixels[:, 1] < 40)
+    graph = replace(graph, weights=graph.weights * corner)
+    assert held_out.usual_gain(graph, compared(graph, np.array(0.3), np.array(0.1))) == (0.0, 1.0)
 
 
 def with_a_blind_frame(curve: np.ndarray) -> tuple[FlowGraph, State]:

@@ -30,6 +30,8 @@ TRIED = 0.05
 """Shift of a corner, inwards or outwards, from which cameras are searched anew."""
 START_FOCAL = 1.05
 """Focal length of the search in image widths; another one is found by the adjustment."""
+ZOOM_GAIN = 0.04
+"""From this gain of a focal length per frame on, the lens is judged among cameras that zoom."""
 FINE_PX = (1.0, 0.5)
 """Robust scales of the refinement in px, before that of the noise."""
 ITERATIONS = 15
@@ -134,7 +136,7 @@ def _weigh(observed: Observed, density: float) -> tuple[Evidence, Fit, Unknowns]
             # Of two coefficients: a focal length per frame also explains some of what the second one does.
             fits = [_fit(observed, rivals.bent.state, replace(of, lens=2)) for of in (straight, zooming)]
             gain, sigma = held_out.gain(graph, (fits[0], fits[1]))
-            if gain >= max(zoom.MIN_GAIN, zoom.SIGNIFICANT * sigma):
+            if gain >= max(ZOOM_GAIN, zoom.SIGNIFICANT * sigma):
                 rivals = _among_zooms(observed, zooming, plain)
                 found = _evidence(graph, rivals, density)
                 found = replace(found, reason=f"beside a focal length that changes {found.reason}")

@@ -157,7 +157,7 @@ def weigh(graph: FlowGraph, state: State, unknowns: Unknowns, prior: FocalPrior,
     tried, curvature = _search(coarse, fit, state)
     readout = min(tried, key=lambda at: tried[at].cost)
     gain, gain_sigma = held_out.gain(coarse, (tried[0.0], tried[readout]))
-    sigma_px = _sharp_scale(tried[readout].held_out, held_out.halves(coarse)[1])
+    sigma_px = _sharp_scale(tried[readout].errors, held_out.halves(coarse)[1])
     sigma = CORRELATION * max(sigma_px / SHARP, MIN_NOISE_PX) * float(np.sqrt(density / max(curvature, 1e-300)))
     decision, reason = judge(gain, gain_sigma, readout, sigma)
     if assumed:

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,8 +13,8 @@ from stages.ba.state import FocalPrior, State, Unknowns
 from stages.ba.uncertainty import solution_covariance
 from stages.shared import lie
 
-MIN_GAIN = 0.04
-"""Share of the held-out cost that a changing focal length must save."""
+MIN_GAIN = 0.03
+"""Share of the held-out cost of a usual tile that a changing focal length must save."""
 SIGNIFICANT = 3.0
 """The gain, and the change of the focal length, must exceed this many of their standard deviations."""
 MAX_SIGMA = 0.08
@@ -73,10 +73,18 @@ def weigh(
     best = held_out.fit(parts, one.state if long else fixed, PER_FRAME, prior, "zoom")
     # Many focal lengths from cameras at a wrong one may not reach the right ones; and noise is in the range of many.
     suspected = not long and _change(graph, best.state) > SUSPECTED_CHANGE
-    if held_out.gain(graph, (one, best))[0] > SUSPECTED_GAIN or suspected:
+    pairs = [(one, best)]
+    if held_out.usual_gain(graph, *pairs)[0] > SUSPECTED_GAIN or suspected:
         others = [held_out.fit(parts, state, PER_FRAME, prior, "zoom") for state in search()]
-        best = min((best, *others), key=lambda fit: fit.cost)
-    gain, gain_sigma = held_out.gain(graph, (one, best))
+        best = max((best, *others), key=lambda fit: held_out.usual_gain(graph, (one, fit), fitted=True)[0])
+        # A better path may have been found, whose gain is not that of its focal lengths.
+        again = held_out.fit(parts, replace(best.state, zoom=None), ONE, prior, "zoom")
+        if held_out.usual_gain(graph, (one, again), fitted=True)[0] > 0:
+            one = again
+        other = parts[::-1]
+        one_of_other = held_out.fit(other, one.state, ONE, prior, "zoom")
+        pairs = [(one, best), (one_of_other, held_out.fit(other, best.state, PER_FRAME, prior, "zoom"))]
+    gain, gain_sigma = held_out.usual_gain(graph, *pairs)
     change, change_sigma = _change(graph, best.state), float(np.sqrt(density)) * _change_sigma(graph, best.state)
     decision, reason = judge(gain, gain_sigma, change, change_sigma)
     seconds = time.process_time() - began

@@ -95,8 +95,9 @@ STATISTICS: Mapping[str, tuple[str, str, str]] = {
     "zoom_gain_percent": (
         "held-out cost that a focal length per frame saves",
         "%",
-        "Cameras are fitted to every other tile of the image and compared on the tiles between. If this is above the "
-        "next two lines, and the change below above its error, the focal length changes.",
+        "Cameras are fitted to every other tile of the image and compared on the tiles between, by the mean of the "
+        "middle half of them. If this is above the next two lines, and the change below above its error, the focal "
+        "length changes.",
     ),
     "zoom_threshold_percent": ("the least saving that counts", "%", "See the line before."),
     "zoom_gain_sigma_percent": (

@@ -7,11 +7,12 @@ import pytest
 from numpy.testing import assert_allclose
 from synthetic import PLANE, camera_path, make_scene, observe, rotation_error_deg, trajectory_error
 
-from stages.ba import cuts
+from stages.ba import cuts, initialise, zoom
 from stages.ba.estimate import estimate
 from stages.ba.guesses import PoseGuess
 from stages.ba.options import BAOptions
 from stages.ba.problem import Estimate, Problem
+from stages.ba.state import FocalPrior
 from stages.shared import lie
 
 OPTIONS = BAOptions(start_focals=(1.05,))
@@ -37,6 +38,28 @@ def test_a_dolly_along_the_axis_is_no_zoom() -> None:
     solution, _ = solve(dolly())
     assert solution.zoom.decision != "changing"
     assert trajectory_error(solution.state.cam_from_world, dolly()) < 2e-3
+
+
+@pytest.mark.parametrize("begin", ["anew", "at the truth"])
+def test_a_long_lens_that_travels_is_no_zoom(begin: str) -> None:
+    room = make_scene(T=T, size=(96, 160), focal=3.0)
+    before = PoseGuess(room.cam_from_world, room.focal_px) if begin == "at the truth" else None
+    solution = estimate(Problem(observe(room, noise_px=0.1), masked=True, previous=before), OPTIONS)
+    assert solution.zoom.decision != "changing"
+    assert solution.state.zoom is None
+
+
+def test_what_a_better_path_saves_is_not_taken_for_the_saving_of_a_zoom() -> None:
+    """The cameras at one focal length stand in a local minimum, out of which the search for a zoom leads."""
+    room = make_scene(T=T, size=(96, 160))
+    graph = observe(room, noise_px=0.1)
+    wrong = room.cam_from_world.copy()
+    wrong[:, :3, 3] *= [-1, 1, -1]
+    stuck, found = (initialise.initial_state(graph, path, room.focal_px, 1.0) for path in (wrong, room.cam_from_world))
+    evidence, _ = zoom.weigh(graph, stuck, lambda: [replace(found, zoom=np.ones(T))], FocalPrior(1.1 * 160))
+    assert evidence.decision == "constant"
+    assert evidence.gain is not None
+    assert evidence.gain < 0.01
 
 
 def test_a_zoom_along_with_a_dolly_on_the_axis_is_not_observable_and_says_so() -> None:
