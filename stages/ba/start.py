@@ -16,6 +16,7 @@ from stages.ba.guesses import ENOUGH, MAX_PAIR_PX, Observed, guess
 from stages.ba.initialise import Candidate
 from stages.ba.other_focals import better_focal
 from stages.ba.part import FRAMES
+from stages.ba.refinement import UNUSUAL_FOCAL
 from stages.ba.state import Level, State
 from stages.ba.zoom import Evidence
 
@@ -76,10 +77,17 @@ def _with_zoom(observed: Observed, coarse: FlowGraph, best: Candidate) -> tuple[
     def search() -> list[State]:
         threshold_px = min(observed.threshold_px / 2, MAX_PAIR_PX)
         steps = sorted({1, longest_step(coarse)})
-        curves = [zoom.curve_of_pairs(coarse, focal_px, step, threshold_px, observed.seed) for step in steps]
-        curves += [previous.zoom] if previous and previous.zoom is not None else []
-        at = replace(observed, focals_px=[focal_px])
-        return [initialise.choose(guess(replace(at, curve=curve), coarse)).state for curve in curves]
+        # One focal length makes up for a zoom by a lens several times too long, from which no search leads back.
+        usual_px = observed.prior.focal_px
+        unusual = max(focal_px / usual_px, usual_px / focal_px) > UNUSUAL_FOCAL
+        tried = [
+            (at_px, zoom.curve_of_pairs(coarse, at_px, step, threshold_px, observed.seed))
+            for at_px in ([focal_px, usual_px] if unusual else [focal_px])
+            for step in steps
+        ]
+        tried += [(focal_px, previous.zoom)] if previous and previous.zoom is not None else []
+        rivals = [replace(observed, focals_px=[at_px], curve=curve) for at_px, curve in tried]
+        return [initialise.choose(guess(rival, coarse)).state for rival in rivals]
 
     density = len(coarse.pixels) / len(observed.graph.pixels)
     evidence, state = zoom.weigh(coarse, best.state, search, observed.prior, density)

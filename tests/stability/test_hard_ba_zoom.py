@@ -62,6 +62,17 @@ def test_what_a_better_path_saves_is_not_taken_for_the_saving_of_a_zoom() -> Non
     assert evidence.gain < 0.01
 
 
+def test_a_zoom_is_found_from_cameras_whose_one_focal_length_makes_up_for_it() -> None:
+    """A lens of four image widths on another path explains much of a zoom. What is searched there alone stays there."""
+    curve = RAMP ** (np.log(1.5) / np.log(1.3))
+    room = make_scene(T=T, size=(96, 160), zoom=curve)
+    before = PoseGuess(room.cam_from_world, 4.0 * 160)
+    solution = estimate(Problem(observe(room, noise_px=0.1), masked=True, previous=before), OPTIONS)
+    assert solution.zoom.decision == "changing"
+    assert_allclose(solution.state.focals_px, room.focal_px * curve, rtol=0.02)
+    assert trajectory_error(solution.state.cam_from_world, room.cam_from_world) < 5e-3
+
+
 def test_a_zoom_along_with_a_dolly_on_the_axis_is_not_observable_and_says_so() -> None:
     """Focal lengths s_k and distances t_k show what 1 / s_k - b t_k / s_k and other depths show, for every b."""
     solution, _ = solve(dolly(), 1 / RAMP)
