@@ -5,12 +5,24 @@ from typing import Any
 import comparison_tables
 import numpy as np
 import pytest
+import yaml
+from conftest import REPO
 from scipy import stats
 
 from stages.comparisons import paired
+from stages.configuration import compared_runs, settings
 from stages.report import paired_report
 
 CLAIM: dict[str, Any] = {"group": "claims"}
+
+
+@pytest.mark.parametrize("group", paired_report.GROUPS)
+def test_a_group_that_is_swept_alone_has_the_run_it_is_compared_with(group: str) -> None:
+    shipped = yaml.safe_load((REPO / "config.yaml").read_text())
+    raw = shipped | {"sweep": shipped["sweep"] | {"groups": [group]}}
+    every = [settings.configured(raw), *settings.compared(raw)[0]]
+    runs = [compared_runs.swept_run(every, run, "demo") for run in every[1:]]
+    assert sum(run["is_default"] for run in runs) == 1
 
 
 def _rows(dynamic_db: list[float], seconds: list[float], **changes: Any) -> list[dict[str, Any]]:
