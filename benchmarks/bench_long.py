@@ -67,7 +67,8 @@ ABOUT = f"""\
 Numbers in a cell are those at the numbers of frames in the heading. Seconds and megabytes written are summed over the
 rounds, memory is the highest of any round. Resident: anonymous and shared pages, sampled four times a second, which is
 what a stage needs; with mapped files: the peak of the process (`ru_maxrss`) with pages of memory-mapped files, which
-the kernel takes back when memory is short. Written: all that a stage wrote, also what is removed later. Exponents: of a
+the kernel takes back when memory is short. Written: the files that a stage leaves, also if
+they are removed later; not what it holds meanwhile (flow: its blocks; training: the depth of movers). Exponents: of a
 power of the number of frames beside a fixed part, with the range that fits within 5 %, as in the growth part of the
 report. The row `all` holds sums of seconds and disk, and the highest memory. Goals: at most {GOAL_MB:.0f} MB
 resident, and an exponent of CPU seconds of at most {GOAL_EXPONENT}. MB are 1e6 bytes."""

@@ -85,7 +85,7 @@ def two_view_evidence(pairs: FlowPairs, T: int, parallax: bool, seed: int) -> Ev
         return residual / np.maximum(weight, 1e-6), weight
 
     residual, weight = (np.empty((T, *pairs.pixels.shape[:2]), np.float32) for _ in range(2))
-    for first, last in pairs.blocks(T):
+    for first, last in pairs.blocks(T, "two-view evidence"):
         for k, found in enumerate(threaded(of_frame, range(first, last)), first):
             residual[k], weight[k] = found
     return Evidence(residual, weight)

@@ -79,7 +79,7 @@ def corroborate(
         return residual, np.maximum(evidence.weight[i], weight)
 
     residual, weight = (np.empty(evidence.residual.shape, np.float32) for _ in range(2))
-    for first, last in pairs.blocks(T):
+    for first, last in pairs.blocks(T, "check by the pictures"):
         near = range(max(first - REACH, 0), min(last + REACH, T))
         frames = {k: cv2.GaussianBlur(rgb[k], (0, 0), 0.7) for k in near}
         details = {k: log_detail(rgb[k]) for k in near}

@@ -29,7 +29,7 @@ def pool(evidence: Evidence, rgb: np.ndarray, pairs: FlowPairs) -> np.ndarray:
     """
     pooled = np.empty(evidence.residual.shape, np.float32)
     T, reach = len(pooled), max(POOLED_OFFSETS)
-    for first, last in pairs.blocks(T):
+    for first, last in pairs.blocks(T, "pooling"):
         near = slice(max(first - reach, 0), min(last + reach, T))
         sums = threaded(spread, evidence.residual[near], evidence.weight[near], rgb[near])
         of_frame = dict(zip(range(near.start, near.stop), sums, strict=True))

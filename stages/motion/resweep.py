@@ -65,10 +65,10 @@ def camera_evidence(
         return *found, np.stack([weights[begin:end].sum(axis=0) for begin, end in itertools.pairwise(pointer)])
 
     T = len(start)
-    coarse = np.concatenate([solved(*block, 1.0, COARSE)[1] for block in pairs.blocks(T)])
+    coarse = np.concatenate([solved(*block, 1.0, COARSE)[1] for block in pairs.blocks(T, "coarse depth")])
     sigma_px = float(np.clip(NOISE_SCALE * _median_residual(A, b, pairs, coarse), *SIGMA_RANGE_PX))
     residual, inverse_depth, weight = (np.empty(start.shape, np.float32) for _ in range(3))
-    for first, last in pairs.blocks(T):
+    for first, last in pairs.blocks(T, "static depth"):
         run = slice(first, last)
         residual[run], inverse_depth[run], weight[run] = solved(first, last, sigma_px, 1)
     inverse_depth *= np.float32(unit)
@@ -113,7 +113,7 @@ def _median_residual(A: np.ndarray, b: np.ndarray, pairs: FlowPairs, inverse_dep
     grid = slice((COARSE - 1) // 2, None, COARSE)
     pixels = pixel_grid(*pairs.confidence.shape[1:])[grid, grid]
     residuals = []
-    edges = (e for block in pairs.blocks(len(inverse_depth)) for e in pairs.leaving(*block))
+    edges = (e for block in pairs.blocks(len(inverse_depth), "residuals") for e in pairs.leaving(*block))
     for e in edges:
         i = pairs.source[e]
         if abs(pairs.target[e] - i) > REACH:

@@ -9,6 +9,7 @@ import numpy as np
 
 from stages.shared.artifacts import Dense
 from stages.shared.cameras import pixel_grid
+from stages.shared.log import progress
 from stages.shared.masks import within
 from stages.shared.threads import threaded
 
@@ -101,8 +102,12 @@ class FlowPairs:
             self.columns.release()
         return found
 
-    def blocks(self, T: int) -> Iterator[tuple[int, int]]:
-        """First frame and end of the runs of at most BLOCK frames; the flow read for a run is given back after it."""
-        for first in range(0, T, BLOCK):
+    def blocks(self, T: int, title: str) -> Iterator[tuple[int, int]]:
+        """First frame and end of the runs of at most BLOCK frames; the flow read for a run is given back after it.
+
+        Args:
+            title: of the progress over the runs.
+        """
+        for first in progress(range(0, T, BLOCK), title):
             yield first, min(first + BLOCK, T)
             self.columns.release()
