@@ -1,5 +1,6 @@
 """Paths of more than a hundred frames: the work of the adjustment is linear in the frames, and finds the same path."""
 
+import re
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -35,7 +36,9 @@ def joined(graph: FlowGraph) -> FlowGraph:
     return replace(graph, pointer=np.searchsorted(source[order], np.arange(T + 1)), **arrays)
 
 
-def test_a_long_path_takes_few_passes_and_its_loops_wait(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_long_path_takes_few_passes_and_its_loops_wait(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
     """From a focal length of 1.2 times the true one. There were 89 passes, with loops in each; now 54."""
     graph, truth = clip(T, STRIDE)
     graph, visited, before_loops = joined(graph), [], []
@@ -53,7 +56,11 @@ def test_a_long_path_takes_few_passes_and_its_loops_wait(monkeypatch: pytest.Mon
     monkeypatch.setattr(proposal, "normal_equations", adding)
     monkeypatch.setattr(estimation, "find_start", finding)
     options = BAOptions.model_validate({"start_focals": (1.2,), "rolling_shutter": "no"})
+    caplog.set_level("INFO")
     found = estimation.estimate(Problem(graph, masked=False), options)
+    told = [(int(k), int(n)) for k, n in re.findall(r"adjusting, [^:\n]+: (\d+) of (\d+)$", caplog.text, re.MULTILINE)]
+    assert len(told) > 10
+    assert all(k <= n for k, n in told)
     assert path_error(found.state.cam_from_world, truth) < 2e-4
     assert found.state.focal_px == pytest.approx(FOCAL_PX, rel=2e-3)
     assert sum(edges for edges, _ in visited) < 70 * len(graph.source)

@@ -22,6 +22,7 @@ from stages.ba.state import (
     Unknowns,
 )
 from stages.shared import lie
+from stages.shared.log import logger
 
 REFINEMENTS = 2
 """Gauss-Newton steps from every candidate of a sweep for inverse depths."""
@@ -120,6 +121,8 @@ def solve(
             seconds, focal_px = time.perf_counter() - start_s, run.state.focal_px
             run.steps.append(Step(phase, level.sigma_px, cost, size, run.damping, focal_px, accepted, seconds))
             run.iteration += 1
+            if long:
+                _tell(phase, schedule, number, run.iteration)
             if (accepted and gain < enough) or run.damping > MAX_DAMPING:
                 break
             checkpoint.save_sometimes(run.capture)
@@ -128,6 +131,12 @@ def solve(
         run.state = normalise(run.state)
     checkpoint.finished(run.capture)
     return run.state, run.steps
+
+
+def _tell(phase: str, schedule: Sequence[Level], number: int, iteration: int) -> None:
+    """A line of progress after an iteration of the level `number`; levels that end early count as whole ones."""
+    counts = [level.iterations for level in schedule]
+    logger.info("adjusting, %s: %d of %d", phase, sum(counts[:number]) + iteration, sum(counts))
 
 
 @dataclass
