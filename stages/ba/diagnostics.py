@@ -14,8 +14,6 @@ from stages.ba.problem import Estimate
 from stages.shared import lie
 
 ROUGH_PATH = 0.2
-UNCERTAIN_PATH = 0.05
-"""Predicted error of the camera centres, as a share of the path's length, from which on it is told."""
 SAME_COST, SAME_PATH, SAME_ROUGHNESS = 0.05, 0.05, 2.0
 """An alternative solution is serious if its relative extra cost and its roughness ratio are below the first and last
 limit, and its path differs by more than the second (share of the path length)."""
@@ -60,21 +58,6 @@ def of_rotations(graph: FlowGraph, errors_px: np.ndarray) -> list[str]:
         f"residual of rotations {near:.2f} px between neighbours, {far:.2f} px over {step} frames: "
         "the camera may translate"
     ]
-
-
-def of_path(cam_from_world: np.ndarray, covariance: np.ndarray) -> list[str]:
-    """A warning if the predicted errors are large beside the path, as of a camera that rests but for a tremor.
-
-    Args:
-        cam_from_world: [n, 4, 4], of the frames with matches. covariance: [n, 6, 6] of their left twists, whose first
-            three components move the camera's centre.
-    """
-    centres = lie.inverse(cam_from_world)[:, :3, 3]
-    length = float(np.linalg.norm(np.diff(centres, axis=0), axis=1).sum())
-    error = float(np.sqrt(np.trace(covariance[:, :3, :3], axis1=1, axis2=2).mean()))
-    if length == 0 or error <= UNCERTAIN_PATH * length:
-        return []
-    return [f"camera path weakly observed: predicted error {100 * error / length:.0f} % of its length"]
 
 
 def of_focal(camera: str, focal: Mapping[str, Any]) -> list[str]:
