@@ -149,7 +149,7 @@ def beginning_of(folder: Path, scratch: Path) -> Beginning:
 
     What a setting shares with the sequence that it belongs to lies there: SEQUENCE/settings/SETTING.
     """
-    places = [folder, folder.parents[1]]
+    places = [folder, *list(folder.absolute().parents)[1:2]]
     found = {
         name: next((place / path for place in places if (place / path).exists()), None) for name, path in INPUTS.items()
     }

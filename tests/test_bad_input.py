@@ -55,6 +55,7 @@ def refuse(folder: Path, options: str, *phrases: str) -> None:
         ("holdout_every: eight", ("holdout_every", "integer", "'eight'")),
         ("pass: finale", ("pass", "'clean' or 'final'", "'finale'")),
         ("ba: 3", ("ba", "dictionary", "3")),
+        ("seed: 2147483648", ("seed", "less than or equal to 2147483647", "2147483648")),
     ],
 )
 def test_wrong_configuration(frames: Path, options: str, phrases: tuple[str, ...]) -> None:

@@ -38,3 +38,10 @@ def test_what_is_missing_is_named(setting: Path, tmp_path: Path) -> None:
     (tmp_path / "clip" / "ba" / "depth.arrow").unlink()
     with pytest.raises(SystemExit, match=r"no ba/depth\.arrow: name a folder results/<dataset>/<sequence>"):
         bench_training.beginning_of(setting, tmp_path)
+
+
+@pytest.mark.parametrize("folder", ["/nowhere", "nowhere", "/"])
+def test_a_folder_that_holds_no_results_is_named(folder: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit, match=rf"^{folder}: no lens/sequence\.json: name a folder"):
+        bench_training.beginning_of(Path(folder), tmp_path)

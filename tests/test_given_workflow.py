@@ -109,6 +109,20 @@ def test_cameras_that_cannot_be_right_are_refused_before_any_job(
             given_inputs.check(runs)
 
 
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"intrinsics": "no.txt"}, "intrinsics: expected a path that exists, found 'no.txt'; correct 'intrinsics'"),
+        ({"segment": {"evidence": "no"}}, "segment.evidence: expected a path that exists, found 'no'; correct"),
+    ],
+)
+def test_an_option_that_allows_no_words_beside_a_path_says_so(options: dict, said: str) -> None:
+    """And names the key that the user wrote."""
+    with pytest.raises(InputError) as refused:
+        given_inputs.check([(settings.configured(options), [])])
+    assert str(refused.value).startswith(f"the configuration: {said}")
+
+
 def test_a_rewritten_camera_file_is_noticed(tmp_path: Path) -> None:
     cameras = tmp_path / "cameras.txt"
     cameras.write_text("1 PINHOLE 64 48 50 50 32 24")

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from stages.given.intrinsics import ESTIMATE, IntrinsicsOption
-from stages.shared.options import Options
+from stages.shared.options import MAX_SEED, Options
 
 
 class BAOptions(Options):
@@ -50,7 +50,7 @@ class BAOptions(Options):
         le=200,
         description="largest number of iterations of the final adjustment at each robust scale; it ends at convergence",
     )
-    seed: int = Field(0, ge=0, description="seed of the robust two-view fits")
+    seed: int = Field(0, ge=0, le=MAX_SEED, description="seed of the robust two-view fits")
 
     @property
     def poses_fixed(self) -> bool:

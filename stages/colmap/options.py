@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field
 
-from stages.shared.options import Options
+from stages.shared.options import MAX_SEED, Options
 
 Factor = Annotated[Literal[1, 2, 4], BeforeValidator(lambda value: int(value) if str(value).isdigit() else value)]
 """Flags and Snakemake's --config pass numbers as text, which pydantic does not accept for a literal number."""
@@ -27,4 +27,4 @@ class ColmapOptions(Options):
     )
     window: int = Field(10, ge=1, le=200, description="frames ahead that sequential matching looks")
     time_limit_s: float = Field(600.0, ge=1.0, description="CPU seconds after which one variant counts as failed")
-    seed: int = Field(0, ge=0, description="seed of COLMAP's random sampling")
+    seed: int = Field(0, ge=0, le=MAX_SEED, description="seed of COLMAP's random sampling")

@@ -24,7 +24,7 @@ from stages.report.options import ReportOptions
 from stages.scene.options import SceneOptions
 from stages.segment.options import SegmentOptions
 from stages.shared.errors import OptionError
-from stages.shared.options import Options, to_flags, validate
+from stages.shared.options import MAX_SEED, Options, to_flags, validate
 from stages.simulate.options import SimulateOptions
 from stages.video.options import VideoOptions
 
@@ -70,7 +70,7 @@ class Config(Options):
     holdout_every: int = Field(8, ge=2, description="one frame in this many is held out from training")
     holdout_first: int = Field(4, ge=0, description="0-based index of the first held-out frame")
     device: Literal["auto", "cpu", "cuda"] = Field("auto", description="where to train and render")
-    seed: int = Field(0, ge=0, description="seed of everything random")
+    seed: int = Field(0, ge=0, le=MAX_SEED, description="seed of everything random")
     simulate: SimulateOptions = SimulateOptions()
     video: VideoOptions = VideoOptions()
     inspect: InspectOptions = InspectOptions()

@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 
 from stages.ba.options import BAOptions
-from stages.configuration.config import Config
+from stages.configuration.config import Config, keys_of
 from stages.configuration.config import section as section_of
 from stages.configuration.settings import Setting
 from stages.given import depth, flow, masks
@@ -59,8 +59,10 @@ def check(runs: Iterable[tuple[Setting, Iterable[Sequence]]]) -> None:
         if PLACEHOLDER not in path and not Path(path).exists():
             allowed = _words(setting.config, option)
             near = difflib.get_close_matches(path, allowed, n=1)
-            advice = f"did you mean '{near[0]}'?" if near else f"correct '{option}'"
-            raise setting.error(option, ", ".join([*allowed, "or a path that exists"]), f"'{path}'", advice)
+            name = ".".join(keys_of(setting.config, option))
+            advice = f"did you mean '{near[0]}'?" if near else f"correct '{name}'"
+            expected = ", ".join([*allowed, "or a path that exists"]) if allowed else "a path that exists"
+            raise setting.error(option, expected, f"'{path}'", advice)
         if PLACEHOLDER not in path and len(set(map(_clip, of_name.values()))) > 1:
             expected = f"{PLACEHOLDER} in the path, for the names of {len(of_name)} sequences"
             advice = f"write it where the names differ, as in folder/{PLACEHOLDER}, or choose one of `sequences:`"

@@ -4,6 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from stages.shared.options import MAX_SEED
 from stages.shared.split import SplitOptions
 
 
@@ -31,4 +32,4 @@ class ControlOptions(SplitOptions):
     track_stride_px: int = Field(2, ge=1, le=16, description="pixels of the flow grid between neighbouring tracks")
     time_frequencies: int = Field(2, ge=0, le=4, description="frequencies of the network's time encoding; more overfit")
     width: int = Field(128, ge=8, le=1024, description="neurons per layer of the network")
-    seed: int = Field(0, ge=0, description="seed of sampling and initial weights")
+    seed: int = Field(0, ge=0, le=MAX_SEED, description="seed of sampling and initial weights")

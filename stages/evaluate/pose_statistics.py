@@ -118,8 +118,8 @@ STATISTICS: Mapping[str, tuple[str, str, str]] = {
     "shutter_gain_percent": (
         "held-out cost that a rolling shutter saves",
         "%",
-        "Compared as for the zoom. If this is above the next two lines, and the readout below above three of its "
-        "errors, rows are exposed one after the other.",
+        "Compared as for the zoom, but by the cost of all tiles together. If this is above the next two lines, and the "
+        "readout below above three of its errors, rows are exposed one after the other.",
     ),
     "shutter_threshold_percent": ("the least saving that counts", "%", "See the line before."),
     "shutter_gain_sigma_percent": (

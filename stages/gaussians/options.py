@@ -4,6 +4,7 @@ from typing import Literal
 
 from pydantic import Field
 
+from stages.shared.options import MAX_SEED
 from stages.shared.split import SplitOptions
 
 
@@ -37,5 +38,5 @@ class GaussiansOptions(SplitOptions):
     )
     learning_rate: float = Field(1.0, gt=0, le=10, description="factor on all learning rates")
     ssim_weight: float = Field(0.2, ge=0, le=1, description="share of D-SSIM in the photometric loss; the rest is L1")
-    seed: int = Field(0, ge=0, description="seed of the order of frames")
+    seed: int = Field(0, ge=0, le=MAX_SEED, description="seed of the order of frames")
     device: Literal["auto", "cpu", "cuda"] = Field("auto", description="where to train")

@@ -4,7 +4,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from stages.shared.options import Options
+from stages.shared.options import MAX_SEED, Options
 
 
 class LensOptions(Options):
@@ -13,4 +13,4 @@ class LensOptions(Options):
     distortion: Literal["auto", "yes", "no"] = Field(
         "auto", description="whether frames are undistorted; auto: if that explains held-out pixels of the flow"
     )
-    seed: int = Field(0, ge=0, description="seed of the robust two-view fits")
+    seed: int = Field(0, ge=0, le=MAX_SEED, description="seed of the robust two-view fits")

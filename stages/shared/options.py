@@ -12,6 +12,9 @@ from pydantic.fields import FieldInfo
 
 from stages.shared.errors import THE_CONFIGURATION, OptionError
 
+MAX_SEED = 2**31 - 1
+"""Largest seed: OpenCV holds it in 32 bits, with a sign."""
+
 
 class Options(BaseModel):
     """Base of every option model: unknown keys are refused, and values are immutable after validation.

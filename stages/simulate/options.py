@@ -2,10 +2,10 @@
 
 from pydantic import Field
 
-from stages.shared.options import Options
+from stages.shared.options import MAX_SEED, Options
 
 
 class SimulateOptions(Options):
     """Sintel-style scenes with exact truth (`dataset: simulated`)."""
 
-    seed: int = Field(0, ge=0, description="seed of camera noise, textures and placement")
+    seed: int = Field(0, ge=0, le=MAX_SEED, description="seed of camera noise, textures and placement")
