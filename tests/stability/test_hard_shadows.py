@@ -16,7 +16,7 @@ INSIDE = np.s_[40:56, 72:88]
 
 
 def passing(kind: str, noise: float) -> np.ndarray:
-    """Frames [T, h, w, 3] of ground that moves to the left, and of a shadow or a mover (also flat, or striped) that goes right."""
+    """Frames [T, h, w, 3] of ground going left, and of a shadow or a mover, also flat or striped, going right."""
     rng = np.random.default_rng(0)
     stripes = np.tile(rng.uniform(60, 220, (24, 4)), 6)
     ground, own = rng.uniform(60, 220, (HEIGHT, 2 * WIDTH)), rng.uniform(60, 220, (24, 24))
