@@ -4,13 +4,14 @@ Run as `make bench-long`, or on any scene of the library, scene file, folder of 
 
     python -m benchmarks.bench_long --scene long_take --frames 50 100 200 --folder bench_long
     python -m benchmarks.bench_long --scene clip.mp4 --frames 100 300 900 --config preset=fast
+    python -m benchmarks.bench_long --scene long_walk --frames 300 --width 1920 --height 1080 --config rounds=2
 
-Further words go to Snakemake. The clip is not played back and forth: its camera must go on, or frames that see a place
-again would make it easier than it is. Each number of frames is a setting of `inspect: max_frames` as in
-`snakemake scaling`, in one folder. A stage that has been measured under the same options and code is not run again, so
-a run that was stopped goes on; `--frames` with a further number adds that alone. Where the whole clip is among them,
-the growth part of the report in that folder shows the same runs. One number of frames runs after the other, smallest
-first, and COLMAP is cut off after a second.
+Further words go to Snakemake. A scene that is wider than 512 px is drawn as wide as that, and its frames are enlarged.
+The clip is not played back and forth: its camera must go on, or frames that see a place again would make it easier than
+it is. Each number of frames is a setting of `inspect: max_frames` as in `snakemake scaling`, in one folder. A stage
+that has been measured under the same options and code is not run again, so a run that was stopped goes on; `--frames`
+with a further number adds that alone. Where the whole clip is among them, the growth part of the report in that folder
+shows the same runs. One number of frames runs after the other, smallest first, and COLMAP is cut off after a second.
 
 Wall seconds need an otherwise idle machine; the goal for the time is tested on CPU seconds. The goal for the memory is
 tested on what a stage holds and cannot give back (`benchmarks/resident.py`).
@@ -26,7 +27,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from benchmarks.bench_memory import MIB, REPO, snakemake
+from benchmarks.bench_memory import DRAWN_PX, MIB, REPO, draw_frames, enlarge, snakemake
 from benchmarks.resident import watched
 from stages.comparisons import growth, scaling, tradeoff_charts
 from stages.configuration import config as configuration
@@ -60,33 +61,54 @@ MEASURES = {
     "resident_mb": ("resident, MB", 0),
     "peak_mb": ("with mapped files, MB", 0),
     "output_mb": ("written, MB", 1),
+    "meanwhile_mb": ("held meanwhile, MB", 1),
 }
+SAMPLED = ("resident_mb", "meanwhile_mb")
 PANELS = {"cpu_s": "CPU seconds", "resident_mb": "resident memory (MB)", "output_mb": "written (MB)"}
 ALL = "all"
 ABOUT = f"""\
 Numbers in a cell are those at the numbers of frames in the heading. Seconds and megabytes written are summed over the
-rounds, memory is the highest of any round. Resident: anonymous and shared pages, sampled four times a second, which is
-what a stage needs; with mapped files: the peak of the process (`ru_maxrss`) with pages of memory-mapped files, which
-the kernel takes back when memory is short. Written: the files that a stage leaves, also if
-they are removed later; not what it holds meanwhile (flow: its blocks; training: the depth of movers). Exponents: of a
-power of the number of frames beside a fixed part, with the range that fits within 5 %, as in the growth part of the
-report. The row `all` holds sums of seconds and disk, and the highest memory. Goals: at most {GOAL_MB:.0f} MB
-resident, and an exponent of CPU seconds of at most {GOAL_EXPONENT}. MB are 1e6 bytes."""
+rounds, memory is the highest of any round. Resident: anonymous and shared pages, sampled four times a second, which
+is what a stage needs; with mapped files: the peak of the process (`ru_maxrss`) with pages of memory-mapped files,
+which the kernel takes back when memory is short. Written: the files that a stage leaves, also if they are removed
+later. Held meanwhile: blocks, checkpoints and unfinished outputs, which a stage removes or renames, and files without
+a name (training: the depth of movers), sampled alike. Exponents: of a power of the number of frames beside a fixed
+part, with the range that fits within 5 %, as in the growth part of the report. The row `all` holds sums of seconds
+and megabytes written, and the highest of the others. Goals: at most {GOAL_MB:.0f} MB resident, and an exponent of CPU
+seconds of at most {GOAL_EXPONENT}. MB are 1e6 bytes."""
 
 
-def clip_options(scene: str, folder: Path, width: int, height: int) -> dict[str, Any]:
-    """The options that choose the clip: a scene of the library or of a file, drawn at this size, or a path as it is."""
+def clip_options(scene: str, folder: Path, width: int, height: int, count: int) -> dict[str, Any]:
+    """The options that choose the clip: a scene of the library or of a file at this size, or a path as it is.
+
+    Args:
+        count: of the frames that are enlarged, where the scene is wider than DRAWN_PX.
+    """
     library = {file.stem: file for file in datasets.SCENES.rglob("*.yaml")}
     file = library.get(scene, Path(scene))
     if file.suffix not in (".yaml", ".yml"):
         if not file.exists():
             raise InputError(scene, "a scene of the library, a scene file, frames or a video", "neither", "name one")
         return {"dataset": str(file.resolve()), "video": {"max_frames": "all"}}
+    if width > DRAWN_PX:
+        return {"dataset": str(enlarged(file, folder, width, height, count)), "video": {"max_frames": "all"}}
     drawn = yaml.safe_load(file.read_text()) | {"width": width, "height": height}
     copy = folder / f"{file.stem}.yaml"
     if not copy.is_file() or yaml.safe_load(copy.read_text()) != drawn:  # rewritten, it would be drawn again
         copy.write_text(yaml.safe_dump(drawn))
     return {"dataset": "simulated", "scenes": [str(copy)]}
+
+
+def enlarged(scene: Path, folder: Path, width: int, height: int, count: int) -> Path:
+    """A folder of the first frames of a scene, drawn DRAWN_PX wide and enlarged; kept where it is complete."""
+    clip = folder / f"{scene.stem}_{width}x{height}"
+    if len(list(clip.glob("*.png"))) != count:
+        clip.mkdir(exist_ok=True)
+        drawn = draw_frames(folder, yaml.safe_load(scene.read_text()), width, height)[:count]
+        enlarge(drawn, width, height)
+        for path in drawn:
+            path.rename(clip / path.name)
+    return clip
 
 
 def find_clip(folder: Path, options: Mapping[str, Any]) -> tuple[Path, int]:
@@ -118,7 +140,7 @@ def scaling_options(sizes: Sequence[int], length: int) -> dict[str, Any]:
 
 
 def run(folder: Path, home: Path, options: Mapping[str, Any], settings: Sequence[str], words: Sequence[str]) -> None:
-    """Compile the kernels, then run all stages under each setting in turn; SAMPLES keeps the samples of memory."""
+    """Compile the kernels, then run all stages under each setting in turn; SAMPLES keeps what was sampled."""
     (folder / "warm").mkdir(exist_ok=True)
     snakemake(folder / "warm", WARM_UP, "--cores", "all")
     within = home.relative_to(folder)
@@ -129,7 +151,7 @@ def run(folder: Path, home: Path, options: Mapping[str, Any], settings: Sequence
 
 
 def measured(folder: Path, home: Path, settings: Sequence[str]) -> list[Row]:
-    """A row per stage and number of frames, from the time files: as of the scaling, with `resident_mb` in addition."""
+    """A row per stage and number of frames, from the time files: as of the scaling, and what was sampled."""
     peaks = read_json(folder / SAMPLES)
     rows = []
     for setting in settings:
@@ -138,21 +160,21 @@ def measured(folder: Path, home: Path, settings: Sequence[str]) -> list[Row]:
         listed = {stage: [str(file.relative_to(home)) for file in files] for stage, files in stats.items() if files}
         frames = {"sequence": setting, "axis": "frames", "size": f"{setting}sequence.json", "stats": listed}
         for row in scaling.run_rows(home, frames):
-            samples = [peaks.get(str(file.relative_to(folder))) for file in stats[row["stage"]]]
-            resident = max((sample for sample in samples if sample is not None), default=None)
-            rows.append(row | {"peak_mb": row["peak_mb"] * MIB, "resident_mb": resident})
+            samples = [peaks.get(str(file.relative_to(folder)), {}) for file in stats[row["stage"]]]
+            highest = {key: max((sample[key] for sample in samples if sample), default=None) for key in SAMPLED}
+            rows.append(row | {"peak_mb": row["peak_mb"] * MIB} | highest)
     return rows
 
 
 def with_all(rows: Sequence[Row]) -> list[Row]:
-    """The rows, and one over all stages per number of frames: sums of seconds and disk, the highest memory."""
+    """The rows, and one over all stages per number of frames: sums of what adds up, the highest of the rest."""
     totals = []
     for n in dict.fromkeys(row["n"] for row in rows):
         of_size = [row for row in rows if row["n"] == n]
         total: Row = {"axis": "frames", "n": n, "stage": ALL}
         for measure in MEASURES:
             values = [row[measure] for row in of_size if row[measure] is not None]
-            total[measure] = max(values, default=None) if measure.endswith(("peak_mb", "resident_mb")) else sum(values)
+            total[measure] = max(values, default=None) if measure in (*SAMPLED, "peak_mb") else sum(values)
         totals.append(total)
     return [*rows, *totals]
 
@@ -210,7 +232,7 @@ def main() -> None:
     folder, sizes = given.folder.resolve(), sorted(set(given.frames))
     folder.mkdir(parents=True, exist_ok=True)
     try:
-        options = clip_options(given.scene, folder, given.width, given.height)
+        options = clip_options(given.scene, folder, given.width, given.height, sizes[-1])
         home, length = find_clip(folder, options)
         if sizes[-1] > length:
             raise InputError("--frames", f"at most the {length} of {given.scene}", str(sizes[-1]), "cut it shorter")

@@ -1,9 +1,8 @@
 """Memory that every stage asks for against what it uses, on a clip of any length and size.
 
 Run as `python -m benchmarks.bench_memory --frames 300 --width 1920 --height 1080`; without options on 30 frames of
-512 x 218 px, which takes three CPU minutes. Further words go to Snakemake: `--until control` stops before the training,
-which for 300 frames of that size takes more memory than most machines have; to there they take 10 CPU minutes with
-`--config rounds=1`. `--folder` keeps what was made.
+512 x 218 px, which takes three CPU minutes. Further words go to Snakemake, as
+`--until control`, which stops before the training. `--folder` keeps what was made.
 
 The clip is the demo scene, drawn small, enlarged, and played forward and back: cameras and movers are real, and no more
 than DISTINCT frames are drawn. Optimisations take few steps, as what they hold does not grow with them (measured, see
@@ -19,7 +18,7 @@ import re
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
 import cv2
@@ -40,18 +39,20 @@ MIB = 2**20 / 1e6
 """Megabytes of those in which `peak_mb` counts."""
 
 
-def draw_frames(folder: Path, count: int, width: int, height: int) -> list[Path]:
-    """Frames of the demo scene, drawn at most DRAWN_PX wide and enlarged to `width` x `height`."""
+def draw_frames(folder: Path, scene: Mapping[str, object], width: int, height: int) -> list[Path]:
+    """Frames of a scene in the shape of `width` x `height`, drawn at most DRAWN_PX wide."""
     share = min(1.0, DRAWN_PX / width)
     size = {"width": round(width * share), "height": round(height * share)}
-    scene = yaml.safe_load(SCENE.read_text()) | {"frames": count, "effects": {}} | size
-    (folder / f"{CLIP}.yaml").write_text(yaml.safe_dump(scene))
+    (folder / f"{CLIP}.yaml").write_text(yaml.safe_dump({**scene, **size}))
     drawing = [sys.executable, "-m", "stages.simulate", "--scene", folder / f"{CLIP}.yaml", "--output", folder]
     subprocess.run(list(map(str, drawing)), cwd=REPO, check=True)
-    frames = sorted((folder / "training/final" / CLIP).glob("*.png"))
-    for path in frames if share < 1 else []:
+    return sorted((folder / "training/final" / CLIP).glob("*.png"))
+
+
+def enlarge(frames: Iterable[Path], width: int, height: int) -> None:
+    """Write the frames again at this size."""
+    for path in frames:
         write_image(path, np.asarray(cv2.resize(read_rgb(path), (width, height), interpolation=cv2.INTER_CUBIC)))
-    return frames
 
 
 def make_clip(folder: Path, count: int, width: int, height: int) -> Path:
@@ -59,7 +60,10 @@ def make_clip(folder: Path, count: int, width: int, height: int) -> Path:
     clip = folder / CLIP
     if len(list(clip.glob("*.png"))) != count:
         clip.mkdir(parents=True, exist_ok=True)
-        drawn = draw_frames(folder, min(count, DISTINCT), width, height)
+        scene = yaml.safe_load(SCENE.read_text()) | {"frames": min(count, DISTINCT), "effects": {}}
+        drawn = draw_frames(folder, scene, width, height)
+        if width > DRAWN_PX:
+            enlarge(drawn, width, height)
         there_and_back = [*range(len(drawn)), *range(len(drawn) - 2, 0, -1)]
         for k in range(count):
             os.link(drawn[there_and_back[k % len(there_and_back)]], clip / f"frame_{k + 1:04d}.png")

@@ -1,4 +1,4 @@
-"""Memory that running stages hold and cannot give back, sampled from outside; Linux alone."""
+"""Memory and disk that running stages hold and give back when they end, sampled from outside; Linux alone."""
 
 import contextlib
 import threading
@@ -15,15 +15,18 @@ HELD = ("RssAnon", "RssShmem")
 takes them back without writing whenever memory is short, so a peak with them tells what was free, not what is needed.
 """
 
+MEMORY = ("/dev/", "/memfd:", "/SYSV")
+"""How the names of mappings begin that are no files on the disk."""
+
 
 @contextlib.contextmanager
 def watched(folder: Path, kept: Path) -> Iterator[None]:
     """Sample the stages that run in `folder` while the block lasts.
 
     Args:
-        kept: JSON file that receives the highest sample of every job in MB (1e6 bytes), by the path behind its
-            `--stats`, beside those that it holds. It is written whenever a job ends, so that a kill loses no finished
-            job's. A job that runs again begins anew. Peaks shorter than INTERVAL_S may be missed.
+        kept: JSON file that receives the highest samples of every job (`held_mb`), by the path behind its `--stats`,
+            beside those that it holds. It is written whenever a job ends, so that a kill loses no finished job's. A job
+            that runs again begins anew. Peaks shorter than INTERVAL_S may be missed.
     """
     stopped = threading.Event()
     sampler = threading.Thread(target=_sample, args=[folder.resolve(), kept, stopped], daemon=True)
@@ -36,13 +39,14 @@ def watched(folder: Path, kept: Path) -> Iterator[None]:
 
 
 def _sample(folder: Path, kept: Path, stopped: threading.Event) -> None:
-    peaks: dict[str, float] = read_json(kept) if kept.is_file() else {}
+    peaks: dict[str, dict[str, float]] = read_json(kept) if kept.is_file() else {}
     before: set[str] = set()
     while True:
         last = stopped.wait(INTERVAL_S)
         now = held_mb(folder)
-        for job, megabytes in now.items():
-            peaks[job] = max(megabytes, peaks.get(job, 0.0) if job in before else 0.0)
+        for job, held in now.items():
+            higher = peaks.get(job, {}) if job in before else {}
+            peaks[job] = {measure: max(value, higher.get(measure, 0.0)) for measure, value in held.items()}
         if last or before - now.keys():
             write_json(kept, peaks)
         if last:
@@ -50,15 +54,46 @@ def _sample(folder: Path, kept: Path, stopped: threading.Event) -> None:
         before = set(now)
 
 
-def held_mb(folder: Path) -> dict[str, float]:
-    """MB (1e6 bytes) that each stage in `folder` holds now, with the processes that it forked, by its `--stats`."""
-    held: dict[str, float] = {}
+def held_mb(folder: Path) -> dict[str, dict[str, float]]:
+    """MB (1e6 bytes) that each stage in `folder` holds now, with the processes that it forked, by its `--stats`.
+
+    Returns:
+        `resident_mb`: memory (HELD). `meanwhile_mb`: disk, of hidden files beside the paths on its command line and of
+        files without a name that it maps.
+    """
+    held: dict[str, dict[str, float]] = {}
     for process in Path("/proc").glob("[0-9]*"):
         with contextlib.suppress(OSError):  # it has ended, or is somebody else's
-            words = (process / "cmdline").read_bytes().split(b"\0")
-            if b"--stats" in words and (process / "cwd").resolve() == folder:
+            words = (process / "cmdline").read_bytes().decode().split("\0")
+            if "--stats" in words and (process / "cwd").resolve() == folder:
+                job = held.setdefault(words[words.index("--stats") + 1], {"resident_mb": 0.0, "meanwhile_mb": 0.0})
                 status = (line.split() for line in (process / "status").read_text().splitlines())
                 kilobytes = sum(int(line[1]) for line in status if line and line[0].rstrip(":") in HELD)
-                job = words[words.index(b"--stats") + 1].decode()
-                held[job] = held.get(job, 0.0) + kilobytes * KIB
+                job["resident_mb"] += kilobytes * KIB
+                job["meanwhile_mb"] = max(job["meanwhile_mb"], (_hidden(folder, words) + _nameless(process)) / 1e6)
     return held
+
+
+def _hidden(folder: Path, words: list[str]) -> int:
+    """Bytes of the unfinished outputs, blocks and checkpoints that lie, hidden, beside the paths among the words."""
+    paths = [folder / word for word in words if "/" in word]
+    hidden = {found for path in paths for found in path.parent.glob(f".{path.stem}*")}
+    files = {file for found in hidden for file in (found, *found.rglob("*"))}
+    return sum(_size(file) for file in files)
+
+
+def _size(file: Path) -> int:
+    with contextlib.suppress(OSError):  # it got its final name
+        return file.stat().st_size if file.is_file() else 0
+    return 0
+
+
+def _nameless(process: Path) -> int:
+    """Bytes of the files without a name on the disk that a process maps."""
+    sizes = {}
+    for line in (process / "maps").read_text().splitlines():
+        span, _, offset, device, inode, *path = line.split(maxsplit=5)
+        if path and path[0].endswith("(deleted)") and path[0].startswith("/") and not path[0].startswith(MEMORY):
+            start, end = (int(address, 16) for address in span.split("-"))
+            sizes[device, inode, offset] = end - start
+    return sum(sizes.values())

@@ -15,21 +15,31 @@ from stages.comparisons import growth, tradeoff_charts
 from stages.configuration import settings
 from stages.shared.artifacts import read_json, write_json
 from stages.shared.errors import InputError
+from stages.shared.images import read_rgb
 
 HOLDS_40_READS_60_MB = """
-import mmap, sys, time
+import mmap, sys, tempfile
 held = bytearray(b"x") * 40_000_000
 with open("frames.arrow", "rb") as file:
     mapped = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+with tempfile.TemporaryFile(dir=".") as file:
+    file.write(bytes(5_000_000))
+    file.flush()
+    nameless = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
 sum(mapped[k] for k in range(0, len(mapped), 4096))
 print(flush=True)
 sys.stdin.readline()
 """
 
 
-def test_pages_of_mapped_files_are_not_counted_as_held(tmp_path: Path) -> None:
+def test_a_stage_holds_its_memory_and_what_it_hides_on_the_disk(tmp_path: Path) -> None:
+    """Pages of mapped files are not its memory; finished files and what lies elsewhere are not held."""
     (tmp_path / "frames.arrow").write_bytes(bytes(60_000_000))
-    command = [sys.executable, "-c", HOLDS_40_READS_60_MB, "--stats", "stats/flow.json"]
+    for name, size in (("flow/.pairs.arrow.parts/near", 3), ("flow/pairs.arrow", 8), ("ba/.poses.checkpoint/0", 8)):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_bytes(bytes(size * 1_000_000))
+    flags = ["--output", "flow/pairs.arrow", "--stats", "stats/flow.json"]
+    command = [sys.executable, "-c", HOLDS_40_READS_60_MB, *flags]
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
     with subprocess.Popen(command, cwd=tmp_path, **pipes) as stage:
         assert stage.stdout
@@ -39,13 +49,14 @@ def test_pages_of_mapped_files_are_not_counted_as_held(tmp_path: Path) -> None:
         elsewhere = held_mb(tmp_path.parent)
         stage.communicate(b"\n")
     assert list(found) == ["stats/flow.json"]
-    assert 40 <= found["stats/flow.json"] < 70
+    assert 40 <= found["stats/flow.json"]["resident_mb"] < 70
+    assert found["stats/flow.json"]["meanwhile_mb"] == pytest.approx(3 + 5, rel=0.01)
     assert not elsewhere
     assert read_json(tmp_path / "resident.json")["stats/flow.json"] == pytest.approx(found["stats/flow.json"], rel=0.01)
 
 
 def row(n: int, stage: str, cpu_s: float, resident_mb: float | None) -> dict[str, Any]:
-    same = {"wall_s": cpu_s / 2, "peak_mb": 900.0, "output_mb": 2.0 * n}
+    same = {"wall_s": cpu_s / 2, "peak_mb": 900.0, "output_mb": 2.0 * n, "meanwhile_mb": 1.0}
     return {"axis": "frames", "n": n, "stage": stage, "cpu_s": cpu_s, "resident_mb": resident_mb, **same}
 
 
@@ -66,12 +77,13 @@ def test_rounds_are_summed_and_samples_found_per_number_of_frames(tmp_path: Path
         for file in (f"{setting}stats/ba.json", f"{setting}round1/stats/ba.json"):
             write_json(home / file, spent)
         write_json(home / f"{setting}sequence.json", {"numbers": list(range(frames))})
+    samples = {"": {"resident_mb": 70, "meanwhile_mb": 8}, "round1/": {"resident_mb": 90, "meanwhile_mb": 5}}
     write_json(
-        tmp_path / bench_long.SAMPLES, {"results/clip/stats/ba.json": 70, "results/clip/round1/stats/ba.json": 90}
+        tmp_path / bench_long.SAMPLES, {f"results/clip/{home}stats/ba.json": found for home, found in samples.items()}
     )
     short, whole = bench_long.measured(tmp_path, home, ["settings/inspect.max_frames=3/", ""])
     assert (short["n"], short["cpu_s"], short["resident_mb"]) == (3, 4.0, None)
-    assert (whole["n"], whole["cpu_s"], whole["resident_mb"]) == (5, 4.0, 90)
+    assert (whole["n"], whole["cpu_s"], whole["resident_mb"], whole["meanwhile_mb"]) == (5, 4.0, 90, 8)
 
 
 def test_the_table_says_which_stage_misses_which_goal() -> None:
@@ -111,13 +123,21 @@ def test_the_whole_clip_is_not_run_twice() -> None:
 
 
 def test_a_scene_is_taken_by_name_or_file_and_kept_as_it_was_drawn(tmp_path: Path) -> None:
-    options = bench_long.clip_options("demo", tmp_path, 128, 64)
+    options = bench_long.clip_options("demo", tmp_path, 128, 64, 14)
     home, length = bench_long.find_clip(tmp_path, options)
     assert (home, length) == (tmp_path / "results/simulated/demo", 14)
     drawn = tmp_path / "demo.yaml"
     before = drawn.stat().st_mtime_ns
     time.sleep(0.01)
-    assert bench_long.clip_options(str(drawn), tmp_path, 128, 64) == options
+    assert bench_long.clip_options(str(drawn), tmp_path, 128, 64, 14) == options
     assert drawn.stat().st_mtime_ns == before
     with pytest.raises(InputError, match="no_such_scene"):
-        bench_long.clip_options("no_such_scene", tmp_path, 128, 64)
+        bench_long.clip_options("no_such_scene", tmp_path, 128, 64, 14)
+
+
+def test_a_wide_scene_is_drawn_small_and_its_first_frames_enlarged(tmp_path: Path) -> None:
+    options = bench_long.clip_options("demo", tmp_path, 1024, 64, 3)
+    frames = sorted(Path(options["dataset"]).glob("*.png"))
+    assert [read_rgb(frame).shape for frame in frames] == [(64, 1024, 3)] * 3
+    home, length = bench_long.find_clip(tmp_path, options)
+    assert (home, length) == (tmp_path / "results/demo_1024x64/demo_1024x64", 3)

@@ -43,7 +43,8 @@ GROWING = {"wall_s": "wall time (s)", "peak_mb": "peak memory (MB)", "output_mb"
 GROWTH_NOTE = (
     "value = fixed + factor x size ^ exponent, both parts at least 0, by least squares of the relative errors over the "
     "measured sizes. In brackets: the exponents that fit within 5 %. Constant: growth by less than 5 %. The fixed part "
-    "contains the start of the process. Fewer than three sizes determine no exponent."
+    "contains the start of the process. Fewer than three sizes determine no exponent. COLMAP, the viewer and "
+    "the scores are left out: no stage reads them."
 )
 SETTING = Column("setting", "setting")
 ERRORS = (
