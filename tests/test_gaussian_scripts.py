@@ -15,6 +15,7 @@ from stages.control.options import ControlOptions
 from stages.deformation.point_files import save_deformation, save_points
 from stages.gaussians import __main__ as gaussians_stage
 from stages.gaussians import checkpoint
+from stages.gaussians.beginning import begin
 from stages.gaussians.checkpoint import Checkpoint
 from stages.gaussians.inputs import read_observations
 from stages.gaussians.optimise import Trainer
@@ -87,6 +88,14 @@ def test_the_scripts_train_and_render(tmp_path: Path) -> None:
     expected, _, mask = truth.ray_cast(truth.cameras()[4], truth.TIMES[4])
     assert psnr(read_rgb(renders / "test" / "frame_0005.png") / 255, expected, np.ones_like(mask)) > 27
     check_exports(inputs, results, renders, tmp_path / "views")
+
+
+def test_a_training_too_short_to_see_every_frame_says_so(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    inputs = write_inputs(tmp_path)
+    begin(*inputs.values(), GaussiansOptions(steps=9), tmp_path)
+    assert "training frames" not in caplog.text
+    begin(*inputs.values(), GaussiansOptions(steps=8), tmp_path)
+    assert "8 steps see as many of 9 training frames" in caplog.text
 
 
 def test_stage_one_alone_gives_a_scene_that_renders(tmp_path: Path) -> None:

@@ -64,6 +64,9 @@ def begin(
         logger.warning("gaussians: the poses failed: a static scene is trained before a camera at rest")
     about: dict[str, Any] = {"status": "poses failed" if failed else "trained"}
     seen = read_observations(sequence, masks, poses, depth, options, scratch)
+    if 0 < options.steps < len(seen.images):
+        few = "gaussians: %d steps see as many of %d training frames; raise gaussians: {steps: ...}"
+        logger.warning(few, options.steps, len(seen.images))
     seen, motion, canonical = _with_motion(seen, needs, (sequence, points, deformation), scratch)
     gaussians = _new_scene(seen, motion, canonical, needs, options)
     if needs["motion_blur"]["needed"] and not failed:
