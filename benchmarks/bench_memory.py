@@ -70,13 +70,18 @@ def make_clip(folder: Path, count: int, width: int, height: int) -> Path:
     return clip
 
 
-def snakemake(folder: Path, options: Mapping[str, object], *words: str) -> str:
-    """Run the workflow in `folder` with these options; what it printed on stdout."""
+def command_of(folder: Path, options: Mapping[str, object], *words: str) -> list[str]:
+    """The command that runs the workflow in `folder` with these options, which it writes there."""
     file = folder / "options.json"
     file.write_text(json.dumps(options))
     command = [sys.executable, "-m", "snakemake", *words, "--snakefile", REPO / "Snakefile", "--directory", folder]
-    command += ["--configfile", file]
-    done = subprocess.run(list(map(str, command)), cwd=REPO, stdout=subprocess.PIPE, text=True, check=False)
+    return [*map(str, command), "--configfile", str(file)]
+
+
+def snakemake(folder: Path, options: Mapping[str, object], *words: str) -> str:
+    """Run the workflow in `folder` with these options; what it printed on stdout."""
+    command = command_of(folder, options, *words)
+    done = subprocess.run(command, cwd=REPO, stdout=subprocess.PIPE, text=True, check=False)
     if done.returncode:
         sys.exit(f"{done.stdout[-4000:]}\nsnakemake failed: its folder is {folder}")
     return done.stdout

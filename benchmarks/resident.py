@@ -62,16 +62,28 @@ def held_mb(folder: Path) -> dict[str, dict[str, float]]:
         files without a name that it maps.
     """
     held: dict[str, dict[str, float]] = {}
+    for process, words in running(folder):
+        with contextlib.suppress(OSError):  # it has ended
+            job = held.setdefault(stats_of(words), {"resident_mb": 0.0, "meanwhile_mb": 0.0})
+            status = (line.split() for line in (process / "status").read_text().splitlines())
+            kilobytes = sum(int(line[1]) for line in status if line and line[0].rstrip(":") in HELD)
+            job["resident_mb"] += kilobytes * KIB
+            job["meanwhile_mb"] = max(job["meanwhile_mb"], (_hidden(folder, words) + _nameless(process)) / 1e6)
+    return held
+
+
+def running(folder: Path) -> Iterator[tuple[Path, list[str]]]:
+    """The processes (in /proc) of stages that run in `folder`, and the words of their command lines."""
     for process in Path("/proc").glob("[0-9]*"):
         with contextlib.suppress(OSError):  # it has ended, or is somebody else's
             words = (process / "cmdline").read_bytes().decode().split("\0")
             if "--stats" in words and (process / "cwd").resolve() == folder:
-                job = held.setdefault(words[words.index("--stats") + 1], {"resident_mb": 0.0, "meanwhile_mb": 0.0})
-                status = (line.split() for line in (process / "status").read_text().splitlines())
-                kilobytes = sum(int(line[1]) for line in status if line and line[0].rstrip(":") in HELD)
-                job["resident_mb"] += kilobytes * KIB
-                job["meanwhile_mb"] = max(job["meanwhile_mb"], (_hidden(folder, words) + _nameless(process)) / 1e6)
-    return held
+                yield process, words
+
+
+def stats_of(words: list[str]) -> str:
+    """The path behind `--stats`."""
+    return words[words.index("--stats") + 1]
 
 
 def _hidden(folder: Path, words: list[str]) -> int:
