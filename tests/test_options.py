@@ -111,6 +111,10 @@ def test_numbers_as_text_are_numbers() -> None:
         ({"export": {"splat_frames": 3}}, "expected 'all' or a list, found 3"),
         ({"export": {"formats": "colmap"}}, "expected a list, found 'colmap'"),
         ({"export": {"formats": ["kolmap"]}}, "'spz' or 'video', found 'kolmap'"),
+        ({"segment": {"source": ""}}, "expected 'refined', 'prior', 'none' or 'truth' or a path, found ''"),
+        ({"segment": {"evidence": ""}}, "expected a path, found ''"),
+        ({"flow": {"source": ""}}, "expected 'dis' or 'truth' or a path, found ''"),
+        ({"ba": {"depth_from": ""}}, "expected 'estimate' or 'truth' or a path, found ''"),
         ({"video": {"max_frames": 2, "every": 0}}, "expected greater than or equal to 1, found 0"),
     ],
 )

@@ -4,6 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from stages.given.files import GivenPath
 from stages.given.intrinsics import ESTIMATE, IntrinsicsOption
 from stages.shared.options import MAX_SEED, Options
 
@@ -22,7 +23,7 @@ class BAOptions(Options):
     rolling_shutter: Literal["auto", "yes", "no"] = Field(
         "auto", description="whether rows are exposed one after the other; auto: if that explains held-out pixels"
     )
-    poses_from: Literal["estimate", "truth"] | Annotated[str, Field(min_length=1)] = Field(
+    poses_from: Literal["estimate", "truth"] | GivenPath = Field(
         "estimate",
         description="estimate cameras, or take the true poses and K, or those of a TUM file, the folder of a COLMAP "
         "model or a transforms.json; {sequence} in its path stands for the name of the sequence",
@@ -30,7 +31,7 @@ class BAOptions(Options):
     poses_as: Literal["fixed", "start"] = Field(
         "fixed", description="given poses are held fixed, so that the depth alone is estimated, or adjusted from there"
     )
-    depth_from: Literal["estimate", "truth"] | str = Field(
+    depth_from: Literal["estimate", "truth"] | GivenPath = Field(
         "estimate", description="depth that is written: estimated, true, or that of a folder of maps, one per frame"
     )
     start_focals: tuple[Annotated[float, Field(ge=0.3, le=5)], ...] = Field(

@@ -4,13 +4,14 @@ from typing import Annotated, Literal
 
 from pydantic import Field, field_validator
 
+from stages.given.files import GivenPath
 from stages.shared.options import Options
 
 
 class FlowOptions(Options):
     """Dense flow over an edge list, with forward-backward confidence."""
 
-    source: Literal["dis", "truth"] | str = Field(
+    source: Literal["dis", "truth"] | GivenPath = Field(
         "dis",
         description="dis: estimate it; truth: true flow of the sequence, to measure what errors of flow cost; or the"
         " path of a folder of flow between frames: the rest is estimated",

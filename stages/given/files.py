@@ -3,9 +3,14 @@
 import re
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
+from typing import Annotated
+
+from pydantic import Field
 
 from stages.shared.errors import InputError
 
+GivenPath = Annotated[str, Field(min_length=1)]
+"""The type of an option that holds a path: an empty one would count as none."""
 PLACEHOLDER = "{sequence}"
 """Stands in a path for the name of the sequence."""
 CONFIDENCE = ".confidence"

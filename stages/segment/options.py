@@ -4,18 +4,19 @@ from typing import Literal
 
 from pydantic import Field
 
+from stages.given.files import GivenPath
 from stages.shared.options import Options
 
 
 class SegmentOptions(Options):
     """Motion prior to refined dynamic masks."""
 
-    source: Literal["refined", "prior", "none", "truth"] | str = Field(
+    source: Literal["refined", "prior", "none", "truth"] | GivenPath = Field(
         "refined",
         description="masks for all later stages: refined, the prior above one half, none, the true motion masks, or the"
         " path of a folder of masks, one per frame; {sequence} in it stands for the name of the sequence",
     )
-    evidence: str | None = Field(
+    evidence: GivenPath | None = Field(
         None, description="folder of masks that refined masks take as strong evidence beside the motion prior"
     )
     threshold: float = Field(

@@ -105,6 +105,8 @@ def _within(error: Any, place: tuple[Any, ...]) -> bool:
 def _expected(error: Any) -> str:
     if error["type"] in ("tuple_type", "list_type"):
         return "a list"
+    if error["type"] == "string_too_short":
+        return "a path"
     return str(error["msg"].removeprefix("Input should be ").removeprefix("Value error, "))
 
 
