@@ -137,6 +137,8 @@ def test_a_preset_in_the_sweep_keeps_the_users_own_values() -> None:
         ({"knobs": {"colmap.window": [5]}}, "expected an option of inspect, .* found 'colmap.window'"),
         ({"runs": {"g": {"n": {"steps": 3}}}}, "setting 'n' of 'g'.*write it as section.option"),
         ({"runs": {"g": {"a b": {"seed": 1}, "a_b": {"seed": 2}}}}, "names that differ"),
+        ({"runs": {"knobs": {"n": {"seed": 1}}}}, "sweep.runs.knobs: expected another name than presets and knobs"),
+        ({"runs": {"presets": {"n": {"seed": 1}}}}, "sweep.runs.presets: expected another name than presets and knobs"),
         ({"presets": ["quick"]}, "'fast', 'balanced' or 'accurate'"),
     ],
 )

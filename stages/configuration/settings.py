@@ -13,6 +13,9 @@ from stages.shared.chain import MEASURED
 from stages.shared.errors import OptionError
 from stages.shared.options import validate
 
+BUILT_IN = ("presets", "knobs")
+"""Groups of the sweep that are not under `runs`."""
+
 
 @dataclass(frozen=True, eq=False)
 class Setting:
@@ -83,9 +86,13 @@ def _groups(options: SweepOptions) -> list[str]:
     """The groups of settings that the sweep runs.
 
     Raises:
-        InputError: for a group that does not exist.
+        InputError: for a group that does not exist, or a name under `runs` that is taken.
     """
-    known = ["presets", "knobs", *options.runs]
+    for name in options.runs:
+        if name in BUILT_IN:
+            expected = f"another name than {' and '.join(BUILT_IN)}, which are groups of their own"
+            raise OptionError(["sweep", "runs", name], expected, f"'{name}'", "rename the group")
+    known = [*BUILT_IN, *options.runs]
     if options.groups == "all":
         return known
     for name in options.groups:
