@@ -62,6 +62,19 @@ def test_wrong_configuration(frames: Path, options: str, phrases: tuple[str, ...
     refuse(frames.parent, options, *phrases)
 
 
+@pytest.mark.parametrize("name", ["results", "logs", "decoded", "results/data"])
+def test_a_file_where_results_belong(frames: Path, name: str) -> None:
+    path = frames.parent / name
+    path.parent.mkdir(exist_ok=True)
+    path.touch()
+    refuse(frames.parent, "dataset: data", f"{name}: expected a folder, found a file; move it, or run elsewhere")
+
+
+def test_a_link_to_a_disk_that_is_not_there(frames: Path) -> None:
+    (frames.parent / "results").symlink_to("nowhere")
+    refuse(frames.parent, "dataset: data", "results: expected a folder, found a link to nothing")
+
+
 def truncate(folder: Path) -> None:
     path = folder / "frame_0002.png"
     path.write_bytes(path.read_bytes()[:-40])

@@ -33,6 +33,19 @@ def dataset_name(config: Config) -> str:
     return dataset.stem if dataset.is_file() else dataset.name
 
 
+def require_folders(config: Config) -> None:
+    """Refuse a file where a run makes its folders: Snakemake ends in a traceback there.
+
+    Raises:
+        InputError: names the file.
+    """
+    for parent in ("results", "logs", SIMULATED if config.dataset == SIMULATED else "decoded"):
+        for path in (Path(parent), Path(parent, dataset_name(config))):
+            if (path.is_symlink() or path.exists()) and not path.is_dir():
+                found = "a file" if path.exists() else "a link to nothing"
+                raise InputError(path, "a folder", found, "move it, or run elsewhere by --directory")
+
+
 def find_sequences(
     config: Config, folders: Mapping[str, str], shots: Mapping[str, "VideoShot"], headers: bool = True
 ) -> dict[str, Sequence]:

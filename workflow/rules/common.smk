@@ -78,6 +78,7 @@ try:
     MINE = own_values(OWN)
     CONFIGURED = settings.configured(config, MINE)
     CONFIG = CONFIGURED.config
+    datasets.require_folders(CONFIG)
     VIDEO_SHOTS = datasets.video_shots(CONFIG)
     CLIPS = datasets.frame_folders(CONFIG, VIDEO_SHOTS)
     # Jobs on a cluster read this file again; checking all headers once is enough.
