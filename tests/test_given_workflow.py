@@ -34,6 +34,12 @@ def test_poses_that_are_held_fixed_need_two_rounds_and_are_an_input(repo_copy: P
     )
 
 
+def test_truth_that_the_simulator_will_write_is_there(repo_copy: Path) -> None:
+    mine = "{flow: {source: truth}, segment: {source: truth}, ba: {poses_from: truth, depth_from: truth}}"
+    result = run_snakemake(repo_copy, "poses", *with_options(repo_copy, mine))
+    assert planned(result) == {"simulate", "inspect", "flow", "lens", "segment", "ba", "poses"}
+
+
 @pytest.mark.parametrize(
     ("options", "rounds", "first_masks"),
     [

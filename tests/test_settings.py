@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from conftest import REPO
+from conftest import REPO, write_frames
 
 from stages.configuration import config as configuration
 from stages.configuration import datasets, plan, required_truth, settings
@@ -15,7 +15,7 @@ from stages.configuration.presets import PRESETS, override, value_of
 from stages.shared import sintel
 from stages.shared.cameras import centred_intrinsics
 from stages.shared.errors import InputError
-from stages.shared.sequences import Sequence
+from stages.shared.sequences import TRUTH_KINDS, Sequence, list_sequence
 
 SWEEP: dict[str, Any] = {
     "presets": ["fast", "balanced"],
@@ -179,6 +179,40 @@ def test_a_setting_that_takes_truth_needs_it() -> None:
     assert not required_truth.lacks_truth(none, bare)
 
 
+@pytest.mark.parametrize(
+    ("option", "kind", "default"),
+    [
+        ("intrinsics", "camdata_left", "estimate"),
+        ("ba.intrinsics", "camdata_left", "estimate"),
+        ("flow.source", "flow, depth, camdata_left", "dis"),
+        ("segment.source", "motion_mask", "refined"),
+        ("ba.poses_from", "camdata_left", "estimate"),
+        ("ba.depth_from", "depth", "estimate"),
+    ],
+)
+def test_a_run_that_takes_truth_needs_it_for_every_frame_that_it_uses(
+    tmp_path: Path, option: str, kind: str, default: str
+) -> None:
+    """Of the frames of a clip the first three have truth."""
+    clip = list_sequence("clip", write_frames(tmp_path / "final" / "clip"))
+    for name in kind.split(", "):
+        folder = tmp_path / name / "clip"
+        folder.mkdir(parents=True)
+        for number in (1, 2, 3):
+            path = folder / f"frame_{number:04d}{TRUTH_KINDS[name]}"
+            sintel.write_cam(path, np.eye(3), np.eye(3, 4)) if name == "camdata_left" else path.touch()
+
+    def check(**raw: Any) -> None:
+        setting = settings.configured(override(raw, {option: "truth"}))
+        required_truth.check(setting, {"clip": clip}, {"clip": str(tmp_path / "final" / "clip")})
+
+    check(inspect={"max_frames": 3})
+    missing = kind.replace("flow, ", "")
+    said = f"{option}: expected {kind} of every frame of 'clip' .* found {missing} missing .* '{option}' to '{default}'"
+    with pytest.raises(InputError, match=said):
+        check()
+
+
 def test_a_setting_that_takes_true_cameras_needs_one_focal_length(tmp_path: Path) -> None:
     """The adjustment refuses them where it changes: one such run would cost the sweep its table."""
     runs = {"inputs": {"focal": {"intrinsics": "truth"}, "poses": {"ba.poses_from": "truth"}}}
@@ -194,5 +228,10 @@ def test_a_setting_that_takes_true_cameras_needs_one_focal_length(tmp_path: Path
         [False] * 2,
         [True] * 2,
     ]
+    (tmp_path / "camdata_left").mkdir()
+    (tmp_path / "zooming").rename(tmp_path / "camdata_left" / "zooming")
+    configured, folders = settings.configured({"intrinsics": "truth"}), {"zooming": str(tmp_path / "final" / "zooming")}
+    with pytest.raises(InputError, match="as one shared camera"):
+        required_truth.check(configured, {"zooming": sequences[1]}, folders)
     simulated = configuration.load({"scenes": ["demo", "glossy_zoom"]})
     assert [datasets.zooms(simulated, name) for name in simulated.scenes] == [False, True]

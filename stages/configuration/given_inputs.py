@@ -68,10 +68,10 @@ def check(runs: Iterable[tuple[Setting, Iterable[Sequence]]]) -> None:
             advice = f"write it where the names differ, as in folder/{PLACEHOLDER}, or choose one of `sequences:`"
             raise setting.error(option, expected, f"'{path}'", advice)
         for sequence in of_name.values():
-            FINDERS[option](of_sequence(path, sequence.name), _used(setting.config, sequence))
+            FINDERS[option](of_sequence(path, sequence.name), used(setting.config, sequence))
     for setting, of_name in seen.values():
         for sequence in of_name.values():
-            _check_cameras(setting, _used(setting.config, sequence))
+            _check_cameras(setting, used(setting.config, sequence))
 
 
 def added_edges(config: Config, sequence: Sequence) -> int:
@@ -95,7 +95,7 @@ def _clip(sequence: Sequence) -> str:
     return sequence.name if folder == Path() else str(folder)
 
 
-def _used(config: Config, sequence: Sequence) -> Sequence:
+def used(config: Config, sequence: Sequence) -> Sequence:
     """The part of a sequence that is used."""
     limit = None if config.inspect.max_frames == "all" else config.inspect.max_frames
     times_s = sequence.times_s and sequence.times_s[:limit]

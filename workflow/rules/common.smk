@@ -86,6 +86,7 @@ try:
         CONFIG, CLIPS, VIDEO_SHOTS, headers=workflow.is_main_process
     )
     SEQUENCES, PARTS = datasets.divided(CONFIG, WHOLE, VIDEO_SHOTS)
+    FOLDERS = CLIPS | {name: CLIPS[part.clip] for name, part in PARTS.items()}
     SWEPT, SCALED = settings.compared(config, MINE)
     SWEPT_SEQUENCES = settings.choose_sequences(CONFIG.sweep, SEQUENCES)
     SCALED_SEQUENCES = settings.choose_sequences(CONFIG.scaling, SEQUENCES)
@@ -99,13 +100,14 @@ try:
             )
             for setting in listed
         )
+        if CONFIG.dataset != configuration.SIMULATED:
+            required_truth.check(CONFIGURED, SEQUENCES, FOLDERS)
 except InputError as error:
     # The merged values stand for the shipped file, which names every option.
     shipped = sources.shown(REPO / "config.yaml"), config
     sys.stderr.write(f"{sources.named(error, [shipped, *OWN])}\n")
     sys.exit(2)
 
-FOLDERS = CLIPS | {name: CLIPS[part.clip] for name, part in PARTS.items()}
 DATASET = datasets.dataset_name(CONFIG)
 SETTINGS = {setting.folder: setting for setting in [CONFIGURED, *SWEPT, *SCALED]}
 EVERY_SETTING = list(SETTINGS.values())
