@@ -1,13 +1,18 @@
-"""Sizes of the scaling that a clip does not have: left out and named, since they would measure another size again."""
+"""What comparisons leave out: sizes that a clip does not have, each named; and those that have nothing left."""
 
 from pathlib import Path
 
+import pytest
 from conftest import REPO, run_snakemake, write_frames
 
 from stages.configuration import settings, sizes
 from stages.shared.sequences import Sequence
 
 CLIP = Sequence("clip", [Path(f"{n}.png") for n in range(1, 81)], list(range(1, 81)), 320, 240)
+NO_AXES = (
+    "{frames: {inspect.max_frames: []}, pixels: {flow.max_width_px: []}, gaussians: {gaussians.stride_px: []}, "
+    "control points: {control.control_points: []}}"
+)
 
 
 def measured(axes: dict, **options: dict) -> tuple[list[object], list[str]]:
@@ -55,3 +60,22 @@ def test_a_plan_of_the_scaling_says_what_it_leaves_out(tmp_path: Path) -> None:
         assert ("clip has 6 frames: inspect.max_frames 20 would measure the same again" in words) == said
         assert ("settings/inspect.max_frames=4/" in words) == said
         assert "settings/inspect.max_frames=20/" not in words
+
+
+@pytest.mark.parametrize(
+    ("target", "options"),
+    [
+        ("sweep", "sweep: {groups: [mine], runs: {mine: {true focal length: {intrinsics: truth}}}}"),
+        ("sweep", "sweep: {sequences: []}"),
+        ("scaling", f"scaling: {{axes: {NO_AXES}}}"),
+    ],
+)
+def test_a_comparison_of_nothing_stops_at_once_if_it_is_asked_for(tmp_path: Path, target: str, options: str) -> None:
+    write_frames(tmp_path / "clips/clip")
+    (tmp_path / "mine.yaml").write_text(f"dataset: clips\n{options}")
+    arguments = ("-s", str(REPO / "Snakefile"), "-n", "--configfile", "mine.yaml")
+    result = run_snakemake(tmp_path, target, *arguments)
+    assert result.returncode == 2
+    said = f"mine.yaml: {target}: expected a setting under which a chosen sequence can run, found none; name settings"
+    assert result.stderr.splitlines()[-1].startswith(said)
+    assert run_snakemake(tmp_path, "poses", *arguments).returncode == 0

@@ -36,7 +36,7 @@ from stages.shared.chain import MEASURED
 from stages.shared.devices import takes_gpu
 from stages.shared.digest import code_digest
 from stages.shared.disk import megabytes_written, told
-from stages.shared.errors import InputError
+from stages.shared.errors import InputError, OptionError
 from stages.shared.images import reduced_size
 from stages.shared.memory import WINDOW, Held, megabytes
 from stages.shared.sequences import find_truth, frames_digest, truth_folders
@@ -74,6 +74,15 @@ def own_values(own):
 
 OWN = own_sources()
 
+
+def refuse(error):
+    """End the run in one line about wrong input, which begins with the file or flag in which the value stands."""
+    # The merged values stand for the shipped file, which names every option.
+    shipped = sources.shown(REPO / "config.yaml"), config
+    sys.stderr.write(f"{sources.named(error, [shipped, *OWN])}\n")
+    sys.exit(2)
+
+
 try:
     MINE = own_values(OWN)
     CONFIGURED = settings.configured(config, MINE)
@@ -103,10 +112,7 @@ try:
         if CONFIG.dataset != configuration.SIMULATED:
             required_truth.check(CONFIGURED, SEQUENCES, FOLDERS)
 except InputError as error:
-    # The merged values stand for the shipped file, which names every option.
-    shipped = sources.shown(REPO / "config.yaml"), config
-    sys.stderr.write(f"{sources.named(error, [shipped, *OWN])}\n")
-    sys.exit(2)
+    refuse(error)
 
 DATASET = datasets.dataset_name(CONFIG)
 SETTINGS = {setting.folder: setting for setting in [CONFIGURED, *SWEPT, *SCALED]}

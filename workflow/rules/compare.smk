@@ -38,7 +38,11 @@ def needed_by(listed):
 
 @functools.cache
 def listed_runs(comparison):
-    """The runs of a comparison that is asked for; says, once, which sizes of the scaling are not among them."""
+    """The runs of a comparison that is asked for, at least one; says, once, which sizes of the scaling are left out."""
+    if not RUNS[comparison]:
+        expected = "a setting under which a chosen sequence can run"
+        advice = "name settings, and sequences with the truth that they take"
+        refuse(OptionError([comparison], expected, "none", advice))
     if comparison == "scaling" and workflow.is_main_process:
         for name in SCALED_SEQUENCES:
             for line in sizes.distinct(CONFIGURED, SCALED, SEQUENCES[name])[1]:
