@@ -19,8 +19,8 @@ from benchmarks.bench_memory import REPO, command_of
 from benchmarks.resident import running, stats_of
 from stages.shared.artifacts import read_json
 
-OUTPUTS = {"flow": "flow/pairs.arrow", "ba": "ba/poses.parquet", "gaussians": "gaussians/model.safetensors"}
-"""Of the stages that go on where they stood: what is removed so that they run again."""
+STAGES = ("flow", "ba", "gaussians")
+"""Those that go on where they stood."""
 MOST_S = 60.0
 GRACE_S = 600.0
 """Within this time Snakemake has begun the stage."""
@@ -51,7 +51,7 @@ def lost(folder: Path, home: Path, stage: str, after: float, words: list[str]) -
     """Seconds of the stage before, of the run that was killed, and of the one that went on."""
     stats = home / "stats" / f"{stage}.json"
     whole_s = float(read_json(stats)["wall_s"])
-    (home / OUTPUTS[stage]).unlink()
+    stats.unlink()
     within = str(stats.relative_to(folder))
     command = command_of(folder, read_json(folder / "options.json"), "--cores", "all", within, *words)
     killed_s = killed(command, folder, within, after * whole_s)
@@ -70,7 +70,7 @@ def main() -> None:
     if len(homes) != 1:
         sys.exit(f"{folder}: expected the results of one sequence, found {len(homes)}; run bench_long there first")
     missed = False
-    for stage in OUTPUTS:
+    for stage in STAGES:
         whole_s, killed_s, resumed_s = lost(folder, homes[0], stage, given.after, words)
         lost_s = killed_s + resumed_s - whole_s
         missed |= lost_s > MOST_S
