@@ -100,9 +100,9 @@ def clip_options(scene: str, folder: Path, width: int, height: int, count: int) 
 
 
 def enlarged(scene: Path, folder: Path, width: int, height: int, count: int) -> Path:
-    """A folder of the first frames of a scene, drawn DRAWN_PX wide and enlarged; kept where it is complete."""
+    """A folder of the first frames of a scene, drawn DRAWN_PX wide and enlarged; kept where it has enough."""
     clip = folder / f"{scene.stem}_{width}x{height}"
-    if len(list(clip.glob("*.png"))) != count:
+    if len(list(clip.glob("*.png"))) < count:
         clip.mkdir(exist_ok=True)
         drawn = draw_frames(folder, yaml.safe_load(scene.read_text()), width, height)[:count]
         enlarge(drawn, width, height)

@@ -40,7 +40,7 @@ def killed(command: list[str], folder: Path, stats: str, after_s: float) -> floa
             time.sleep(0.1)
         began = time.monotonic()
         time.sleep(after_s)
-        if workflow.poll() is not None:
+        if not all(process.exists() for process in found):
             sys.exit(f"{stats}: its stage ended before it was killed; give a smaller --after")
         for process in found:
             os.kill(int(process.name), signal.SIGKILL)
