@@ -1,16 +1,19 @@
 """Where Gaussians start: dense depth, labels, skinning and its inverse, the cap, masks that nothing can carry."""
 
+from dataclasses import replace
+
 import gaussian_scene as truth
 import numpy as np
 import pytest
 import torch
 from gaussian_training import CANONICAL, TRAIN, image_at, new_scene, psnr
+from numpy.testing import assert_allclose
 
 from stages.gaussians.initial_cloud import cloud_within, initial_cloud
 from stages.gaussians.lifting import lift, near_plane_of
 from stages.gaussians.skinning import skin, to_canonical
 from stages.gaussians.training_frames import with_movers
-from stages.gaussians.votes import dynamic_share
+from stages.gaussians.votes import DEPTH_TOLERANCE, dynamic_share, pixels_of, static_share
 from stages.shared.dense_depth import dense_depth, nearest_on_frame
 from stages.splatting.gaussian_model import GaussianScene
 
@@ -65,6 +68,28 @@ def test_the_wall_behind_the_mover_is_not_claimed_by_it() -> None:
     assert dynamic_share(seen, lambda f: on_square[f], seen.masks)[0] == 1
 
 
+@pytest.mark.parametrize("burnt_in", [False, True])
+def test_votes_are_those_of_the_pixels_that_points_project_to(burnt_in: bool) -> None:
+    """Points before, on and behind the surfaces, beside the image and behind the camera, against numpy."""
+    seen, F = truth.observations(TRAIN), len(TRAIN)
+    if burnt_in:
+        seen = replace(seen, scene=np.arange(seen.masks[0].size).reshape(seen.size) % 5 > 0)
+    points = np.random.default_rng(0).uniform(-1.2, 1.2, (9000, 3)) * truth.WALL_Z
+    points[::2, 2] = truth.WALL_Z * np.linspace(0.9, 1.1, 4500)
+    points[::3] = points[::3, 2:] * [0.1, 0.1, 1] + points[::3] * [0.1, 0.1, 0]  # the middle of the image
+    views, masked, resting = np.zeros((3, len(points)))
+    for f in range(F):
+        u, v, z, inside = pixels_of(seen, f, points)
+        depth, mask = seen.depths[f][v, u], seen.masks[f][v, u]
+        visible = inside & (z < depth * (1 + DEPTH_TOLERANCE))
+        views += visible
+        masked += visible & mask
+        resting += visible & ~mask & (depth < z * (1 + DEPTH_TOLERANCE))
+    assert min(masked.sum(), resting.sum(), (views == 0).sum()) > 50
+    assert_allclose(dynamic_share(seen, lambda _: points, seen.masks), masked / np.maximum(views, 1))
+    assert_allclose(static_share(seen, points, seen.masks), resting / np.maximum(views, 1))
+
+
 def test_skinning_and_its_inverse() -> None:
     motion = truth.true_motion()
     with torch.no_grad():
@@ -106,6 +131,17 @@ def test_depth_of_a_slanted_plane_is_exact_and_edges_follow_the_image() -> None:
     sharp = 1 / dense_depth(coarse_step, image.astype(np.float32), s)
     bilinear = np.interp(u, s * np.arange(width // s) + (s - 1) / 2, step[s // 2 :: s])
     assert np.abs(sharp - step)[inner].mean() < 0.6 * np.abs(bilinear - step)[12:-12].mean()
+
+
+def test_dense_depth_is_the_mean_of_four_grid_pixels_weighted_by_place_and_colour() -> None:
+    rng, s = np.random.default_rng(0), 4
+    coarse, image = rng.uniform(0.2, 1, (6, 8)), rng.uniform(0.4, 0.6, (6 * s, 8 * s, 3)).astype(np.float32)
+    y, x = 9, 14  # at 1.875 and 3.125 of the grid
+    place = np.outer([0.125, 0.875], [0.875, 0.125])
+    unlike = np.square(image[[6, 10]][:, [14, 18]].astype(float) - image[y, x]).sum(axis=-1)
+    weights = place * (np.exp(-unlike / (2 * 0.06**2)) + 1e-4)
+    expected = (weights * coarse[1:3, 3:5]).sum() / weights.sum()
+    assert 1 / dense_depth(coarse, image, s)[y, x] == pytest.approx(expected, rel=1e-5)
 
 
 def test_a_grid_whose_stride_is_no_whole_number_does_not_drift() -> None:

@@ -9,7 +9,7 @@ import torch
 from stages.deformation.motion_models import Deformation
 from stages.gaussians.births import birth_frames, movers_stride, with_life_spans
 from stages.gaussians.lifting import frame_order, join, lift_dynamic, lift_static, make_cloud
-from stages.gaussians.skinning import skin, to_canonical
+from stages.gaussians.skinning import skinned, to_canonical
 from stages.gaussians.training_frames import TrainingFrames
 from stages.gaussians.votes import dynamic_share, inverse, static_share
 from stages.shared.frame_store import Computed, PackedMasks
@@ -113,10 +113,11 @@ def _stay_dynamic(
     seen: TrainingFrames, lifted: np.ndarray, means: np.ndarray, masks: PackedMasks, deformation: Deformation, K: int
 ) -> np.ndarray:
     """Whether [n] more frames mask a point along its motion than show it unmasked at the place where it was lifted."""
-    rest = torch.as_tensor(means, dtype=torch.float32)
+    with torch.no_grad():
+        moving = skinned(torch.as_tensor(means, dtype=torch.float32), deformation, K)
 
     def moved(f: int) -> np.ndarray:
         with torch.no_grad():
-            return np.asarray(skin(rest, float(seen.times[f]), deformation, K).double().numpy())
+            return np.asarray(moving(float(seen.times[f])).double().numpy())
 
     return np.asarray(dynamic_share(seen, moved, masks) >= static_share(seen, lifted, masks))

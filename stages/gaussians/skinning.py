@@ -1,5 +1,7 @@
 """Skinning of points by the control points, and its inverse: the canonical position of a point at some time."""
 
+from collections.abc import Callable
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -13,11 +15,20 @@ MAX_ERROR = 0.5
 
 def skin(means: Tensor, time: float, deformation: Deformation, K: int) -> Tensor:
     """Positions [n, 3] at `time` 0..1 of canonical means [n, 3], moved by the K nearest control points."""
-    quats, translations = (motion[0] for motion in deformation(means.new_tensor([time])))
+    return skinned(means, deformation, K)(time)
+
+
+def skinned(means: Tensor, deformation: Deformation, K: int) -> Callable[[float], Tensor]:
+    """`skin` as a function of the time alone: the control points that move a mean are those at all times."""
     index, sq_dist = neighbours(deformation.points, means, K)
     weights = lbs_weights(sq_dist, deformation.log_radii, index)
     unturned = means.new_tensor([1.0, 0.0, 0.0, 0.0]).repeat(len(means), 1)
-    return blend(means, unturned, deformation.points, quats, translations, weights, index)[0]
+
+    def at(time: float) -> Tensor:
+        quats, translations = (motion[0] for motion in deformation(means.new_tensor([time])))
+        return blend(means, unturned, deformation.points, quats, translations, weights, index)[0]
+
+    return at
 
 
 def to_canonical(

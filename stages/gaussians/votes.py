@@ -5,8 +5,10 @@ from collections.abc import Callable
 import numpy as np
 
 from stages.gaussians.training_frames import TrainingFrames
+from stages.gaussians.vote_kernels import vote
 from stages.shared.cameras import project
 from stages.shared.frame_store import Computed, Frames
+from stages.shared.threads import spread
 
 DEPTH_TOLERANCE = 0.06
 """Relative difference of depth up to which two points count as the same surface."""
@@ -62,9 +64,7 @@ def _share(seen: TrainingFrames, tracks: Tracks, votes: Frames[np.ndarray], at_s
     n = len(tracks(0))
     count, views = np.zeros(n), np.zeros(n)
     for f in range(len(seen.depths)):
-        u, v, z, inside = pixels_of(seen, f, tracks(f))
-        depth = seen.depths[f][v, u]
-        visible = inside & (z < depth * (1 + DEPTH_TOLERANCE))
-        views += visible
-        count += visible & votes[f][v, u] & ((depth < z * (1 + DEPTH_TOLERANCE)) | (not at_surface))
+        depth = seen.depths[f] if seen.scene is None else np.where(seen.scene, seen.depths[f], -np.inf)
+        positions, camera = np.ascontiguousarray(tracks(f), dtype=float), (seen.cam_from_world[f], seen.Ks[f])
+        spread(vote, n, positions, *camera, depth, votes[f], 1 + DEPTH_TOLERANCE, at_surface, views, count)
     return count / np.maximum(views, 1)

@@ -3,6 +3,8 @@
 import numpy as np
 
 from stages.shared.cameras import frame_from_grid, grid_from_frame
+from stages.shared.depth_kernels import upsample
+from stages.shared.threads import spread
 
 COLOUR_STD = 0.06
 """Standard deviation of the colour weights (colours in 0..1): depth is not interpolated across larger differences."""
@@ -27,14 +29,9 @@ def dense_depth(inverse_depth: np.ndarray, image: np.ndarray, stride_px: float) 
     columns, column_weights = _grid_neighbours(image.shape[1], inverse_depth.shape[1], stride_px)
     centres = (_grid_centres(*sizes, stride_px) for sizes in zip(image.shape[:2], inverse_depth.shape, strict=True))
     grid_image = image[np.ix_(*centres)]
-    total, weight = np.zeros(image.shape[:2]), np.zeros(image.shape[:2])
-    for v, v_weight in zip(rows, row_weights, strict=True):
-        for u, u_weight in zip(columns, column_weights, strict=True):
-            unlike = np.square(image - grid_image[np.ix_(v, u)]).sum(axis=-1)
-            w = np.outer(v_weight, u_weight) * (np.exp(-unlike / (2 * COLOUR_STD**2)) + UNLIKE_WEIGHT)
-            total += w * inverse_depth[np.ix_(v, u)]
-            weight += w
-    inverse = total / weight
+    inverse, like = np.empty(image.shape[:2]), 1 / (2 * COLOUR_STD**2)
+    near = (rows, row_weights, columns, column_weights)
+    spread(upsample, len(inverse), inverse_depth, grid_image, image, *near, like, UNLIKE_WEIGHT, inverse)
     return (1 / np.maximum(inverse, np.median(inverse) / FARTHEST)).astype(np.float32)
 
 
