@@ -48,15 +48,20 @@ def killed(command: list[str], folder: Path, stats: str, after_s: float) -> floa
 
 
 def lost(folder: Path, home: Path, stage: str, after: float, words: list[str]) -> tuple[float, float, float]:
-    """Seconds of the stage before, of the run that was killed, and of the one that went on."""
+    """Seconds of the stage before, of the run that was killed, and of the one that went on.
+
+    The times of the stage before are put back: `bench_long` would take those of its second half for the whole.
+    """
     stats = home / "stats" / f"{stage}.json"
-    whole_s = float(read_json(stats)["wall_s"])
+    before, whole_s = stats.read_bytes(), float(read_json(stats)["wall_s"])
     stats.unlink()
     within = str(stats.relative_to(folder))
     command = command_of(folder, read_json(folder / "options.json"), "--cores", "all", within, *words)
     killed_s = killed(command, folder, within, after * whole_s)
     subprocess.run(command, cwd=REPO, stdout=subprocess.DEVNULL, check=True)
-    return whole_s, killed_s, float(read_json(stats)["wall_s"])
+    resumed_s = float(read_json(stats)["wall_s"])
+    stats.write_bytes(before)
+    return whole_s, killed_s, resumed_s
 
 
 def main() -> None:
