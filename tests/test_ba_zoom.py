@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy import stats
 from synthetic import make_scene, observe, trajectory_error
 
 from stages.ba import dba, held_out, proposal, twoview, zoom
@@ -114,6 +115,14 @@ def test_a_usual_gain_is_that_of_the_tiles_that_were_asked_for() -> None:
     assert held_out.usual_gain(graph, pair, fitted=True)[0] > 0.5
 
 
+@pytest.mark.parametrize("n", [4, 7, 24])
+def test_a_trimmed_mean_and_its_error_are_those_of_scipy(n: int) -> None:
+    values = np.random.default_rng(n).normal(size=n) ** 3
+    share = held_out.TRIMMED
+    expected = stats.trim_mean(values, share), stats.mstats.trimmed_stde(values, limits=(share, share))
+    assert_allclose(held_out.trimmed_mean(values), expected)
+
+
 def test_from_a_handful_of_tiles_no_gain_is_told() -> None:
     graph = observe(make_scene(size=(96, 144)))
     corner = (graph.pixels[:, 0] < 40) & (graph.pixels[:, 1] < 40)
@@ -176,10 +185,11 @@ def test_the_next_round_begins_from_the_focal_curve_of_the_one_before(tmp_path: 
         ((0.2, 0.02, 0.1, 0.01), "changing"),
         ((0.01, 0.001, 0.1, 0.01), "constant"),
         ((0.2, 0.15, 0.1, 0.01), "constant"),
+        ((0.14, 0.046, 0.35, 0.077), "constant"),
         ((0.2, 0.02, 0.01, 0.02), "not observable"),
         ((0.2, 0.02, 0.3, 0.2), "not observable"),
     ],
-    ids=["clear", "too little gain", "gain by chance", "no larger than its error", "blind"],
+    ids=["clear", "too little gain", "gain by chance", "gain of movers", "no larger than its error", "blind"],
 )
 def test_the_decision_follows_gain_and_change_and_their_errors(numbers: tuple[float, ...], decision: str) -> None:
     assert zoom.judge(*numbers)[0] == decision

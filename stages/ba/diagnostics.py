@@ -73,9 +73,7 @@ def of_zoom(evidence: zoom.Evidence) -> list[str]:
     """A warning about a focal length that changes: it explains the flow, but not observably so, or it is asked for and
     explains nothing.
     """
-    explains = evidence.gain is None or evidence.gain >= max(
-        zoom.MIN_GAIN, zoom.SIGNIFICANT * (evidence.gain_sigma or 0.0)
-    )
+    explains = evidence.gain is None or zoom.explains(evidence.gain, evidence.gain_sigma or 0.0)
     if evidence.decision == "changing" and not explains:
         return [f"a focal length per frame, {evidence.reason}"]
     if evidence.decision != "not observable" or not explains:

@@ -15,8 +15,10 @@ from stages.shared import lie
 
 MIN_GAIN = 0.03
 """Share of the held-out cost of a usual tile that a changing focal length must save."""
+CLEAR = 4.0
+"""The gain must exceed this many of its standard errors, as tiles that a mover covers together are not independent."""
 SIGNIFICANT = 3.0
-"""The gain, and the change of the focal length, must exceed this many of their standard deviations."""
+"""The change of the focal length must exceed this many of its standard deviations."""
 MAX_SIGMA = 0.08
 """From this predicted relative error on, a change of the focal length is not observable."""
 SUSPECTED_GAIN, SUSPECTED_CHANGE = 0.01, 0.02
@@ -43,14 +45,19 @@ class Evidence(held_out.Verdict):
 NOT_TESTED = Evidence("not tested", "the camera does not move, its focal length is given, or the options exclude it")
 
 
+def explains(gain: float, gain_sigma: float) -> bool:
+    """Whether a changing focal length saves enough of the held-out cost, and not by chance."""
+    return gain >= max(MIN_GAIN, CLEAR * gain_sigma)
+
+
 def judge(gain: float, gain_sigma: float, change: float, change_sigma: float) -> tuple[str, str]:
     """Decision and reason from the numbers of `Evidence`."""
     saved = f"it saves {100 * gain:.1f} +- {100 * gain_sigma:.1f} % of the cost of held-out pixels"
     changes = f"it would change by {100 * np.expm1(change):.1f} % with a predicted error of {100 * change_sigma:.1f} %"
-    explains = gain >= max(MIN_GAIN, SIGNIFICANT * gain_sigma)
-    if change_sigma > MAX_SIGMA or (explains and change < SIGNIFICANT * change_sigma):
+    saves = explains(gain, gain_sigma)
+    if change_sigma > MAX_SIGMA or (saves and change < SIGNIFICANT * change_sigma):
         return "not observable", f"{saved}; {changes}"
-    return ("changing", saved) if explains else ("constant", f"{saved}; {changes}")
+    return ("changing", saved) if saves else ("constant", f"{saved}; {changes}")
 
 
 def weigh(
