@@ -62,6 +62,18 @@ def test_the_decision_about_the_shutter_is_shown_with_its_numbers(tmp_path: Path
     assert rows[pose_statistics.STATISTICS["shutter_gain_percent"][0]] == pytest.approx(30.0)
 
 
+@pytest.mark.parametrize(
+    ("statistics", "words"),
+    [
+        ({}, None),
+        ({"loops": 7, "loops_left_out": 0}, "7 joined"),
+        ({"loops": 7, "loops_left_out": 2}, "7 joined, 2 left out"),
+    ],
+)
+def test_loops_are_counted_among_the_decisions(statistics: dict[str, int], words: str | None) -> None:
+    assert pose_diagnostics.decisions(run.DECIDED | {"statistics": statistics})["loops"] == words
+
+
 def test_the_focal_curve_is_scored_where_the_true_one_changes() -> None:
     zoom = np.linspace(1, 1.2, run.T)[:, None, None] * [[1, 0, 0], [0, 1, 0], [0, 0, 0]] + np.diag([0, 0, 1])
     truth = make_cameras(run.CAM_FROM_WORLD, run.K @ zoom, np.arange(run.T))

@@ -1,14 +1,20 @@
 """Places seen again: found where the camera returns, and nowhere else."""
 
 from collections.abc import Callable
+from pathlib import Path
+from typing import Literal
 
 import cv2
 import numpy as np
 import pytest
 
+from stages.flow import __main__ as flow_stage
 from stages.flow.edges import Edge
 from stages.flow.loop_flow import between, loop_flow
 from stages.flow.loops import FAR, find_loops, stations
+from stages.flow.options import FlowOptions
+from stages.shared.artifacts import read_dense, read_metadata, write_json
+from stages.shared.sequences import check_sequence, sequence_to_json
 
 H, W, STEP = 96, 160, 10
 Clip = tuple[np.ndarray, dict[Edge, np.ndarray]]
@@ -64,6 +70,27 @@ def test_a_place_seen_again_is_found_with_its_matches_and_their_flow() -> None:
     assert np.median(np.linalg.norm(inner, axis=-1)) < 0.2
     ends = [k for (i, j), _ in found for k in (i, j)]
     assert max(ends.count(k) for k in ends) <= 2
+
+
+@pytest.mark.parametrize("loops", ["auto", "no"])
+def test_the_stage_matches_places_seen_again_unless_told_not_to(tmp_path: Path, loops: Literal["auto", "no"]) -> None:
+    corners = circuit(92)
+    (tmp_path / "clip").mkdir()
+    for k, image in enumerate(moved_over(ground(H + 200, W + 200), corners)[0]):
+        cv2.imwrite(str(tmp_path / "clip" / f"frame_{k + 1:04d}.png"), image)
+    content = tmp_path / "sequence.json"
+    write_json(content, sequence_to_json(check_sequence("clip", tmp_path / "clip")))
+    options = FlowOptions(offsets=(1, 2), long_edges=0, loops=loops)
+    said = flow_stage.main(content, tmp_path / "pairs.arrow", tmp_path / "flow.png", options)
+    found = read_dense(tmp_path / "pairs.arrow")
+    far = np.abs(found["target"] - found["source"]) > FAR
+    assert far.any() == (loops == "auto")
+    assert read_metadata(tmp_path / "pairs.arrow")["loops"] == far.sum() / 2  # both ways
+    assert ("places seen again" in said) == far.any()
+    for k in np.flatnonzero(far).tolist():
+        sure = found["confidence"][k] > 0
+        apart = corners[found["source"][k]] - corners[found["target"][k]]
+        assert np.median(np.linalg.norm(found["flow"][k][sure].astype(float) - apart, axis=-1)) < 0.5
 
 
 def columns(T: int) -> np.ndarray:
