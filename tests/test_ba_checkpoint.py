@@ -114,6 +114,24 @@ def test_a_failed_run_keeps_its_checkpoint(tmp_path: Path, monkeypatch: pytest.M
     assert list(tmp_path.iterdir()) == []
 
 
+def test_what_a_power_cut_has_damaged_is_computed_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(checkpoint, "INTERVAL_S", -1)
+    poses = tmp_path / "poses.parquet"
+
+    def killed() -> None:
+        with checkpoint.kept(poses, [], OPTIONS):
+            for values in (np.full(9, 0), np.full(9, 1), np.full(9, 2)):
+                checkpoint.array(values.copy)
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        killed()
+    damaged = tmp_path / ".poses.checkpoint/0001.safetensors"
+    damaged.write_bytes(damaged.read_bytes()[:40])
+    with checkpoint.kept(poses, [], OPTIONS):
+        assert [checkpoint.array(lambda: np.full(9, 7))[0] for _ in range(3)] == [0, 7, 2]
+
+
 def test_frames_and_truth_are_of_the_origin(tmp_path: Path) -> None:
     """Texture weighs matches, and true poses take the place of estimated ones: other files are another run."""
     frame, camera = tmp_path / "frame_0001.png", tmp_path / "frame_0001.cam"

@@ -95,6 +95,21 @@ def test_a_killed_run_resumes_with_the_same_result(tmp_path: Path, monkeypatch: 
     assert not list((tmp_path / "killed").glob(".*"))
 
 
+@pytest.mark.parametrize("kind", ["done", "exact"])
+def test_a_block_that_a_power_cut_has_damaged_is_matched_again(tmp_path: Path, kind: str) -> None:
+    flow = {(0, 1): np.ones((8, 12, 2), np.float32), (1, 0): -np.ones((8, 12, 2), np.float32)}
+    packed = {"flow": Packed([pack(values) for values in flow.values()], (8, 12, 2))}
+    parts = Parts(tmp_path / "pairs.arrow", "here")
+    parts.add("near", range(8), flow, packed)
+    files = {"done": parts._file("near", range(8)), "exact": parts._exact("near", range(8))}
+    assert Parts(tmp_path / "pairs.arrow", "here").resume("near", range(8)) == 2
+    files[kind].write_bytes(files[kind].read_bytes()[:100])
+    again = Parts(tmp_path / "pairs.arrow", "here")
+    assert again.resume("near", range(8)) is None
+    again.add("near", range(8), flow, packed)
+    assert Parts(tmp_path / "pairs.arrow", "here").resume("near", range(8)) == 2
+
+
 def test_a_killed_averaging_resumes_with_the_same_frames(tmp_path: Path) -> None:
     """Fast noisy frames, of whose four blocks a killed run has left some: flow of two steps starts from that of one."""
     noise = np.random.default_rng(0).normal(0, 6, (28, 48, 96))

@@ -172,6 +172,16 @@ def test_a_killed_script_leaves_no_result_and_goes_on_from_its_checkpoint(
     assert other.origin != mine.origin  # another option: its checkpoint would not be used
 
 
+def test_a_checkpoint_that_a_power_cut_has_damaged_is_not_used(tmp_path: Path) -> None:
+    inputs, paths, options = write_inputs(tmp_path), outputs(tmp_path / "out"), GaussiansOptions(steps=2, stride_px=4)
+    left = Checkpoint(paths["model"], list(inputs.values()), options).path
+    left.parent.mkdir()
+    left.write_bytes(b"cut off")
+    gaussians_stage.main(**inputs, **paths, options=options)
+    assert paths["model"].exists()
+    assert not left.exists()
+
+
 def test_frames_are_rendered_with_the_shutter_and_new_views_without(tmp_path: Path) -> None:
     inputs, results = write_inputs(tmp_path), outputs(tmp_path / "out")
     write_json(inputs["scene"], read_json(inputs["scene"]) | {"motion_blur": {"needed": True, "shutter": 0.9}})

@@ -1,6 +1,7 @@
 """Estimate camera poses, focal lengths and depth from flow and masks by dense bundle adjustment."""
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -189,15 +190,18 @@ def _depth_maps(
         graph: the matches on which the solution was found.
     """
     state, rolling, T = solution.state, solution.rolling, graph.T
-    parts = []
-    for first in progress(range(0, T, BLOCK), "depth"):
+    observable = solution.camera in ("moving", "near-still")
+
+    def of_block(first: int) -> np.ndarray:
         frames = first, min(first + BLOCK, T)
         fine = mask_graph(matches.graph(options.depth_stride_px, known, frames), static)
         if rolling.decision == "rolling":
             fine = shutter.correct(fine, shutter.resampled(state, graph, fine), rolling.readout)
-        observable = solution.camera in ("moving", "near-still")
-        parts.append(depth_maps(fine, graph, state, static, observable, frames))
-    return joined(parts)
+        maps = depth_maps(fine, graph, state, static, observable, frames)
+        return np.stack([maps.inverse_depth, maps.variance, maps.filled])
+
+    blocks = (checkpoint.array(partial(of_block, first)) for first in progress(range(0, T, BLOCK), "depth"))
+    return joined([DepthMaps(inverse_depth, variance, filled > 0) for inverse_depth, variance, filled in blocks])
 
 
 def _previous(poses: Path | None, scale: float) -> PoseGuess | None:

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from stages.ba.state import State
-from stages.shared.artifacts import read_metadata, read_model, write_json, write_model
+from stages.shared.artifacts import read_metadata, read_model, unless_damaged, write_json, write_model
 from stages.shared.digest import code_digest
 from stages.shared.log import logger
 from stages.shared.options import Options
@@ -43,7 +43,7 @@ class Checkpoint:
         """Go on to the next computation; its result, or how far it had come, if that is kept."""
         self.index += 1
         path = self._path(self.index)
-        return (read_model(path), read_metadata(path)) if path.exists() else None
+        return unless_damaged(lambda: (read_model(path), read_metadata(path))) if path.exists() else None
 
     def finished(self, arrays: Mapping[str, np.ndarray], about: Mapping[str, Any]) -> None:
         """Keep the result of the present computation."""

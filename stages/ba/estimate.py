@@ -4,7 +4,7 @@ from dataclasses import asdict, replace
 
 import numpy as np
 
-from stages.ba import classify, dba, diagnostics, initialise, loops, rotation, shutter, zoom
+from stages.ba import checkpoint, classify, dba, diagnostics, initialise, loops, rotation, shutter, zoom
 from stages.ba.classify import Statistics
 from stages.ba.first_focal import focals_of_part
 from stages.ba.graph import MIN_MATCHES, FlowGraph, shared_matches
@@ -198,7 +198,7 @@ def _finish(
     graph = problem.graph
     free = focal.decision in ("estimated", "weakly observed")
     unknowns = Unknowns(free, statistics.camera != "rotating", free and state.zoom is not None)
-    covariance = solution_covariance(graph, state, unknowns).poses(graph.T)
+    covariance = checkpoint.array(lambda: solution_covariance(graph, state, unknowns).poses(graph.T))
     decision = asdict(focal) | {"focal_px": state.focal_px}
     flags = list(against)
     if statistics.planar:

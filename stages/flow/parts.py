@@ -13,7 +13,15 @@ from typing import Any, cast
 import numpy as np
 
 from stages.flow.edges import Edge
-from stages.shared.artifacts import Dense, dense_writer, read_dense, read_metadata, write_dense, write_json
+from stages.shared.artifacts import (
+    Dense,
+    dense_writer,
+    read_dense,
+    read_metadata,
+    unless_damaged,
+    write_dense,
+    write_json,
+)
 from stages.shared.log import logger
 from stages.shared.packing import Packed
 from stages.shared.rows import Rows
@@ -80,7 +88,7 @@ class Parts:
     def __init__(self, output: Path, origin: str) -> None:
         self.folder = output.with_name(f".{output.name}.parts")
         found = self.folder / ORIGIN
-        if self.folder.exists() and not (found.exists() and json.loads(found.read_text())["origin"] == origin):
+        if self.folder.exists() and not (found.exists() and json.dumps(origin) in found.read_text()):
             logger.info("what an earlier run has left has other inputs, options or code: starting anew")
             shutil.rmtree(self.folder)
         self.folder.mkdir(parents=True, exist_ok=True)
@@ -92,9 +100,14 @@ class Parts:
         done, exact = self._file(kind, run), self._exact(kind, run)
         if not done.exists():
             return None
-        if exact.exists():
-            self.windows[kind].add(run, exact)
-        return int(read_metadata(done)["edges"])
+
+        def take() -> int:
+            edges = int(read_metadata(done)["edges"])
+            if exact.exists():
+                self.windows[kind].add(run, exact)
+            return edges
+
+        return unless_damaged(take)
 
     def add(
         self, kind: str, run: range, edges: Mapping[Edge, np.ndarray], packed: Mapping[str, Packed], **facts: int

@@ -9,7 +9,7 @@ import torch
 from stages.gaussians.densify import GradientRecord, select
 from stages.gaussians.optimise import History, Trainer
 from stages.gaussians.options import GaussiansOptions
-from stages.shared.artifacts import read_metadata, read_model, write_model
+from stages.shared.artifacts import read_metadata, read_model, unless_damaged, write_model
 from stages.shared.digest import origin
 from stages.shared.log import logger
 
@@ -28,11 +28,14 @@ class Checkpoint:
         """Set a new trainer to the saved step, if there is a checkpoint of the same run."""
         if not self.path.exists():
             return
-        metadata = read_metadata(self.path)
+        left = unless_damaged(lambda: (read_model(self.path), read_metadata(self.path)))
+        if left is None:
+            return
+        arrays, metadata = left
         if metadata["origin"] != self.origin:
             logger.info("the checkpoint has other inputs, options or code: training starts at step 0")
             return
-        restore(trainer, read_model(self.path), int(metadata["n_static"]))
+        restore(trainer, arrays, int(metadata["n_static"]))
         logger.info("resumed at step %d of %d", trainer.step, trainer.options.steps)
 
     def save_sometimes(self, trainer: Trainer) -> None:

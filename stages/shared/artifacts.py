@@ -11,7 +11,7 @@ import mmap
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import pyarrow as pa
@@ -22,8 +22,10 @@ from stages.shared.columns import array_of, column_of
 from stages.shared.digest import code_digest
 from stages.shared.errors import InputError
 from stages.shared.finite import is_finite
+from stages.shared.log import logger
 from stages.shared.rows import Rows, column_in, field_of
 
+ReadT = TypeVar("ReadT")
 FORMAT_VERSION = 1
 ROWS_AT_ONCE = 64
 """Rows of a mapped file that are held while it is checked."""
@@ -146,6 +148,18 @@ def read_metadata(path: Path) -> dict[str, Any]:
     texts = {key.decode(): value for key, value in (raw or {}).items() if not key.startswith(b"ARROW")}
     read = _checked(path, "metadata in JSON", lambda: {key: json.loads(value) for key, value in texts.items()})
     return dict(read)
+
+
+def unless_damaged(read: Callable[[], ReadT]) -> ReadT | None:
+    """What `read` gives of the files that a killed run has left; None, and a line in the log, if they are damaged.
+
+    A power cut may leave them so: nothing waits for the disk.
+    """
+    try:
+        return read()
+    except InputError as damaged:
+        logger.warning("%s is damaged: what a killed run had left there is computed again", damaged.subject)
+        return None
 
 
 def write_model(path: Path, tensors: Mapping[str, np.ndarray], metadata: Mapping[str, Any] | None = None) -> None:
