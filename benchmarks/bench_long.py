@@ -4,7 +4,7 @@ Run as `make bench-long`, or on any scene of the library, scene file, folder of 
 
     python -m benchmarks.bench_long --scene long_take --frames 50 100 200 --folder bench_long
     python -m benchmarks.bench_long --scene clip.mp4 --frames 100 300 900 --config preset=fast
-    python -m benchmarks.bench_long --scene long_walk --frames 300 --width 1920 --height 1080 --config rounds=2
+    python -m benchmarks.bench_long --scene long_walk --frames 300 --width 1920 --height 1080 --folder bench_wide
 
 Further words go to Snakemake. A scene that is wider than 512 px is drawn as wide as that, and its frames are enlarged.
 The clip is not played back and forth: its camera must go on, or frames that see a place again would make it easier than
