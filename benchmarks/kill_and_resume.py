@@ -50,7 +50,7 @@ def killed(command: list[str], folder: Path, stats: str, after_s: float) -> floa
 def lost(folder: Path, home: Path, stage: str, after: float, words: list[str]) -> tuple[float, float, float]:
     """Seconds of the stage before, of the run that was killed, and of the one that went on.
 
-    The times of the stage before are put back: `bench_long` would take those of its second half for the whole.
+    The times of the stage before are put back: those of this one hold the reading of what was kept.
     """
     stats = home / "stats" / f"{stage}.json"
     before, whole_s = stats.read_bytes(), float(read_json(stats)["wall_s"])
@@ -59,7 +59,8 @@ def lost(folder: Path, home: Path, stage: str, after: float, words: list[str]) -
     command = command_of(folder, read_json(folder / "options.json"), "--cores", "all", within, *words)
     killed_s = killed(command, folder, within, after * whole_s)
     subprocess.run(command, cwd=REPO, stdout=subprocess.DEVNULL, check=True)
-    resumed_s = float(read_json(stats)["wall_s"])
+    costs = read_json(stats)
+    resumed_s = float(costs["wall_s"] - costs["taken_over_s"])
     stats.write_bytes(before)
     return whole_s, killed_s, resumed_s
 

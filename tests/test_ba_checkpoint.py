@@ -16,6 +16,7 @@ from synthetic import flow_arrays, make_scene
 from stages.ba import checkpoint, dba
 from stages.ba.__main__ import _read, main
 from stages.ba.options import BAOptions
+from stages.shared import costs
 from stages.shared.artifacts import read_dense, read_table
 from stages.shared.sequences import Sequence
 
@@ -58,7 +59,9 @@ def counted(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     return count
 
 
-def test_a_killed_adjustment_ends_with_the_result_of_one_that_was_not(tmp_path: Path, counted: list[int]) -> None:
+def test_a_killed_adjustment_ends_with_the_result_of_one_that_was_not(
+    tmp_path: Path, counted: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
     scene = make_scene(T=5, size=(48, 64))
     files = write_inputs(tmp_path, flow_arrays(scene, (1, 2)), scene.dynamic)
     main(**files, **(whole := outputs(tmp_path / "whole")), options=OPTIONS)
@@ -77,9 +80,11 @@ def test_a_killed_adjustment_ends_with_the_result_of_one_that_was_not(tmp_path: 
     assert not paths["poses"].exists()
     shutil.copytree(folder, tmp_path / "other" / folder.name)
 
+    monkeypatch.setattr(costs, "_before", {})
     main(**files, **paths, options=OPTIONS)
     assert counted[0] == total - KILLED_AT
     assert not folder.exists()
+    assert costs.spent()["taken_over_s"] > 0
     for name, values in read_table(whole["poses"]).items():  # kernels round differently when just compiled
         _assert_same(read_table(paths["poses"])[name], values)
     for name, values in read_dense(whole["depth"]).items():

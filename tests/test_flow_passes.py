@@ -19,7 +19,7 @@ from stages.flow.frames import Images
 from stages.flow.loops import Loop
 from stages.flow.options import FlowOptions
 from stages.flow.parts import ROWS, Parts, Window
-from stages.shared import digest
+from stages.shared import costs, digest
 from stages.shared.artifacts import read_dense, read_metadata, write_json
 from stages.shared.packing import Packed, pack
 from stages.shared.sequences import check_sequence, sequence_to_json
@@ -90,8 +90,10 @@ def test_a_killed_run_resumes_with_the_same_result(tmp_path: Path, monkeypatch: 
     added = []
     add = Parts.add
     monkeypatch.setattr(Parts, "add", lambda *block, **facts: added.append(block[1:3]) or add(*block, **facts))
+    monkeypatch.setattr(costs, "_before", {})
     assert run(tmp_path / "killed", options) == expected
     assert added == [("far", range(8, 16)), ("far", range(16, 20))]
+    assert costs.spent()["taken_over_s"] > 0
     assert not list((tmp_path / "killed").glob(".*"))
 
 
@@ -121,6 +123,9 @@ def test_a_killed_averaging_resumes_with_the_same_frames(tmp_path: Path) -> None
             path.unlink()
         _average(loud, 36.0, 0, 2, tmp_path)
         assert [path.read_bytes() for path in files] == expected, left
+    files[1].write_bytes(expected[1][:200])  # by a power cut
+    _average(loud, 36.0, 0, 2, tmp_path)
+    assert [path.read_bytes() for path in files] == expected
 
 
 def test_only_the_same_run_resumes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -25,6 +25,7 @@ from stages.render import __main__ as render_stage
 from stages.render import view
 from stages.render.options import RenderOptions, ViewOptions
 from stages.render.video import MAX_BYTES, write_gif
+from stages.shared import costs
 from stages.shared.artifacts import (
     read_json,
     read_metadata,
@@ -162,8 +163,10 @@ def test_a_killed_script_leaves_no_result_and_goes_on_from_its_checkpoint(
     with pytest.raises(KeyboardInterrupt):
         gaussians_stage.main(**inputs, **killed, options=options)
     assert not any(path.exists() for path in killed.values())
+    monkeypatch.setattr(costs, "_before", {})
     gaussians_stage.main(**inputs, **killed, options=options)
     assert steps == list(range(1, 21))  # nothing was done twice
+    assert costs.spent()["taken_over_s"] > 0
     assert killed["ply"].read_bytes() == straight["ply"].read_bytes()
     tensors, expected = read_model(killed["model"]), read_model(straight["model"])
     assert all(np.array_equal(tensors[name], expected[name]) for name in expected)

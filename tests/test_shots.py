@@ -181,8 +181,13 @@ def test_the_plan_has_a_job_per_shot_and_none_more(tmp_path: Path) -> None:
     """Every shot has the jobs of a clip without cuts, which is planned as before: no job looks for cuts."""
     write(tmp_path / "data" / "two", texture(5, 0) + texture(5, 1))
     write(tmp_path / "data" / "one", texture(5, 0))
-    plan = run_snakemake(tmp_path, "-s", str(REPO / "Snakefile"), "-n", "poses", "--config", "dataset=data")
+    arguments = ("-s", str(REPO / "Snakefile"), "-n", "poses", "--config", "dataset=data")
+    plan = run_snakemake(tmp_path, *arguments)
     assert plan.returncode == 0, plan.stderr
+    told = "video: has no effect: data holds no video; inspect.max_frames"
+    assert told not in plan.stdout + plan.stderr
+    other = run_snakemake(tmp_path, *arguments, "video={every: 2}")
+    assert told in other.stdout + other.stderr
     jobs = Counter(re.findall(r"log: logs/data/(\w+)/", plan.stdout + plan.stderr))
     rounds = 3 * 3
     assert jobs == dict.fromkeys(("one", "two_shot1", "two_shot2"), rounds + 3)  # and inspect, flow, lens

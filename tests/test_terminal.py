@@ -226,9 +226,21 @@ def test_the_log_tells_tenths_and_what_takes_long_with_the_time_left(
     for frame in log.progress(range(1000), "frames"):
         now[0] += 20.0 if frame < 3 else 0.01
     told = [line.partition("INFO ")[2] for line in (tmp_path / "a.log").read_text().splitlines()]
-    assert told[:2] == ["frames: 2 of 1000, 5 h 33 min left", "frames: 100 of 1000, 9 min left"]
-    assert told[-2:] == ["frames: 900 of 1000, 8 s left", "frames: 1000 of 1000"]
+    assert told[:2] == ["frames: 2 of 1000, 5 h 33 min left", "frames: 100 of 1000, 6 min left"]
+    assert told[-2:] == ["frames: 900 of 1000, 5 s left", "frames: 1000 of 1000"]
     assert len(told) == 11
+
+
+def test_what_a_killed_run_had_done_does_not_shorten_the_time_left(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now = [0.0]
+    monkeypatch.setattr("stages.shared.log.time.monotonic", lambda: now[0])
+    log.setup(tmp_path / "a.log")
+    for frame in log.progress(range(1000), "frames"):
+        now[0] += 0.0 if frame < 850 else 1.0
+    told = [line.partition("INFO ")[2] for line in (tmp_path / "a.log").read_text().splitlines()]
+    assert "frames: 900 of 1000, 2 min left" in told
 
 
 @pytest.mark.parametrize(

@@ -17,12 +17,14 @@ from typing import Any
 import numpy as np
 
 from stages.ba.state import State
-from stages.shared.artifacts import read_metadata, read_model, unless_damaged, write_json, write_model
+from stages.shared import costs
+from stages.shared.artifacts import read_metadata, read_model, unless_damaged, write_model
 from stages.shared.digest import code_digest
 from stages.shared.log import logger
 from stages.shared.options import Options
 
 INTERVAL_S = 20.0
+ORIGIN = "origin.json"
 Kept = tuple[Mapping[str, np.ndarray], Mapping[str, Any]]
 """Arrays by name, and what else is kept as JSON."""
 
@@ -35,7 +37,11 @@ class Checkpoint:
         self.origin = _fingerprint(inputs, options)
         self.index, self.saved_s = -1, time.perf_counter()
         self.waiting: list[tuple[int, Kept]] = []
-        if self.folder.exists() and not self._is_of_this_run():
+        if not self.folder.exists():
+            return
+        if costs.goes_on(self.folder / ORIGIN, self.origin):
+            logger.info("resumed behind %d kept results", len(list(self.folder.glob("*.safetensors"))))
+        else:
             logger.info("the checkpoint has other inputs, options or code: the adjustment starts anew")
             shutil.rmtree(self.folder)
 
@@ -54,18 +60,11 @@ class Checkpoint:
         """Write what is kept if the last time was INTERVAL_S ago, with the state of an unfinished computation."""
         if time.perf_counter() - self.saved_s <= INTERVAL_S:
             return
-        write_json(self.folder / "origin.json", {"origin": self.origin})
         under_way = capture()
         for index, (arrays, about) in self.waiting + ([(self.index, under_way)] if under_way else []):
             write_model(self._path(index), arrays, about)
+        costs.keep(self.folder / ORIGIN, self.origin)
         self.waiting, self.saved_s = [], time.perf_counter()
-
-    def _is_of_this_run(self) -> bool:
-        origin = self.folder / "origin.json"
-        if not origin.exists() or self.origin not in origin.read_text():
-            return False
-        logger.info("resumed behind %d kept results", len(list(self.folder.glob("*.safetensors"))))
-        return True
 
     def _path(self, index: int) -> Path:
         return self.folder / f"{index:04d}.safetensors"

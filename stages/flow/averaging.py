@@ -1,6 +1,6 @@
 """Grey frames to be matched: as they are, or averaged over time along their flow where noise hides their texture."""
 
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -12,7 +12,7 @@ from stages.flow.confidence import texture_confidence
 from stages.flow.dis import estimate_flow
 from stages.flow.edges import Edge, edges_ending
 from stages.flow.frames import BLOCK, Images, blocks
-from stages.shared.artifacts import Dense, read_dense, write_dense
+from stages.shared.artifacts import Dense, read_dense, unless_damaged, write_dense
 from stages.shared.threads import threaded
 
 
@@ -68,6 +68,9 @@ def _average(loud: Images, level: float, finest_scale: int, threads: int, folder
     rounded = Images(len(loud), lambda k: np.rint(loud[k]).astype(np.uint8))
     runs = blocks(len(loud))
     files = [folder / f"averaged_{run.start:06d}.arrow" for run in runs]
+    for left in filter(Path.exists, files):
+        if unless_damaged(partial(read_dense, left)) is None:
+            left.unlink()
     flow: dict[Edge, np.ndarray] = {}
     for n, run in enumerate([*runs, range(0)]):
         near = range(max(n - 1, 0), min(n + 2, len(runs)))

@@ -4,7 +4,6 @@ Edges are matched in blocks of frames. A block leaves two files: its flow and co
 and, of near and far edges, its flow at full precision, from which longer edges are chained, as long as they need it.
 """
 
-import json
 import shutil
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
@@ -13,6 +12,7 @@ from typing import Any, cast
 import numpy as np
 
 from stages.flow.edges import Edge
+from stages.shared import costs
 from stages.shared.artifacts import (
     Dense,
     dense_writer,
@@ -20,7 +20,6 @@ from stages.shared.artifacts import (
     read_metadata,
     unless_damaged,
     write_dense,
-    write_json,
 )
 from stages.shared.log import logger
 from stages.shared.packing import Packed
@@ -87,12 +86,12 @@ class Parts:
 
     def __init__(self, output: Path, origin: str) -> None:
         self.folder = output.with_name(f".{output.name}.parts")
-        found = self.folder / ORIGIN
-        if self.folder.exists() and not (found.exists() and json.dumps(origin) in found.read_text()):
+        self.origin = origin
+        if self.folder.exists() and not costs.goes_on(self.folder / ORIGIN, origin):
             logger.info("what an earlier run has left has other inputs, options or code: starting anew")
             shutil.rmtree(self.folder)
         self.folder.mkdir(parents=True, exist_ok=True)
-        write_json(found, {"origin": origin})
+        costs.keep(self.folder / ORIGIN, origin)
         self.windows = {kind: Window() for kind in ("near", "far")}
 
     def resume(self, kind: str, run: range) -> int | None:
@@ -118,6 +117,7 @@ class Parts:
             self.windows[kind].add(run, self._exact(kind, run))
         columns = {**_ends(list(edges)), **packed} if edges else {"source": np.zeros(0, np.int64)}
         write_dense(self._file(kind, run), columns, {"edges": len(edges), **facts})
+        costs.keep(self.folder / ORIGIN, self.origin)
 
     def kept(self, kind: str) -> Window:
         """Flow of all edges of a kind that are done, as pairs.arrow will hold it, of which ROWS at most are held."""

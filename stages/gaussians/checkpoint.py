@@ -9,6 +9,7 @@ import torch
 from stages.gaussians.densify import GradientRecord, select
 from stages.gaussians.optimise import History, Trainer
 from stages.gaussians.options import GaussiansOptions
+from stages.shared import costs
 from stages.shared.artifacts import read_metadata, read_model, unless_damaged, write_model
 from stages.shared.digest import origin
 from stages.shared.log import logger
@@ -35,13 +36,15 @@ class Checkpoint:
         if metadata["origin"] != self.origin:
             logger.info("the checkpoint has other inputs, options or code: training starts at step 0")
             return
+        costs.take_over(metadata["spent"])
         restore(trainer, arrays, int(metadata["n_static"]))
         logger.info("resumed at step %d of %d", trainer.step, trainer.options.steps)
 
     def save_sometimes(self, trainer: Trainer) -> None:
         """Save if the last checkpoint is older than INTERVAL_S."""
         if time.perf_counter() - self.saved_s > INTERVAL_S:
-            write_model(self.path, capture(trainer), {"origin": self.origin, "n_static": trainer.scene.n_static})
+            about = {"origin": self.origin, "n_static": trainer.scene.n_static, "spent": costs.spent()}
+            write_model(self.path, capture(trainer), about)
             self.saved_s = time.perf_counter()
 
     def remove(self) -> None:

@@ -6,9 +6,7 @@ import errno
 import faulthandler
 import inspect
 import os
-import resource
 import sys
-import time
 import traceback
 import types
 from collections.abc import Callable, Sequence
@@ -16,7 +14,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn, Union, get_args, get_origin, get_type_hints
 
-import stages
 from stages.shared import log
 from stages.shared.errors import InputError
 from stages.shared.options import Options, validate
@@ -176,11 +173,9 @@ def _write_stats(
     stats_file: Path, stage: str, summary: str | None, outputs: list[Any], options: Options | None
 ) -> None:
     from stages.shared.artifacts import write_json
+    from stages.shared.costs import spent
     from stages.shared.digest import code_digest
 
-    own, children = resource.getrusage(resource.RUSAGE_SELF), resource.getrusage(resource.RUSAGE_CHILDREN)
-    torch = sys.modules.get("torch")
-    on_gpu = torch is not None and torch.cuda.is_available() and torch.cuda.max_memory_allocated() > 0
     write_json(
         stats_file,
         {
@@ -188,11 +183,7 @@ def _write_stats(
             "code": code_digest(f"stages.{stage}"),
             "summary": summary,
             "warnings": log.warnings(),
-            "threads": int(os.environ["OMP_NUM_THREADS"]),
-            "wall_s": time.perf_counter() - stages.START_S,
-            "cpu_s": own.ru_utime + own.ru_stime + children.ru_utime + children.ru_stime,
-            "peak_mb": max(own.ru_maxrss, children.ru_maxrss) / 1024,
-            "gpu_peak_mb": torch.cuda.max_memory_allocated() / 2**20 if torch is not None and on_gpu else None,
+            **spent(),
             "output_mb": sum(_size_bytes(path) for path in outputs if path) / 1e6,
             "options": options.model_dump(mode="json") if options else {},
         },

@@ -4,6 +4,7 @@ import logging
 import os
 import sys
 import time
+from bisect import bisect_left
 from collections.abc import Iterable, Iterator, Sized
 from pathlib import Path
 from typing import TypeVar
@@ -66,7 +67,8 @@ def progress(items: Iterable[ItemT], title: str, total: int | None = None) -> It
     """Yield `items`, with a progress bar on a terminal, and lines of progress with the time left in the log file.
 
     A line follows every tenth of the items, and the first item that ends REPORT_S after the last line. The time left
-    assumes that the items to come take as long as those before them.
+    assumes that the items to come take as long as those of the last half of the time: what a killed run had done is
+    passed over at once.
 
     Args:
         total: their number, which may be an estimate; None for a collection, which knows it.
@@ -74,15 +76,16 @@ def progress(items: Iterable[ItemT], title: str, total: int | None = None) -> It
     if total is None:
         assert isinstance(items, Sized)
         total = len(items)
-    began = told = time.monotonic()
-    last_tenth = 0
+    told = time.monotonic()
+    ends, last_tenth = [told], 0
     bar = tqdm(items, desc=title, total=total, leave=False, disable=not sys.stderr.isatty())
     for done, item in enumerate(bar, start=1):
         yield item
-        now = time.monotonic()
+        ends.append(now := time.monotonic())
         if done * 10 // total > last_tenth or now - told >= REPORT_S:
             last_tenth, told = done * 10 // total, now
-            left_s = (now - began) * (total - done) / done
+            half = bisect_left(ends, (ends[0] + now) / 2, 1) - 1
+            left_s = (now - ends[half]) * (total - done) / (done - half)
             logger.info("%s: %d of %d%s", title, done, total, f", {duration(left_s)} left" if done < total else "")
 
 

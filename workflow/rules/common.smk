@@ -100,6 +100,10 @@ try:
     SWEPT_SEQUENCES = settings.choose_sequences(CONFIG.sweep, SEQUENCES)
     SCALED_SEQUENCES = settings.choose_sequences(CONFIG.scaling, SEQUENCES)
     if workflow.is_main_process:
+        if "video" in MINE and not VIDEO_SHOTS:
+            logger.warning(
+                f"video: has no effect: {CONFIG.dataset} holds no video; inspect.max_frames takes the first frames"
+            )
         given_inputs.check(
             (setting, [SEQUENCES[name] for name in names])
             for listed, names in (
