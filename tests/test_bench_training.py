@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_gaussian_scripts import outputs, write_inputs
+from gaussian_files import outputs, write_inputs
 
 from benchmarks import bench_training
 from stages.gaussians import __main__ as gaussians_stage

@@ -7,12 +7,12 @@ import gaussian_scene as truth
 import numpy as np
 import pytest
 import torch
+from gaussian_files import outputs, write_inputs
 from gaussian_training import psnr
 from PIL import Image
 
 from stages.control import __main__ as control_stage
 from stages.control.options import ControlOptions
-from stages.deformation.point_files import save_deformation, save_points
 from stages.gaussians import __main__ as gaussians_stage
 from stages.gaussians import checkpoint
 from stages.gaussians.beginning import begin
@@ -51,22 +51,6 @@ def test_the_video_fits_and_has_every_frame(tmp_path: Path) -> None:
     assert (tmp_path / "video.gif").stat().st_size <= MAX_BYTES
     with Image.open(tmp_path / "video.gif") as video:
         assert getattr(video, "n_frames", 1) == 12
-
-
-def write_inputs(folder: Path) -> dict[str, Path]:
-    truth.write_artifacts(folder)
-    save_points(folder / "points.parquet", truth.true_motion(), {})
-    said = {"canonical_frame": truth.T // 2 + 1, "arap_weight": 0.01, "region": "dynamic"}
-    save_deformation(folder / "deformation.safetensors", truth.true_motion(), said)
-    names = {"sequence": "sequence.json", "masks": "masks", "poses": "poses.parquet", "depth": "depth.arrow"}
-    names |= {"scene": "scene.json", "points": "points.parquet", "deformation": "deformation.safetensors"}
-    return {name: folder / file for name, file in names.items()}
-
-
-def outputs(folder: Path) -> dict[str, Path]:
-    names = {"ply": "gaussians.ply", "model": "model.safetensors", "half": "model_half.safetensors"}
-    names |= {"convergence": "convergence.parquet", "figure": "figure.png"}
-    return {name: folder / file for name, file in names.items()}
 
 
 def test_the_scripts_train_and_render(tmp_path: Path) -> None:
