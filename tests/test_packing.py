@@ -66,6 +66,24 @@ def test_rows_of_several_batches_are_indexed_like_an_array(name: str, tmp_path: 
         rows[9]
 
 
+@pytest.mark.parametrize(("short_bytes", "read_again"), [(10**6, 0), (100, 9)])
+def test_short_columns_alone_are_kept(
+    short_bytes: int, read_again: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A long one is read again after its memory was given back, and each of many files is."""
+    monkeypatch.setattr("stages.shared.rows.SHORT_BYTES", short_bytes)
+    unpacked: list[int] = []
+    monkeypatch.setattr("stages.shared.packing.unpack", lambda *row: unpacked.append(1) or unpack(*row))
+    values = np.random.default_rng(0).normal(size=SHAPE).astype(np.float16)
+    columns = write(tmp_path / "pairs.arrow", values)
+    for give_back, expected in ((columns.release, read_again), (columns.forget, 9)):
+        np.testing.assert_array_equal(columns["packed"][:], values)
+        unpacked.clear()
+        give_back()
+        np.testing.assert_array_equal(columns["packed"][:], values)
+        assert len(unpacked) == expected
+
+
 def test_a_packed_row_that_is_no_number_is_refused_where_it_is_read(tmp_path: Path) -> None:
     values = np.zeros(SHAPE, np.float16)
     values[6, 3, 2, 1] = np.nan

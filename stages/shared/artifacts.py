@@ -90,7 +90,15 @@ class Dense(dict[str, np.ndarray]):
         """Give back the memory of what was read; it is read from the file again where it is used again.
 
         The pages of a mapped file count as memory of the process until then, and as used memory of its control group.
+        Rows that were unpacked are kept if all of them together are short.
         """
+        self.give_back()
+        for values in self.values():
+            if isinstance(values, Rows) and not values.short:
+                values.forget()
+
+    def forget(self) -> None:
+        """Like `release`, for one of many files, which are not short together."""
         self.give_back()
         for values in self.values():
             if isinstance(values, Rows):

@@ -16,6 +16,8 @@ from stages.shared.errors import InputError
 
 HELD = 32
 """Rows that are kept after they were read: an edge is asked for several times in turn."""
+SHORT_BYTES = 32_000_000
+"""Size of the rows, as they are read, up to which all are kept: the flow of a short clip is gone through many times."""
 PACKED = b"packed"
 """Key in the metadata of a field whose rows are packed (`packing.pack`); its value is the shape of a row, in JSON."""
 
@@ -27,6 +29,7 @@ class Rows:
 
     Attributes:
         packed: the n buffers of packed rows; empty if they are not packed.
+        short: whether all rows are kept, up to SHORT_BYTES.
     """
 
     def __init__(
@@ -34,7 +37,8 @@ class Rows:
     ) -> None:
         """Of `count` rows, each of the shape and type of `like`."""
         self.shape, self.dtype, self.packed = (count, *like.shape), like.dtype, packed
-        self._read = lru_cache(HELD)(read)
+        self.short = count * like.nbytes <= SHORT_BYTES
+        self._read = lru_cache(count if self.short else HELD)(read)
 
     @property
     def ndim(self) -> int:
