@@ -89,9 +89,9 @@ def clip_options(scene: str, folder: Path, width: int, height: int, count: int) 
     if file.suffix not in (".yaml", ".yml"):
         if not file.exists():
             raise InputError(scene, "a scene of the library, a scene file, frames or a video", "neither", "name one")
-        return {"dataset": str(file.resolve()), "video": {"max_frames": "all"}}
+        return {"dataset": str(file.resolve())} | ({"video": {"max_frames": "all"}} if file.is_file() else {})
     if width > DRAWN_PX:
-        return {"dataset": str(enlarged(file, folder, width, height, count)), "video": {"max_frames": "all"}}
+        return {"dataset": str(enlarged(file, folder, width, height, count))}
     drawn = yaml.safe_load(file.read_text()) | {"width": width, "height": height}
     copy = folder / f"{file.stem}.yaml"
     if not copy.is_file() or yaml.safe_load(copy.read_text()) != drawn:  # rewritten, it would be drawn again

@@ -76,10 +76,10 @@ def test_short_columns_alone_are_kept(
     monkeypatch.setattr("stages.shared.packing.unpack", lambda *row: unpacked.append(1) or unpack(*row))
     values = np.random.default_rng(0).normal(size=SHAPE).astype(np.float16)
     columns = write(tmp_path / "pairs.arrow", values)
-    for give_back, expected in ((columns.release, read_again), (columns.forget, 9)):
+    for keep_short, expected in ((True, read_again), (False, 9)):
         np.testing.assert_array_equal(columns["packed"][:], values)
         unpacked.clear()
-        give_back()
+        columns.release(keep_short)
         np.testing.assert_array_equal(columns["packed"][:], values)
         assert len(unpacked) == expected
 

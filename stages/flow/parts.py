@@ -58,7 +58,7 @@ class Window(Mapping[Edge, np.ndarray]):
     def release(self) -> None:
         """Give back the memory of what was read."""
         for _, columns in self._blocks.values():
-            columns.forget()
+            columns.release(keep_short=False)
 
     def __getitem__(self, edge: Edge) -> np.ndarray:
         stop, row = self._rows[edge]

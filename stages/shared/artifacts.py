@@ -86,22 +86,18 @@ class Dense(dict[str, np.ndarray]):
         super().__init__(columns)
         self._mapped = mapped
 
-    def release(self) -> None:
+    def release(self, keep_short: bool = True) -> None:
         """Give back the memory of what was read; it is read from the file again where it is used again.
 
         The pages of a mapped file count as memory of the process until then, and as used memory of its control group.
-        Rows that were unpacked are kept if all of them together are short.
+
+        Args:
+            keep_short: keep rows that were unpacked if all of them together are short; not for one of many files,
+                which are not short together.
         """
         self.give_back()
         for values in self.values():
-            if isinstance(values, Rows) and not values.short:
-                values.forget()
-
-    def forget(self) -> None:
-        """Like `release`, for one of many files, which are not short together."""
-        self.give_back()
-        for values in self.values():
-            if isinstance(values, Rows):
+            if isinstance(values, Rows) and not (keep_short and values.short):
                 values.forget()
 
     def give_back(self) -> None:
