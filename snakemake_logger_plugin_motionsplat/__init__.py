@@ -204,8 +204,10 @@ class LogHandler(LogHandlerBase):
             return  # a target such as `all`
         stats = _read(job.stats)
         seconds = stats.get("wall_s") or time.monotonic() - job.started_s
+        taken_over = f" ({stats['taken_over_s']:.0f} s of them before a kill)" if stats.get("taken_over_s") else ""
         if not self.quiet:
-            self._print(f"{job.rule:<10} {job.about:<16} {seconds:7.1f} s  {stats.get('summary') or ''}".rstrip())
+            words = f"{seconds:7.1f} s{taken_over}  {stats.get('summary') or ''}"
+            self._print(f"{job.rule:<10} {job.about:<16} {words}".rstrip())
         told = f"{job.rule} {job.about}: "  # a failure before a successful retry is not reported
         self.last_words["failed"] = [line for line in self.last_words["failed"] if not line.startswith(told)]
         self.last_words["warning"] += [f"{job.about}: {line}" for line in stats.get("warnings", [])]

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 import yaml
 
+from stages.shared import costs
 from stages.shared.log import logger
 
 REPO = Path(__file__).resolve().parents[1]
@@ -45,6 +46,12 @@ def write_frames(folder: Path, count: int = 4, size: tuple[int, int] = (48, 64),
         image = rng.integers(0, 255, (*size, 3), dtype=np.uint8)
         cv2.imwrite(str(folder / f"frame_{number:04d}.png"), image)
     return folder
+
+
+@pytest.fixture(autouse=True)
+def _fresh_costs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A process that has taken over no work of a killed run, for each test."""
+    monkeypatch.setattr(costs, "_before", {})
 
 
 @pytest.fixture(autouse=True)

@@ -2,17 +2,9 @@
 
 from pathlib import Path
 
-import pytest
-
 from stages.shared import cli, costs
 from stages.shared.artifacts import read_json
 from stages.shared.options import Options
-
-
-@pytest.fixture(autouse=True)
-def fresh(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A process that has taken nothing over."""
-    monkeypatch.setattr(costs, "_before", {})
 
 
 def test_a_run_counts_what_the_killed_run_before_had_spent(tmp_path: Path) -> None:
@@ -30,12 +22,23 @@ def test_a_run_counts_what_the_killed_run_before_had_spent(tmp_path: Path) -> No
 
 
 def test_only_work_of_the_same_origin_is_taken_over(tmp_path: Path) -> None:
-    kept = tmp_path / "origin.json"
-    assert not costs.goes_on(kept, "here")
-    costs.keep(kept, "here")
-    assert not costs.goes_on(kept, "there")
-    assert costs.spent()["taken_over_s"] == 0
-    assert costs.goes_on(kept, "here")
-    assert costs.spent()["taken_over_s"] == read_json(kept)["spent"]["wall_s"] > 0
+    folder = tmp_path / "work"
+    assert not costs.goes_on(folder, "here")
+    assert not folder.exists()
+    costs.begin(folder, "here")
+    costs.keep(folder)
+    assert costs.goes_on(folder, "here")
+    assert costs.spent()["taken_over_s"] == read_json(folder / costs.SPENT)["wall_s"] > 0
+    assert not costs.goes_on(folder, "there")
+    assert not folder.exists()
+
+
+def test_damaged_costs_do_not_cost_the_work(tmp_path: Path) -> None:
+    """They are written after every block, and what was written last is what a power cut damages."""
+    costs.begin(tmp_path, "here")
+    costs.keep(tmp_path)
+    costs.begin(tmp_path, "here")
+    kept = tmp_path / costs.SPENT
     kept.write_bytes(kept.read_bytes()[:20])
-    assert not costs.goes_on(kept, "here")
+    assert costs.goes_on(tmp_path, "here")
+    assert costs.spent()["taken_over_s"] == 0

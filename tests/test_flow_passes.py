@@ -28,10 +28,13 @@ KILLED = """
 import os, signal, sys
 from pathlib import Path
 from stages.flow import __main__ as stage, parts
+from stages.shared import costs
 add, added = parts.Parts.add, []
 def killing(self, *block, **facts):
     add(self, *block, **facts)
     added.append(block)
+    if len(added) == 3:
+        (folder / "spent").write_text(str(costs.spent()["wall_s"]))
     if len(added) == 4:
         os.kill(os.getpid(), signal.SIGKILL)
 parts.Parts.add = killing
@@ -90,10 +93,9 @@ def test_a_killed_run_resumes_with_the_same_result(tmp_path: Path, monkeypatch: 
     added = []
     add = Parts.add
     monkeypatch.setattr(Parts, "add", lambda *block, **facts: added.append(block[1:3]) or add(*block, **facts))
-    monkeypatch.setattr(costs, "_before", {})
     assert run(tmp_path / "killed", options) == expected
     assert added == [("far", range(8, 16)), ("far", range(16, 20))]
-    assert costs.spent()["taken_over_s"] > 0
+    assert costs.spent()["taken_over_s"] > float((tmp_path / "killed/spent").read_text())
     assert not list((tmp_path / "killed").glob(".*"))
 
 
@@ -119,10 +121,11 @@ def test_a_killed_averaging_resumes_with_the_same_frames(tmp_path: Path) -> None
     files = _average(loud, 36.0, 0, 2, tmp_path)
     expected = [path.read_bytes() for path in files]
     for left in (1, 2, 3):
-        for path in files[left:]:
+        for path in [*files[left:], tmp_path / costs.SPENT]:
             path.unlink()
         _average(loud, 36.0, 0, 2, tmp_path)
         assert [path.read_bytes() for path in files] == expected, left
+        assert (tmp_path / costs.SPENT).exists(), left
     files[1].write_bytes(expected[1][:200])  # by a power cut
     _average(loud, 36.0, 0, 2, tmp_path)
     assert [path.read_bytes() for path in files] == expected

@@ -72,6 +72,7 @@ def test_short_columns_alone_are_kept(
 ) -> None:
     """A long one is read again after its memory was given back, and each of many files is."""
     monkeypatch.setattr("stages.shared.rows.SHORT_BYTES", short_bytes)
+    monkeypatch.setattr("stages.shared.rows.HELD", 4)  # fewer than the rows
     unpacked: list[int] = []
     monkeypatch.setattr("stages.shared.packing.unpack", lambda *row: unpacked.append(1) or unpack(*row))
     values = np.random.default_rng(0).normal(size=SHAPE).astype(np.float16)

@@ -5,6 +5,7 @@ import json
 import logging
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -72,6 +73,17 @@ def test_a_finished_stage_is_one_line_with_its_seconds_and_its_result(
     assert [" ".join(line.split()) for line in lines[:1]] == ["ba demo fast round1 4.4 s 14 of 14 frames"]
     assert lines[1].startswith("report ")
     assert lines[2:] == ["warning: demo fast round1: ba: demo: rough path", f"The report: {page}"]
+
+
+def test_the_seconds_of_a_killed_run_are_told_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    stream = io.StringIO()
+    shown = handler(stream, monkeypatch)
+    start(shown, 1, "ba", tmp_path, seq="demo")
+    write_stats(tmp_path, "ba", wall_s=900.0, taken_over_s=870.0, summary="14 of 14 frames")
+    tell(shown, LogEvent.JOB_FINISHED, job_id=1)
+    shown.close()
+    (line,) = stream.getvalue().splitlines()
+    assert " ".join(line.split()) == "ba demo 900.0 s (870 s of them before a kill) 14 of 14 frames"
 
 
 def test_the_first_run_on_a_machine_says_once_that_kernels_are_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -241,6 +253,24 @@ def test_what_a_killed_run_had_done_does_not_shorten_the_time_left(
         now[0] += 0.0 if frame < 850 else 1.0
     told = [line.partition("INFO ")[2] for line in (tmp_path / "a.log").read_text().splitlines()]
     assert "frames: 900 of 1000, 2 min left" in told
+
+
+def test_what_is_done_at_once_counts_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Blocks of 64 edges, 60 of them kept by a killed run: the 40 others take 31 s each."""
+    now = [0.0]
+    monkeypatch.setattr("stages.shared.log.time.monotonic", lambda: now[0])
+    log.setup(tmp_path / "a.log")
+
+    def blocks() -> Iterator[int]:
+        for block in range(100):
+            now[0] += 0.0 if block < 60 else 31.0
+            yield 64
+
+    for _ in log.progress(blocks(), "edges", 6400, size=int):
+        pass
+    told = [line.partition("INFO ")[2] for line in (tmp_path / "a.log").read_text().splitlines()]
+    assert told[:7] == [*(f"edges: {640 * k} of 6400" for k in range(1, 7)), "edges: 3904 of 6400, 20 min left"]
+    assert told[-2:] == ["edges: 6336 of 6400, 31 s left", "edges: 6400 of 6400"]
 
 
 @pytest.mark.parametrize(

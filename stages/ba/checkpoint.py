@@ -24,7 +24,6 @@ from stages.shared.log import logger
 from stages.shared.options import Options
 
 INTERVAL_S = 20.0
-ORIGIN = "origin.json"
 Kept = tuple[Mapping[str, np.ndarray], Mapping[str, Any]]
 """Arrays by name, and what else is kept as JSON."""
 
@@ -37,13 +36,8 @@ class Checkpoint:
         self.origin = _fingerprint(inputs, options)
         self.index, self.saved_s = -1, time.perf_counter()
         self.waiting: list[tuple[int, Kept]] = []
-        if not self.folder.exists():
-            return
-        if costs.goes_on(self.folder / ORIGIN, self.origin):
+        if costs.goes_on(self.folder, self.origin):
             logger.info("resumed behind %d kept results", len(list(self.folder.glob("*.safetensors"))))
-        else:
-            logger.info("the checkpoint has other inputs, options or code: the adjustment starts anew")
-            shutil.rmtree(self.folder)
 
     def begin(self) -> Kept | None:
         """Go on to the next computation; its result, or how far it had come, if that is kept."""
@@ -60,10 +54,11 @@ class Checkpoint:
         """Write what is kept if the last time was INTERVAL_S ago, with the state of an unfinished computation."""
         if time.perf_counter() - self.saved_s <= INTERVAL_S:
             return
+        costs.begin(self.folder, self.origin)
         under_way = capture()
         for index, (arrays, about) in self.waiting + ([(self.index, under_way)] if under_way else []):
             write_model(self._path(index), arrays, about)
-        costs.keep(self.folder / ORIGIN, self.origin)
+        costs.keep(self.folder)
         self.waiting, self.saved_s = [], time.perf_counter()
 
     def _path(self, index: int) -> Path:

@@ -94,8 +94,7 @@ def _match(
         ready = to_match(rgb, options.finest_scale, threads, parts.folder)
         matcher, facts["frames_averaged"] = Estimate(ready, options.offsets, given, threads), ready.averaged
     total = most_edges(T, options.offsets, options.long_edges) + len(matcher.others)
-    done = (edge for count in passes.match(matcher, T, options, parts, scene) for edge in range(count))
-    for _ in progress(done, "flow, edges", total):
+    for _ in progress(passes.match(matcher, T, options, parts, scene), "flow, edges", total, size=int):
         pass
     if options.loops == "auto" and isinstance(matcher, Estimate):
         facts |= passes.close_loops(matcher, T, parts, scene)

@@ -12,6 +12,7 @@ from stages.flow.confidence import texture_confidence
 from stages.flow.dis import estimate_flow
 from stages.flow.edges import Edge, edges_ending
 from stages.flow.frames import BLOCK, Images, blocks
+from stages.shared import costs
 from stages.shared.artifacts import Dense, read_dense, unless_damaged, write_dense
 from stages.shared.threads import threaded
 
@@ -80,6 +81,7 @@ def _average(loud: Images, level: float, finest_scale: int, threads: int, folder
         flow |= estimate_flow(rounded, edges, finest_scale, threads, flow)
         if n > 0 and not files[n - 1].exists():
             write_dense(files[n - 1], _average_block(loud, flow, runs[n - 1], level))
+            costs.keep(folder)
             done = runs[n - 1].start
             flow = {edge: of for edge, of in flow.items() if min(edge) >= done}
     return files

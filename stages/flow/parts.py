@@ -21,13 +21,11 @@ from stages.shared.artifacts import (
     unless_damaged,
     write_dense,
 )
-from stages.shared.log import logger
 from stages.shared.packing import Packed
 from stages.shared.rows import Rows
 
 ROWS = 64
 """Edges that are copied together."""
-ORIGIN = "origin.json"
 KINDS = ("near", "far", "loop")
 
 
@@ -86,12 +84,8 @@ class Parts:
 
     def __init__(self, output: Path, origin: str) -> None:
         self.folder = output.with_name(f".{output.name}.parts")
-        self.origin = origin
-        if self.folder.exists() and not costs.goes_on(self.folder / ORIGIN, origin):
-            logger.info("what an earlier run has left has other inputs, options or code: starting anew")
-            shutil.rmtree(self.folder)
-        self.folder.mkdir(parents=True, exist_ok=True)
-        costs.keep(self.folder / ORIGIN, origin)
+        costs.goes_on(self.folder, origin)
+        costs.begin(self.folder, origin)
         self.windows = {kind: Window() for kind in ("near", "far")}
 
     def resume(self, kind: str, run: range) -> int | None:
@@ -117,7 +111,7 @@ class Parts:
             self.windows[kind].add(run, self._exact(kind, run))
         columns = {**_ends(list(edges)), **packed} if edges else {"source": np.zeros(0, np.int64)}
         write_dense(self._file(kind, run), columns, {"edges": len(edges), **facts})
-        costs.keep(self.folder / ORIGIN, self.origin)
+        costs.keep(self.folder)
 
     def kept(self, kind: str) -> Window:
         """Flow of all edges of a kind that are done, as pairs.arrow will hold it, of which ROWS at most are held."""

@@ -10,6 +10,7 @@ import json
 import mmap
 import sys
 from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -92,8 +93,8 @@ class Dense(dict[str, np.ndarray]):
         The pages of a mapped file count as memory of the process until then, and as used memory of its control group.
 
         Args:
-            keep_short: keep rows that were unpacked if all of them together are short; not for one of many files,
-                which are not short together.
+            keep_short: keep the rows that were unpacked of columns that are short as a whole; not for one of many
+                files, which are not short together.
         """
         self.give_back()
         for values in self.values():
@@ -114,9 +115,9 @@ def read_dense(path: Path) -> Dense:
     """
     mapped = _checked(path, "an Arrow IPC file", lambda: _mapped(path))
     table = _checked(path, "an Arrow IPC file", lambda: pa.ipc.open_file(pa.py_buffer(mapped)).read_all())
-    columns = Dense({}, mapped)
+    columns, give_back = Dense({}, mapped), partial(mapped.madvise, mmap.MADV_DONTNEED)
     for name in table.column_names:
-        values = column_in(path, table.schema.field(name), table[name], columns.give_back)
+        values = column_in(path, table.schema.field(name), table[name], give_back)
         for first in range(0, 0 if isinstance(values, Rows) and values.packed else len(values), ROWS_AT_ONCE):
             refuse_infinite(path, {name: values[first : first + ROWS_AT_ONCE]})
             columns.release()

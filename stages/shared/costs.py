@@ -2,6 +2,7 @@
 
 import os
 import resource
+import shutil
 import sys
 import time
 from collections.abc import Mapping
@@ -10,9 +11,13 @@ from typing import Any
 
 import stages
 from stages.shared.artifacts import read_json, unless_damaged, write_json
+from stages.shared.log import logger
 
 SUMS = ("wall_s", "cpu_s")
 PEAKS = ("peak_mb", "gpu_peak_mb")
+ORIGIN, SPENT = "origin.json", "spent.json"
+"""Beside the work that is kept. The first is written once: a power cut, which damages what was written last, does not
+cost the work."""
 _before: dict[str, Any] = {}
 """The costs of the runs before, up to what they have left."""
 
@@ -44,15 +49,29 @@ def take_over(costs: Mapping[str, Any]) -> None:
     _before.update(costs)
 
 
-def keep(path: Path, origin: str) -> None:
-    """Write beside the work that is kept where it is from, and what it has cost so far."""
-    write_json(path, {"origin": origin, "spent": spent()})
-
-
-def goes_on(path: Path, origin: str) -> bool:
-    """Whether what a killed run has kept beside `path` is of this origin; then its costs are taken over."""
-    kept = unless_damaged(lambda: read_json(path)) if path.exists() else None
-    if kept is None or kept["origin"] != origin:
+def goes_on(folder: Path, origin: str) -> bool:
+    """Whether a killed run left work of this origin in a folder; its costs are taken over, other work is deleted."""
+    if not folder.exists():
         return False
-    take_over(kept["spent"])
-    return True
+    found = _read(folder / ORIGIN)
+    if found is not None and found["origin"] == origin:
+        take_over(_read(folder / SPENT) or {})
+        return True
+    logger.info("what an earlier run has left in %s has other inputs, options or code: starting anew", folder.name)
+    shutil.rmtree(folder)
+    return False
+
+
+def begin(folder: Path, origin: str) -> None:
+    """Make a folder for work that is kept, and write into it, once, where that is from."""
+    if not (folder / ORIGIN).exists():
+        write_json(folder / ORIGIN, {"origin": origin})
+
+
+def keep(folder: Path) -> None:
+    """Write beside the work in a folder what it has cost so far."""
+    write_json(folder / SPENT, spent())
+
+
+def _read(path: Path) -> dict[str, Any] | None:
+    return unless_damaged(lambda: read_json(path)) if path.exists() else None

@@ -5,7 +5,7 @@ import os
 import sys
 import time
 from bisect import bisect_left
-from collections.abc import Iterable, Iterator, Sized
+from collections.abc import Callable, Iterable, Iterator, Sized
 from pathlib import Path
 from typing import TypeVar
 
@@ -15,6 +15,8 @@ ItemT = TypeVar("ItemT")
 logger = logging.getLogger("motionsplat")
 REPORT_S = 30.0
 """Longest time between two lines of progress in the log, but for an item that takes longer itself."""
+TELLING_S = 1.0
+"""Time before which nothing is said of the time left: what a killed run had done is passed over in less."""
 
 
 class _Kept(logging.Handler):
@@ -63,7 +65,9 @@ def warnings() -> list[str]:
     return [line for handler in logger.handlers if isinstance(handler, _Kept) for line in handler.lines]
 
 
-def progress(items: Iterable[ItemT], title: str, total: int | None = None) -> Iterator[ItemT]:
+def progress(
+    items: Iterable[ItemT], title: str, total: int | None = None, size: Callable[[ItemT], int] | None = None
+) -> Iterator[ItemT]:
     """Yield `items`, with a progress bar on a terminal, and lines of progress with the time left in the log file.
 
     A line follows every tenth of the items, and the first item that ends REPORT_S after the last line. The time left
@@ -71,22 +75,36 @@ def progress(items: Iterable[ItemT], title: str, total: int | None = None) -> It
     passed over at once.
 
     Args:
-        total: their number, which may be an estimate; None for a collection, which knows it.
+        total: the sum of their sizes, which may be an estimate; None for a collection, which knows its number.
+        size: how many an item counts for, if not for one: those that are done together are told together.
     """
     if total is None:
         assert isinstance(items, Sized)
         total = len(items)
     told = time.monotonic()
-    ends, last_tenth = [told], 0
-    bar = tqdm(items, desc=title, total=total, leave=False, disable=not sys.stderr.isatty())
-    for done, item in enumerate(bar, start=1):
-        yield item
-        ends.append(now := time.monotonic())
-        if done * 10 // total > last_tenth or now - told >= REPORT_S:
-            last_tenth, told = done * 10 // total, now
-            half = bisect_left(ends, (ends[0] + now) / 2, 1) - 1
-            left_s = (now - ends[half]) * (total - done) / (done - half)
-            logger.info("%s: %d of %d%s", title, done, total, f", {duration(left_s)} left" if done < total else "")
+    done, last_tenth, points = 0, 0, [(told, 0)]
+    with tqdm(desc=title, total=total, leave=False, disable=not sys.stderr.isatty()) as bar:
+        for item in items:
+            yield item
+            count = 1 if size is None else size(item)
+            if count == 0:
+                continue
+            bar.update(count)
+            done += count
+            now = time.monotonic()
+            points.append((now, done))
+            if done * 10 // total > last_tenth or now - told >= REPORT_S:
+                last_tenth, told = done * 10 // total, now
+                logger.info("%s: %d of %d%s", title, done, total, _left(points, total))
+
+
+def _left(points: list[tuple[float, int]], total: int) -> str:
+    """The time left in words, from points in time with what was done by then; nothing where it cannot be told yet."""
+    (first, _), (now, done) = points[0], points[-1]
+    if done >= total or now - first < TELLING_S:
+        return ""
+    half, done_by_half = points[bisect_left(points, ((first + now) / 2, 0), 1) - 1]
+    return f", {duration((now - half) * (total - done) / (done - done_by_half))} left"
 
 
 def duration(seconds: float) -> str:

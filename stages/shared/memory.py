@@ -15,7 +15,7 @@ follows from what they keep, by calculation: of `gaussians` 39 bytes per pixel o
 the motion of 48 frames. `colmap` was measured on small frames alone. What `control` holds grows with what moves: 8 %
 of the pixels were assumed. `export` was measured on 8 frames with all formats. The bases of `motion`, `ba` and
 `gaussians` leave room for a process that compiles kernels, which takes up to 110 MB more.
-Of flow and evidence a stage keeps columns of up to 32 MB (`rows.SHORT_BYTES`), measured on the demo since.
+Of flow a stage keeps columns of up to 32 MB (`rows.SHORT_BYTES`), measured on the demo since.
 `simulate` and `report`, which read no sequence, have a constant.
 `motion` was measured on 300 frames of 512 x 288 px with flow that was drawn, and on 200 of 320 x 136.
 `ba` was measured on 200 frames on grids of 320 x 136 px (502 MiB) and, its flow enlarged, 512 x 218 (624 MiB, 1570
