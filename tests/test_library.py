@@ -43,18 +43,21 @@ FLOORS = {
     "crowd_thin": Floor(rotation_deg=0.013, iou=0.48, moving_db=17.9, psnr_db=23.5, static_db=25.6),
     "demo": Floor(ate_percent=0.069, iou=0.8, moving_db=23.5, psnr_db=31.2, static_db=32.9),
     "dolly_walker": Floor(rotation_deg=0.0051, iou=0.84, moving_db=26.7, psnr_db=32.1, static_db=32.7),
+    "evening_quay": Floor(ate_percent=0.078, iou=0.43, moving_db=20.3, psnr_db=25.1, static_db=25.9),
     "exposure_drift": Floor(ate_percent=0.14, iou=0.9, moving_db=26.4, psnr_db=29.2, static_db=29.7),
     "fast_chase": Floor(ate_percent=0.059, iou=0.83, moving_db=21.4, psnr_db=29.9, static_db=34.2),
     "festival_crowd": Floor(ate_percent=0.36, iou=0.75, moving_db=21.7, psnr_db=24.1, static_db=26.2),
     "fog_harbour": Floor(ate_percent=0.97, iou=0, moving_db=31.2, psnr_db=35.9, static_db=36.9),
     "fog_stones": Floor(ate_percent=0.18, iou=0.77, moving_db=32.8, psnr_db=38.6, static_db=39.0),
     "following_van": Floor(ate_percent=0.039, iou=0.82, moving_db=31.1, psnr_db=31.8, static_db=32.1),
+    "foyer_glide": Floor(ate_percent=0.087, iou=0.72, moving_db=21.3, psnr_db=29.8, static_db=31.9),
     "glossy_zoom": Floor(rotation_deg=0.11, iou=0.88, moving_db=19.9, psnr_db=28.2, static_db=35.6),
     "heron_fence": Floor(ate_percent=0.11, iou=0.3, moving_db=20.0, psnr_db=23.1, static_db=23.3),
     "lamplit_library": Floor(ate_percent=0.17, iou=0.91, moving_db=28.5, psnr_db=30.5, static_db=30.8),
     "large_object": Floor(ate_percent=0.24, iou=0.91, moving_db=29.9, psnr_db=31.5, static_db=33.7),
     "long_shadows": Floor(ate_percent=0.087, iou=0.38, moving_db=19.6, psnr_db=26.3, static_db=27.4),
     "long_take": Floor(ate_percent=0.054, iou=0.66, moving_db=15.8, psnr_db=27.3, static_db=29.9),
+    "museum_dolly": Floor(ate_percent=0.056, iou=0.75, moving_db=21.0, psnr_db=30.3, static_db=32.0),
     "night_alley": Floor(ate_percent=0.18, iou=0.66, moving_db=21.7, psnr_db=22.4, static_db=22.4),
     "orbit_two": Floor(ate_percent=0.078, iou=0.66, moving_db=21.6, psnr_db=28.3, static_db=29.7),
     "pan_canal": Floor(rotation_deg=0.0087, iou=0.87, moving_db=24.8, psnr_db=29.9, static_db=33.1),
@@ -84,12 +87,11 @@ KNOWN = {
     "dark_fog": "noise is nine times the texture",
     "epipolar_mover": "the mover closes along the camera's track",
     "planar_wall": "one plane fills the view",
-    "museum_dolly": "a slow dolly that pans past paintings",
     "oncoming_tram": "the mover closes along the camera's track",
-    "resting_fair": "the camera hardly moves",
     "blurred_karts": "blurred movers fill the view; the camera is taken for a turning one",
 }
 """Scenes of which no accuracy is asked, and why: they must fail or be flagged."""
+WRONG = pytest.mark.xfail(strict=True, reason="a path that is off by 7 % passes every check: the camera hardly moves")
 
 
 @pytest.fixture(scope="module")
@@ -111,7 +113,13 @@ def rows(library: Path) -> dict[str, dict[str, Any]]:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("name", sorted(path.stem for path in SCENES.glob("*.yaml")))
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(path.stem, marks=WRONG) if path.stem == "resting_fair" else path.stem
+        for path in sorted(SCENES.glob("*.yaml"))
+    ],
+)
 def test_a_scene_keeps_its_floors(rows: dict[str, dict[str, Any]], name: str) -> None:
     row, floor = rows[name], FLOORS.get(name, Floor())
     assert not row.get("missing"), "a stage stopped: see the output"
