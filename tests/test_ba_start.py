@@ -215,6 +215,17 @@ def test_a_moving_object_stands_where_it_touches_the_ground() -> None:
     assert_allclose(filled[~region], inverse_depth[~region])
 
 
+def test_what_the_image_cuts_off_stands_before_the_ground_beside_it() -> None:
+    """A walker without feet: at the depth of what is around it, its legs would be under the ground."""
+    inverse_depth = np.where(np.arange(20) < 10, 0.1, 0.1 * (np.arange(20) - 8))[:, None] * np.ones((1, 24))
+    region = np.zeros((20, 24), bool)
+    region[4:, 8:14] = True
+    inverse = contact_inverse_depth(region, inverse_depth, ~region)
+    assert inverse_depth[-1].max() < inverse < 1.5 * inverse_depth[-1].max()
+    region[-1] = False  # its feet are seen: it stands on row 19
+    assert contact_inverse_depth(region, inverse_depth, ~region) == pytest.approx(1.1)
+
+
 def test_masks_from_flow_alone_do_not_free_an_unusual_focal_length() -> None:
     scene = make_scene(size=(96, 160), focal=1.9)
     graph = observe(scene)

@@ -18,6 +18,8 @@ MAX_VARIANCE = 1.0
 SIGMA_PX = 0.5
 SPAN = np.array([0.5, 0.7, 1.0, 1.4, 2.0])
 """Factors on the coarse inverse depth from which the search for a pixel's inverse depth starts."""
+CUT_OFF = 1.25
+"""Inverse depth of what the lower edge of the image cuts off, in units of that of the ground at the edge."""
 
 
 @dataclass(frozen=True)
@@ -90,9 +92,14 @@ def fill(inverse_depth: np.ndarray, missing: np.ndarray, dynamic: np.ndarray) ->
 def contact_inverse_depth(region: np.ndarray, inverse_depth: np.ndarray, measured: np.ndarray) -> float:
     """Inverse depth at which a region [h, w] touches the static scene.
 
-    The median over the measured pixels just below its lowest quarter. If there are none (the region is cut off by the
-    image), the near end (80th percentile) of the measurements around it, since the region occludes its surroundings.
+    The median over the measured pixels just below its lowest quarter. What the lower edge of the image cuts off touches
+    the ground outside of the image, nearer than the near end (90th percentile) of the ground at the edge beside it: by
+    how much nobody knows. At the depth of its surroundings it would lie behind the ground at its feet. If nothing is
+    measured there, the near end (80th percentile) of the measurements around it, since the region occludes them.
     """
+    ground = inverse_depth[_beside_cut(region) & measured]
+    if ground.size:
+        return CUT_OFF * float(np.percentile(ground, 90))
     rows = np.flatnonzero(region.any(axis=1))
     below = np.zeros_like(region)
     below[1:] = region[:-1] & ~region[1:]
@@ -103,6 +110,16 @@ def contact_inverse_depth(region: np.ndarray, inverse_depth: np.ndarray, measure
     cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
     around = inverse_depth[(cv2.dilate(region.astype(np.uint8), cross, iterations=2) > 0) & measured]
     return float(np.percentile(around if around.size else inverse_depth[measured], 80))
+
+
+def _beside_cut(region: np.ndarray) -> np.ndarray:
+    """The lowest rows [h, w] beside a region that the lower edge of the image cuts off; false where it does not."""
+    h, beside = len(region), np.zeros_like(region)
+    cut = np.flatnonzero(region[-1])
+    if cut.size:
+        reach = max(8, cut.size)
+        beside[h - max(2, h // 16) :, max(0, cut[0] - reach) : cut[-1] + 1 + reach] = True
+    return beside & ~region
 
 
 def _search(
