@@ -17,6 +17,7 @@ from stages.shared.drawing import spread
 from stages.shared.frame_store import Computed
 from stages.shared.log import progress
 from stages.shared.psnr import psnr_db
+from stages.shared.torch_threads import one_torch_thread
 from stages.splatting.gaussian_model import GaussianScene
 from stages.splatting.shutter import expose, instant
 
@@ -120,8 +121,13 @@ class Trainer:
             after_step(self)
         self.scene.bind()
 
+    @one_torch_thread()
     def _train_step(self) -> tuple[float, float]:
-        """One step on one training frame; returns the loss and the PSNR (dB) of that frame before the step."""
+        """One step on one training frame; returns the loss and the PSNR (dB) of that frame before the step.
+
+        Torch runs on one thread: an operation on some ten thousand Gaussians is over before its threads have met, and
+        where another process shares the cores they wait for each other. The kernels use all threads.
+        """
         f = self._frame_of_step()
         self._set_rates()
         target = self.targets[f]
