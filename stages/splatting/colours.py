@@ -29,5 +29,8 @@ class ColourTable(torch.nn.Module):
             weights: [N, K] skinning weights; they get no gradient, so that colours do not change the kernel radii.
             index: [N, K] indices of control points.
         """
-        of_points = at_times(spline_basis(self.knots, np.array([time])), self.table)
-        return blend_values(of_points[0], weights, index)
+        return blend_values(self.of_points(time), weights, index)
+
+    def of_points(self, time: float) -> Tensor:
+        """Offsets [P, 3] of the control points at `time` 0..1."""
+        return at_times(spline_basis(self.knots, np.array([time])), self.table)[0]

@@ -12,6 +12,7 @@ from stages.splatting.cloud import Cloud
 from stages.splatting.colours import ColourTable
 from stages.splatting.gains import Exposure
 from stages.splatting.life_spans import ALWAYS, REACH, presence, rows_of
+from stages.splatting.placed import Canonical, Motion, Placed, place
 from stages.splatting.pose_table import PoseTable
 from stages.splatting.raster_bins import MIN_ALPHA
 from stages.splatting.rasterize import Rendering, rasterize
@@ -149,20 +150,50 @@ class GaussianScene(torch.nn.Module):
         return age.clamp(-REACH, REACH)[:, None] * (self.footprints[n:, None] * values["drifts"][n:])
 
     def opacities_at(self, time: float) -> tuple[Tensor, Tensor | None]:
-        """Opacities [M] at `time` 0..1 of the Gaussians that are there then, and their rows; None: all of them.
+        """Opacities [M] at `time` 0..1 of the Gaussians that are there then, and their rows; None: all of them."""
+        rows, n = self.rows_at(time), self.n_static
+        opacities = rows_of(self.gaussians["logits"], rows).sigmoid()
+        if not self.fading:
+            return opacities, None
+        parts = [n, len(opacities) - n]
+        still, peak = opacities.split_with_sizes(parts)
+        births, spans = rows_of(self.births, rows), rows_of(self.gaussians["log_spans"], rows)
+        return torch.cat([still, peak * presence(births[n:], spans.split_with_sizes(parts)[1], time)]), rows
+
+    @torch.no_grad()
+    def rows_at(self, time: float) -> Tensor | None:
+        """Ascending indices of the Gaussians that are there at `time` 0..1; None: all of them.
 
         The others are those whose opacity is too small to be drawn. Without life spans every Gaussian is there.
         """
-        opacities = self.gaussians["logits"].sigmoid()
         if not self.fading:
-            return opacities, None
-        n = self.n_static
-        parts = [n, len(opacities) - n]
-        still, peak = opacities.split_with_sizes(parts)
-        now = peak * presence(self.births[n:], self.gaussians["log_spans"].split_with_sizes(parts)[1], time)
-        there = torch.nonzero(now.detach() > MIN_ALPHA)[:, 0]
-        rows = torch.cat([torch.arange(n, device=there.device), n + there])
-        return torch.cat([still, rows_of(now, there)]), rows
+            return None
+        n, values = self.n_static, self.gaussians
+        # Torch rounds elements outside of whole vectors differently; which ones these are depends on its threads.
+        with one_torch_thread():
+            now = values["logits"][n:].sigmoid() * presence(self.births[n:], values["log_spans"][n:], time)
+            there = torch.nonzero(now > MIN_ALPHA)[:, 0]
+        return torch.cat([torch.arange(n, device=there.device), n + there])
+
+    def placed(self, time: float, detach: bool = False, rows: Tensor | None = None) -> Placed:
+        """The Gaussians as the rasteriser takes them; arguments as in `at`."""
+        if self.anchors.device.type != "cpu":
+            return self.placed_torch(time, detach, rows)
+        motion = None
+        if self.deformation is not None:
+            with torch.set_grad_enabled(torch.is_grad_enabled() and not detach):
+                quats, translations = self.deformation(self.anchors.new_tensor([time]))
+            radii = self.deformation.log_radii.detach() if detach else self.deformation.log_radii
+            colours = None if self.colours is None else self.colours.of_points(time)
+            motion = Motion(self.deformation.points, quats[0], translations[0], radii, colours)
+        fixed = Canonical(self.n_static, self.fading, self.anchors, self.footprints, self.births, self.index)
+        return place(self.gaussians, fixed, motion, time, rows)
+
+    def placed_torch(self, time: float, detach: bool = False, rows: Tensor | None = None) -> Placed:
+        """`place` by torch's operations: for accelerators, and the oracle of the kernel; arguments as in `at`."""
+        means, quats, sh_dc = self.at(time, detach, rows)
+        scales = rows_of(self.gaussians["log_scales"], rows).exp()
+        return Placed(means, quats, scales, self.opacities_at(time)[0], sh_dc)
 
     def render(
         self, time: float, viewmat: Tensor, K: Tensor, width: int, height: int, detach: bool = False
@@ -176,11 +207,8 @@ class GaussianScene(torch.nn.Module):
         """
         if self.poses is not None:
             viewmat = self.poses(time) @ viewmat.double()
-        # Torch rounds elements outside of whole vectors differently; which ones these are depends on its threads.
-        with one_torch_thread():
-            opacities, rows = self.opacities_at(time)
-            scales = rows_of(self.gaussians["log_scales"], rows).exp()
-        means, quats, sh_dc = self.at(time, detach, rows)
+        rows = self.rows_at(time)
+        means, quats, scales, opacities, sh_dc = self.placed(time, detach, rows)
         rest = rows_of(self.gaussians["sh_rest"], rows)
         coefficients = sh_dc if self.sh_degree == 0 else torch.cat([sh_dc, rest], dim=1)
         colours, degree = self._through_air(coefficients, means, viewmat)
