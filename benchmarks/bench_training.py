@@ -55,7 +55,7 @@ PARTS: dict[str, list[tuple[Any, str]]] = {
         )
         for suffix in ("", "_adjoint")
     ],
-    "SSIM with gradient": [(ssim_kernels, name) for name in ("products", "blur", "similarity", "assemble")],
+    "loss with gradient": [(ssim_kernels, name) for name in ("products", "blur", "similarity", "assemble")],
     "ARAP, forward": [(motion_models, "arap_energy"), (motion_models, "arap_graph")],
     "Adam": [(Adam, "step")],
 }

@@ -6,7 +6,7 @@ import torch
 from raster_scene import HEIGHT, NAMES, WIDTH, intrinsics, loss, render_kernels, render_reference, scene
 from torch import Tensor
 
-from stages.gaussians.ssim import Target, ssim, ssim_torch
+from stages.gaussians.ssim import Target, photometric_loss, ssim_torch
 from stages.shared.errors import InputError
 from stages.splatting import sh
 from stages.splatting.rasterize import choose_device, drawing_order, rasterize
@@ -146,26 +146,29 @@ def ssim_reference(x: Tensor, y: Tensor) -> Tensor:
     return (2 * mx * my + 1e-4) * (2 * sxy + 9e-4) / ((mx**2 + my**2 + 1e-4) * (sxx + syy + 9e-4))
 
 
-@pytest.mark.parametrize("size", [(37, 53), (3, 4)])
-def test_ssim_and_its_gradient_equal_direct_convolution(size: tuple[int, int]) -> None:
+@pytest.mark.parametrize("weight", [0.0, 0.2, 1.0])
+@pytest.mark.parametrize("size", [(37, 53), (3, 4), (40, 64)])
+def test_the_loss_and_its_gradient_equal_direct_convolution(size: tuple[int, int], weight: float) -> None:
     random = np.random.default_rng(0)
     target = torch.tensor(random.uniform(size=(*size, 3)))
     image = (target + 0.2 * torch.tensor(random.normal(size=(*size, 3)))).requires_grad_()
-    expected = ssim_reference(image, target).mean()
+    similarity = ssim_reference(image, target).mean()
+    expected = (1 - weight) * (image - target).abs().mean() + weight * (1 - similarity)
     (g_expected,) = torch.autograd.grad(expected, image)
     single = image.detach().float().requires_grad_()
-    found = ssim(single, Target(target.float()))
+    found, squared = photometric_loss(single, Target(target.float()), weight)
     (g_found,) = torch.autograd.grad(3 * found, single)
     assert (found.detach() - expected.detach()).abs() < 1e-6
-    assert (ssim_torch(single, Target(target.float())).detach() - expected.detach()).abs() < 1e-6
+    assert float(squared) == pytest.approx(float((image - target).detach().square().mean()), rel=1e-5)
     assert (g_found - 3 * g_expected).abs().max() < 1e-4 * (3 * g_expected).abs().max()
+    assert (ssim_torch(single.detach(), Target(target.float())) - similarity.detach()).abs() < 1e-6
 
 
-def test_ssim_of_an_image_with_itself_is_one_and_flat() -> None:
+def test_the_loss_of_an_image_with_itself_is_nothing_and_flat() -> None:
     image = torch.rand(20, 30, 3).requires_grad_()
-    value = ssim(image, Target(image.detach()))
+    value, _ = photometric_loss(image, Target(image.detach()), 0.5)
     (gradient,) = torch.autograd.grad(value, image)
-    assert abs(float(value.detach()) - 1) < 1e-6
+    assert abs(float(value.detach())) < 1e-6
     assert gradient.abs().max() < 1e-5
 
 

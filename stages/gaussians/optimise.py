@@ -10,11 +10,12 @@ from torch import Tensor
 
 from stages.gaussians.densify import GradientRecord, densify
 from stages.gaussians.options import GaussiansOptions
-from stages.gaussians.ssim import Target, ssim
+from stages.gaussians.ssim import Target, photometric_loss
 from stages.gaussians.training_frames import TrainingFrames
 from stages.shared.adam import Adam
 from stages.shared.drawing import spread
 from stages.shared.frame_store import Computed
+from stages.shared.heap import keep_freed_memory
 from stages.shared.log import progress
 from stages.shared.psnr import psnr_db
 from stages.shared.torch_threads import one_torch_thread
@@ -71,11 +72,6 @@ class History:
     seconds: list[float] = field(default_factory=list)
 
 
-def mean_by_rows(image: Tensor) -> Tensor:
-    """Mean of an image [H, W, C], by rows: how torch splits a sum over all of it depends on its number of threads."""
-    return image.mean(dim=(1, 2)).mean()
-
-
 class Trainer:
     """The scene with its optimiser and losses.
 
@@ -109,6 +105,7 @@ class Trainer:
 
     def run(self, after_step: Callable[["Trainer"], None]) -> None:
         """Train to the last step."""
+        keep_freed_memory()
         start = time.perf_counter() - (self.history.seconds[-1] if self.history.seconds else 0.0)
         for _ in progress(range(self.step, self.options.steps), "training"):
             loss, psnr = self._train_step()
@@ -131,7 +128,7 @@ class Trainer:
         f = self._frame_of_step()
         self._set_rates()
         target = self.targets[f]
-        weight, smeared = self.options.ssim_weight, self.step >= SMEARED_FROM * self.options.steps
+        smeared = self.step >= SMEARED_FROM * self.options.steps
         picture = self.pictures[f] if smeared else self.sharp_pictures[f]
         size, followed = (self.width, self.height), self._followed(len(picture.times))
         image, views = expose(self.scene, picture, *size, self.options.detach, followed)
@@ -139,8 +136,7 @@ class Trainer:
             view.centres[0].retain_grad()
         if self.seen_pixels is not None:  # what is burnt in has neither residual nor gradient
             image = torch.where(self.seen_pixels, image, target.image)
-        difference = image - target.image
-        loss = (1 - weight) * mean_by_rows(difference.abs()) + weight * (1 - ssim(image, target))
+        loss, squared = photometric_loss(image, target, self.options.ssim_weight)
         if self.motion is not None and self.arap_weight > 0:
             loss = loss + self.arap_weight * self.motion.arap_loss(self._arap_times(f))
         if self.scene.poses is not None:
@@ -151,7 +147,7 @@ class Trainer:
         for view in views:
             if view.centres[0].grad is not None:
                 self.record.add(view.centres[0].grad, view.rows)
-        return float(loss.detach()), psnr_db(float(mean_by_rows(difference.detach().square())))
+        return float(loss.detach()), psnr_db(float(squared))
 
     def _frame_of_step(self) -> int:
         """Index of the frame of this step: each frame once per epoch, in random order by seed and epoch."""

@@ -1,4 +1,4 @@
-"""Structural similarity as a differentiable torch function: fused numba on the CPU, convolutions on CUDA.
+"""L1 and structural similarity as one differentiable loss: fused numba on the CPU, convolutions on CUDA.
 
 Convention (that of 3DGS): 11 x 11 Gaussian window with sigma 1.5 px, zero padding, C1 = 0.01^2, C2 = 0.03^2 for values
 in 0..1, mean over pixels and channels.
@@ -15,47 +15,62 @@ WINDOW = ssim_kernels.window()
 
 
 class Target:
-    """An image [H, W, C] in 0..1 with its blurred moments [2 C, H, W], computed once for all comparisons with it."""
+    """An image [H, W, C] in 0..1 with its blurred moments, computed once for all comparisons with it."""
 
     def __init__(self, image: Tensor) -> None:
         self.image = image.contiguous()
-        planes = self.image.movedim(-1, 0)
-        self.moments = _convolve(torch.cat([planes, planes * planes]))
+        if image.is_cuda:
+            planes = self.image.movedim(-1, 0)
+            self.moments = _convolve(torch.cat([planes, planes * planes]))
+        else:
+            moments = ssim_kernels.blur(ssim_kernels.squares(self.image.numpy()), WINDOW)
+            self.moments = torch.from_numpy(moments)
 
 
-def ssim(image: Tensor, target: Target) -> Tensor:
-    """Mean SSIM (scalar, at most 1) of image [H, W, C] and target; differentiable in `image`."""
+def photometric_loss(image: Tensor, target: Target, ssim_weight: float) -> tuple[Tensor, Tensor]:
+    """(1 - w) x mean absolute difference + w x (1 - mean SSIM), differentiable in `image` [H, W, C], with w in 0..1.
+
+    Also the mean squared difference, without gradient. Both are scalars.
+    """
     if image.is_cuda:
-        return ssim_torch(image, target)
-    value: Tensor = _Ssim.apply(image, target.image, target.moments)  # type: ignore[no-untyped-call]
-    return value
+        difference = image - target.image
+        loss = (1 - ssim_weight) * difference.abs().mean() + ssim_weight * (1 - ssim_torch(image, target))
+        return loss, difference.detach().square().mean()
+    pair: tuple[Tensor, Tensor] = _Loss.apply(image, target, ssim_weight)  # type: ignore[no-untyped-call]
+    return pair
 
 
-class _Ssim(torch.autograd.Function):
-    """Mean SSIM by the numba kernels. The forward pass also computes the gradient, which costs little more."""
+class _Loss(torch.autograd.Function):
+    """The loss by the numba kernels. The forward pass also computes the gradient, which costs little more."""
 
     @staticmethod
-    def forward(ctx: Any, image: Tensor, target: Tensor, target_moments: Tensor) -> Tensor:
-        """Mean SSIM (float32 scalar) of image and target [H, W, C], given the target's moments [2 C, H, W]."""
-        x, y = image.detach().contiguous().numpy(), target.numpy()
-        moments = ssim_kernels.blur(ssim_kernels.products(x, y), WINDOW)
-        sums, derivative = ssim_kernels.similarity(moments, target_moments.numpy())
+    def forward(ctx: Any, image: Tensor, target: Target, weight: float) -> tuple[Tensor, Tensor]:
+        """Loss and mean squared difference, as `photometric_loss`."""
+        x, y = image.detach().contiguous().numpy(), target.image.numpy()
+        planes, sums = ssim_kernels.products(x, y)
+        moments = ssim_kernels.blur(planes, WINDOW)
+        similar, derivative = ssim_kernels.similarity(moments, target.moments.numpy(), x.shape[1])
         if ctx.needs_input_grad[0]:
             blurred = ssim_kernels.blur(derivative, WINDOW)
-            ctx.gradient = torch.from_numpy(ssim_kernels.assemble(x, y, blurred, 1 / x.size))
-        return torch.tensor(sums.sum() / x.size, dtype=torch.float32)
+            factors = -weight / x.size, (1 - weight) / x.size
+            ctx.gradient = torch.from_numpy(ssim_kernels.assemble(x, y, blurred, *factors))
+        absolute, squared = sums.sum(axis=0) / x.size
+        loss = (1 - weight) * absolute + weight * (1 - similar.sum() / x.size)
+        squared_mean = torch.tensor(squared, dtype=torch.float32)
+        ctx.mark_non_differentiable(squared_mean)
+        return torch.tensor(loss, dtype=torch.float32), squared_mean
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
-        """Gradient of the image [H, W, C] from that of the mean SSIM (scalar); none for the target."""
+        """Gradient of the image [H, W, C] from that of the loss (scalar); none for the target."""
         return ctx.gradient * gradients[0], None, None
 
 
 def ssim_torch(image: Tensor, target: Target) -> Tensor:
-    """`ssim` of image [H, W, C] by torch convolutions, for CUDA; tests compare the kernels with it."""
+    """Mean SSIM (scalar) of image [H, W, C] and target by torch convolutions: for CUDA, and to compare the kernels."""
     x, y = image.movedim(-1, 0), target.image.movedim(-1, 0)
     mx, xx, xy = _convolve(torch.cat([x, x * x, x * y])).chunk(3)
-    my, yy = target.moments.chunk(2)
+    my, yy = target.moments[..., : image.shape[1]].chunk(2)
     c1, c2 = float(ssim_kernels.C1), float(ssim_kernels.C2)
     numerator = (2 * mx * my + c1) * (2 * (xy - mx * my) + c2)
     denominator = (mx * mx + my * my + c1) * (xx - mx * mx + yy - my * my + c2)
