@@ -176,13 +176,15 @@ def _strip_ranges(splat: np.ndarray, y0: int, width: int, strips: np.ndarray) ->
     for strip in range(BLOCKS):
         low = splat[1] - min(splat[BOTTOM], np.float32(y0 + BLOCK * strip + BLOCK - 1))
         high = splat[1] - max(splat[TOP], np.float32(y0 + BLOCK * strip))
-        right_dy, left_dy = min(max(summit, low), high), min(max(-summit, low), high)
-        right = splat[0] + (math.sqrt(max(limit - (f2 * right_dy) ** 2, ZERO)) + f1 * right_dy) / f0
-        left = splat[0] + (f1 * left_dy - math.sqrt(max(limit - (f2 * left_dy) ** 2, ZERO))) / f0
-        u, v = int(max(left, ZERO)), int(min(right, np.float32(width - 1)))  # truncated: ceil and floor are calls
-        a, b = (u + (u < left)) // BLOCK, v // BLOCK
-        if low > high or right < ZERO or u + (u < left) > v:
-            a, b = width, -1
+        a, b = width, -1
+        if low <= high:
+            right_dy, left_dy = min(max(summit, low), high), min(max(-summit, low), high)
+            right = splat[0] + (math.sqrt(max(limit - (f2 * right_dy) ** 2, ZERO)) + f1 * right_dy) / f0
+            left = splat[0] + (f1 * left_dy - math.sqrt(max(limit - (f2 * left_dy) ** 2, ZERO))) / f0
+            u, v = int(max(left, ZERO)), int(min(right, np.float32(width - 1)))  # truncated: ceil and floor are calls
+            u += u < left
+            if right >= ZERO and u <= v:
+                a, b = u // BLOCK, v // BLOCK
         strips[strip, 0], strips[strip, 1] = a, b
         first, last = min(first, a), max(last, b)
     return first, last
