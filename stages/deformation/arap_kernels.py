@@ -4,6 +4,7 @@ import numpy as np
 from numba import njit
 
 from stages.shared.quaternion_kernels import FAST, rotation
+from stages.shared.threads import spread
 
 SWEEPS = 10
 """Jacobi's method converges quadratically: six sweeps of a 4 x 4 matrix reach float64's last digits."""
@@ -87,22 +88,23 @@ def energy(states: np.ndarray, index: np.ndarray, weights: np.ndarray) -> tuple[
     (B, P, _), K = states.shape, index.shape[1]
     totals, gradient = np.zeros((B - 1, P)), np.zeros((B, P, 3))
     residuals, rotations = np.empty((B - 1, P, K, 3)), np.empty((B - 1, P, 3, 3))
-    scratch = np.empty((3, 3)), np.empty((4, 4)), np.empty((4, 4))
-    given = states, np.ascontiguousarray(index), weights
-    _energy(*given, *scratch, residuals, rotations, totals, gradient)
+    index = np.ascontiguousarray(index)
+    spread(_energy, P, states, index, weights, residuals, rotations, totals)
+    _gradient(index, residuals, rotations, gradient)
     return float(totals.mean()), gradient
 
 
 @njit(**FAST)
-def _energy(states: np.ndarray, index: np.ndarray, weights: np.ndarray, C: np.ndarray, N: np.ndarray, V: np.ndarray,
-            residuals: np.ndarray, rotations: np.ndarray, totals: np.ndarray, gradient: np.ndarray
-            ) -> None:  # fmt: skip
-    """Add to the energy of every step and point and to the gradient; residuals [B - 1, P, K, 3] times the weight."""
-    B, P, _ = states.shape
-    K = index.shape[1]
-    for p in range(P):
+def _energy(first: int, last: int, states: np.ndarray, index: np.ndarray, weights: np.ndarray, residuals: np.ndarray,
+            rotations: np.ndarray, totals: np.ndarray) -> None:  # fmt: skip
+    """Add to the energy of every step and point; residuals [B - 1, P, K, 3] times the weight."""
+    C, N, V = np.empty((3, 3)), np.empty((4, 4)), np.empty((4, 4))
+    B, K = len(states), index.shape[1]
+    for p in range(first, last):
         for b in range(B - 1):
-            C[:] = 0
+            for i in range(3):
+                for j in range(3):
+                    C[i, j] = 0
             for k in range(K):
                 for i in range(3):
                     for j in range(3):
@@ -117,8 +119,14 @@ def _energy(states: np.ndarray, index: np.ndarray, weights: np.ndarray, C: np.nd
                         r -= R[i, j] * (states[b, p, j] - states[b, index[p, k], j])
                     residuals[b, p, k, i] = weights[p, k] * r
                     totals[b, p] += weights[p, k] * r * r
-    share = 2.0 / ((B - 1) * P)
-    for b in range(B - 1):
+
+
+@njit(**FAST)
+def _gradient(index: np.ndarray, residuals: np.ndarray, rotations: np.ndarray, gradient: np.ndarray) -> None:
+    """Add to the gradient [B, P, 3], in a fixed order: neighbours share points."""
+    steps, P, K, _ = residuals.shape
+    share = 2.0 / (steps * P)
+    for b in range(steps):
         for p in range(P):
             for k in range(K):
                 for i in range(3):

@@ -36,10 +36,13 @@ class GradientRecord:
     def add(self, gradient: Tensor, rows: Tensor | None = None) -> None:
         """Add the gradient [1, M, 2] of one step, of the Gaussians in `rows` [M], all of them if None."""
         length = gradient[0].norm(dim=-1)
+        drawn = (length > 0).to(length)
         if rows is None:
-            rows = torch.arange(len(length), device=length.device)
-        self.total[rows] += length
-        self.views[rows] += length > 0
+            self.total += length
+            self.views += drawn
+        else:
+            self.total.index_add_(0, rows, length)
+            self.views.index_add_(0, rows, drawn)
 
     @property
     def mean(self) -> Tensor:

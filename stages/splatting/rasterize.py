@@ -59,10 +59,16 @@ def rasterize(
     render = _render_cuda if means.is_cuda else _render_cpu
     views = []
     for viewmat, K, background in zip(viewmats, Ks, backgrounds, strict=True):
-        shown = colors if sh_degree is None else sh.sh_to_colour(colors, _views(means, viewmat), sh_degree)
+        views_of = _views(means, viewmat) if sh_degree else means  # a constant colour has no direction
+        shown = colors if sh_degree is None else sh.sh_to_colour(colors, views_of, sh_degree)
         views.append(render(means, quats, scales, opacities, shown, viewmat, K, width, height, near_plane, background))
     colour, depth, alpha, centres = zip(*views, strict=True)
-    return Rendering(torch.stack(colour), torch.stack(depth), torch.stack(alpha), list(centres))
+    return Rendering(_stacked(colour), _stacked(depth), _stacked(alpha), list(centres))
+
+
+def _stacked(images: tuple[Tensor, ...]) -> Tensor:
+    """Images [C, ...] of all cameras; that of a single one is not copied."""
+    return images[0].unsqueeze(0) if len(images) == 1 else torch.stack(images)
 
 
 def choose_device(device: str) -> torch.device:

@@ -122,7 +122,7 @@ def expose(
         with torch.set_grad_enabled(torch.is_grad_enabled() and followed in (None, s)):
             camera = torch.as_tensor(pose, device=device), torch.as_tensor(K, device=device)
             view = scene.render(float(time), *camera, width, height, detach)
-        colours.append(view.colour[0])
+        colours.append(view.colour.squeeze(0))  # the gradient of an index would be a copy
         views += [view] if followed in (None, s) else []
     if S == 1:
         return colours[0], views
