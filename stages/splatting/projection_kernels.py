@@ -167,9 +167,12 @@ def _axes_adjoint(u: Vector, v: Vector, f: Vector, g: Vector) -> tuple[Vector, V
 
 @njit(**FAST)
 def _camera_adjoint(mean: Vector, p: Vector, K: np.ndarray, limits: Limits, viewmat: np.ndarray,
-                    g_W: tuple[Vector, Vector], g_centre: tuple[float, float], g_depth: float,
+                    g_W: tuple[Vector, Vector], g_centre: tuple[float, float], g_depth: float, posed: bool,
                     g_view: np.ndarray) -> Vector:  # fmt: skip
-    """Gradient of the camera-space mean p from those of W, centre and depth; adds that of viewmat to g_view [4, 4]."""
+    """Gradient of the camera-space mean p from those of W, centre and depth.
+
+    If `posed`, adds that of viewmat to g_view [4, 4].
+    """
     g0, g1 = g_centre[0] * K[0, 0] / p[2], g_centre[1] * K[1, 1] / p[2]
     g2 = g_depth - (g0 * p[0] + g1 * p[1]) / p[2]
     for r in range(2):
@@ -181,22 +184,26 @@ def _camera_adjoint(mean: Vector, p: Vector, K: np.ndarray, limits: Limits, view
             g_slope = -gain * across / p[2]
             g0, g1 = (g0 + g_slope, g1) if r == 0 else (g0, g1 + g_slope)
             g2 -= g_slope * raw
-        for k in range(3):
-            g_view[r, k] += gain * g_row[k]
-            g_view[2, k] -= gain * slope * g_row[k]
-    for r in range(3):
-        g = (g0, g1, g2)[r]
-        for k in range(3):
-            g_view[r, k] += g * mean[k]
-        g_view[r, 3] += g
+        if posed:
+            for k in range(3):
+                g_view[r, k] += gain * g_row[k]
+                g_view[2, k] -= gain * slope * g_row[k]
+    if posed:
+        for r in range(3):
+            g = (g0, g1, g2)[r]
+            for k in range(3):
+                g_view[r, k] += g * mean[k]
+            g_view[r, 3] += g
     return g0, g1, g2
 
 
 def project_adjoint(means: np.ndarray, quats: np.ndarray, scales: np.ndarray, viewmat: np.ndarray, K: np.ndarray,
                     width: int, height: int, factors: np.ndarray, depths: np.ndarray, g_centres: np.ndarray,
-                    g_factors: np.ndarray, g_depths: np.ndarray
+                    g_factors: np.ndarray, g_depths: np.ndarray, posed: bool
                     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
     """Gradients of means [N, 3], quats [N, 4], scales [N, 3] and viewmat [4, 4] from those of what `project` returned.
+
+    That of viewmat is zero unless `posed`: most trainings leave the poses as they are.
 
     Args:
         factors: [N, 3] and depths: [N], as `project` returned them.
@@ -208,15 +215,16 @@ def project_adjoint(means: np.ndarray, quats: np.ndarray, scales: np.ndarray, vi
     g_views = np.zeros(((N + BLOCK - 1) // BLOCK, 4, 4))
     camera, gradients = (viewmat, K, _limits(K, width, height)), (g_centres, g_factors, g_depths)
     inputs = means, quats, scales, *camera, factors, depths, *gradients
-    spread(_project_adjoint, len(g_views), *inputs, g_means, g_quats, g_scales, g_views)
+    spread(_project_adjoint, len(g_views), *inputs, posed, g_means, g_quats, g_scales, g_views)
     return g_means, g_quats, g_scales, g_views.sum(axis=0)
 
 
 @njit(**FAST)
 def _project_adjoint(first: int, last: int, means: np.ndarray, quats: np.ndarray, scales: np.ndarray,
                      viewmat: np.ndarray, K: np.ndarray, limits: Limits, factors: np.ndarray, depths: np.ndarray,
-                     g_centres: np.ndarray, g_factors: np.ndarray, g_depths: np.ndarray, g_means: np.ndarray,
-                     g_quats: np.ndarray, g_scales: np.ndarray, g_views: np.ndarray) -> None:  # fmt: skip
+                     g_centres: np.ndarray, g_factors: np.ndarray, g_depths: np.ndarray, posed: bool,
+                     g_means: np.ndarray, g_quats: np.ndarray, g_scales: np.ndarray,
+                     g_views: np.ndarray) -> None:  # fmt: skip
     N = len(means)
     for block in range(first, last):
         g_view = g_views[block]
@@ -241,7 +249,7 @@ def _project_adjoint(first: int, last: int, means: np.ndarray, quats: np.ndarray
                 (_dot(g_v, R[0]), _dot(g_v, R[1]), _dot(g_v, R[2])),
             )
             g_centre = np.float64(g_centres[i, 0]), np.float64(g_centres[i, 1])
-            g_p = _camera_adjoint(mean, p, K, limits, viewmat, g_W, g_centre, g_depths[i], g_view)
+            g_p = _camera_adjoint(mean, p, K, limits, viewmat, g_W, g_centre, g_depths[i], posed, g_view)
             g_means[i, 0], g_means[i, 1], g_means[i, 2] = _times(
                 g_p, (_vector(viewmat, 0), _vector(viewmat, 1), _vector(viewmat, 2))
             )

@@ -176,9 +176,10 @@ class _Project(torch.autograd.Function):
             gradients: of centres [1, N, 2], factors [N, 3] and depths [N].
         """
         g_centres, g_factors, g_depths = map(_float32, gradients)
-        inputs = (*ctx.saved, g_centres[0], g_factors, g_depths)
+        posed = ctx.needs_input_grad[3]
+        inputs = (*ctx.saved, g_centres[0], g_factors, g_depths, posed)
         *g_gaussians, g_viewmat = projection_kernels.project_adjoint(*inputs)
-        g_view = torch.from_numpy(g_viewmat.astype(np.float32)) if ctx.needs_input_grad[3] else None
+        g_view = torch.from_numpy(g_viewmat.astype(np.float32)) if posed else None
         return (*map(torch.from_numpy, g_gaussians), g_view, None, None, None, None)
 
 
