@@ -32,7 +32,7 @@ from stages.gaussians.training_frames import TrainingFrames
 from stages.shared.adam import Adam
 from stages.shared.artifacts import read_metadata
 from stages.shared.cameras import centred_intrinsics
-from stages.splatting import projection_kernels, raster_adjoint, raster_bins, raster_kernels
+from stages.splatting import placed, projection_kernels, raster_adjoint, raster_bins, raster_kernels
 from stages.splatting.cloud import Cloud
 from stages.splatting.colours import ColourTable
 from stages.splatting.gaussian_model import GaussianScene
@@ -46,6 +46,7 @@ PARTS: dict[str, list[tuple[Any, str]]] = {
     "rasterise, backward": [(raster_adjoint, "composite_adjoint"), (raster_adjoint, "splat_gradients")],
     "project": [(projection_kernels, "project")],
     "project, backward": [(projection_kernels, "project_adjoint")],
+    "place": [(placed, "spread")],
     "skin": [
         (module, name + suffix)
         for module, name in (
