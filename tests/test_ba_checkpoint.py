@@ -14,8 +14,9 @@ from ba_files import outputs, write_inputs
 from synthetic import flow_arrays, make_scene
 
 from stages.ba import checkpoint, dba
-from stages.ba.__main__ import _read, main
+from stages.ba.__main__ import main
 from stages.ba.options import BAOptions
+from stages.ba.solving import files_named
 from stages.shared import costs
 from stages.shared.artifacts import read_dense, read_table
 from stages.shared.sequences import Sequence
@@ -139,4 +140,4 @@ def test_frames_and_truth_are_of_the_origin(tmp_path: Path) -> None:
     frame, camera = tmp_path / "frame_0001.png", tmp_path / "frame_0001.cam"
     frames = Sequence("clip", [frame], [1], 8, 8, {"camdata_left": {1: camera}})
     true_poses = OPTIONS.model_copy(update={"poses_from": "truth"})
-    assert (_read(frames, OPTIONS), _read(frames, true_poses)) == ([frame], [frame, camera])
+    assert (files_named(frames, OPTIONS), files_named(frames, true_poses)) == ([frame], [frame, camera])

@@ -44,6 +44,23 @@ def test_sampson_normal_equations_equal_those_of_finite_differences() -> None:
     assert_allclose(gradient, J.T @ (robust * residual), atol=1e-7)
 
 
+def test_normal_equations_of_a_rotation_equal_those_of_finite_differences() -> None:
+    rng = np.random.default_rng(0)
+    x, y, w = rng.normal(0, 0.3, (20, 2)), rng.normal(0, 0.3, (20, 2)), rng.uniform(0, 1, 20)
+    R, focal_px, level_px, h = lie.exp_so3(np.array([0.1, -0.2, 0.05])), 90.0, 20.0, 1e-6
+
+    def left_px(turn: np.ndarray) -> np.ndarray:
+        points = np.column_stack([x, np.ones(20)]) @ (lie.exp_so3(turn) @ R).T
+        return (y - points[:, :2] / points[:, 2:]) * focal_px
+
+    residual = left_px(np.zeros(3))
+    J = np.stack([(left_px(-h * axis) - left_px(h * axis)) / (2 * h) for axis in np.eye(3)], axis=2)
+    robust = w / (1 + (residual**2).sum(axis=1) / level_px**2) ** 2
+    normal, rhs = twoview._rotation_system(R, x, y, w, focal_px, level_px)
+    assert_allclose(normal, np.einsum("nci,n,ncj->ij", J, robust, J), rtol=1e-6, atol=1e-3)
+    assert_allclose(rhs, np.einsum("nci,n,nc->i", J, robust, residual), rtol=1e-6, atol=1e-3)
+
+
 def test_two_view_motion_survives_outliers_and_the_twisted_pair() -> None:
     rng = np.random.default_rng(0)
     R, t = lie.exp_so3(np.array([0.02, -0.05, 0.01])), np.array([0.9, 0.1, 0.42])

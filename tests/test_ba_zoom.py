@@ -10,11 +10,11 @@ from scipy import stats
 from synthetic import make_scene, observe, trajectory_error
 
 from stages.ba import dba, held_out, proposal, twoview, zoom
-from stages.ba.__main__ import _previous
 from stages.ba.estimate import estimate
 from stages.ba.graph import FlowGraph
 from stages.ba.options import BAOptions
 from stages.ba.problem import Problem
+from stages.ba.solving import _previous
 from stages.ba.state import FocalPrior, Level, State, Unknowns
 from stages.ba.uncertainty import solution_covariance
 from stages.shared.cameras import intrinsics, make_cameras, write_cameras

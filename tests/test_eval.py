@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from stages.evaluate import costs, pose_diagnostics, pose_statistics, score_geometry, score_models, score_poses
+from stages.evaluate.figure import draw_paths
 from stages.report import overview
 from stages.shared import lie
 from stages.shared.artifacts import read_dense, read_metadata, read_model, write_model
@@ -227,3 +228,15 @@ def test_without_truth_the_tables_say_what_is_missing(tmp_path: Path) -> None:
     assert not any("depth" in quantity for quantity in quantities)
     methods = {row["method"] for row in read_rows(folder / "eval/trajectory.parquet")}
     assert methods == {"ours", "ours, round 1", "COLMAP global"}
+
+
+def test_the_picture_of_the_paths_shows_each_of_them_also_where_they_agree() -> None:
+    walk = np.column_stack([np.arange(9.0), np.zeros(9), np.arange(9.0) ** 2])
+    near = walk + np.array([0, 0, 0.1])
+    picture = draw_paths({"truth": walk, "ours": near, "COLMAP": near}).astype(int)
+    legend = len(picture) - 60
+    for red, green, blue in ((0xC8, 0xC8, 0xC8), (0xC2, 0x41, 0x0C), (0x25, 0x63, 0xEB)):
+        drawn = np.abs(picture[:legend] - [red, green, blue]).max(axis=2) < 40
+        halves = drawn[:, : picture.shape[1] // 2].sum(), drawn[:, picture.shape[1] // 2 :].sum()
+        assert min(halves) > 50, (red, green, blue)
+    assert draw_paths({}).std() > 0

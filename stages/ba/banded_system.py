@@ -1,19 +1,22 @@
 """The reduced system of a long sequence: a band along the frames, a border of what they share, and dense directions.
 
-Each frame is linked to those that it has edges with, and these to each other. In the order of reverse Cuthill and McKee
-(1969) the links of a path, and of a path that returns, lie in a band. LAPACK factors it in time linear in the frames.
-What all frames share, a focal length or a lens, is eliminated last, by its Schur complement. A curvature along a
+Each frame is linked to those that it has edges with, and these to each other. The links of a path lie in a band, also,
+in the order of reverse Cuthill and McKee (1969), those of a path that returns. LAPACK factors it in time linear in the
+frames. What all frames share, a focal length or a lens, is eliminated last, by its Schur complement, and so are frames
+at the ends of loops where these are few beside the width of the band that would hold them. A curvature along a
 direction of all unknowns would fill the band: it comes in by the formula of Woodbury. Without it the band may be
 singular, as it is in scale; so a curvature along the same direction of a single frame stands in for it meanwhile.
 """
 
+import itertools
 from collections.abc import Iterator
 
 import numpy as np
 from numba import njit
-from scipy.linalg import cho_factor, cho_solve, cho_solve_banded, cholesky_banded, solve_triangular
+from scipy.linalg import cho_factor, cho_solve, cholesky_banded, solve_triangular
 
 from stages.ba.band_layout import Layout
+from stages.ba.band_solve import backward, forward
 from stages.ba.dense_system import FLOOR
 from stages.ba.kernel import FAST
 from stages.ba.reduced import Term
@@ -84,16 +87,16 @@ class Factor:
     """
 
     def __init__(self, system: BandedSystem, added: np.ndarray) -> None:
-        n, K, self.B = system.at.band, system.K.copy(order="F"), system.B
+        n, K = system.at.band, system.K.copy(order="F")
         K[0] += added[:n]
         strength = float(system.diagonal.mean())
         pins = [_pin(system.at, u) for _, u in system.along]
         for pin in pins:
             chosen = np.flatnonzero(pin)
-            _scatter(chosen, strength * np.outer(pin[chosen], pin[chosen]), K, self.B, system.C)
+            _scatter(chosen, strength * np.outer(pin[chosen], pin[chosen]), K, system.B, system.C)
         self.L = cholesky_banded(K, overwrite_ab=True, lower=True, check_finite=False)
-        self.Y = cho_solve_banded((self.L, True), self.B, check_finite=False)
-        self.rest = cho_factor(system.C + np.diag(added[n:]) - self.B.T @ self.Y, check_finite=False)
+        self.W = forward(self.L, system.B, system.at.first)
+        self.rest = cho_factor(system.C + np.diag(added[n:]) - self.W.T @ self.W, check_finite=False)
         self.U = np.array([u for _, u in system.along] + pins).reshape(-1, len(added)).T
         self.V = self._pinned(self.U)
         inverse = [1 / curvature for curvature, _ in system.along] + [-1 / strength] * len(pins)
@@ -101,14 +104,14 @@ class Factor:
 
     def _pinned(self, rhs: np.ndarray) -> np.ndarray:
         """Solution for right-hand sides [m, k] of the band with its border, with pins in place of the directions."""
-        n = len(self.Y)
-        band = cho_solve_banded((self.L, True), rhs[:n], check_finite=False)
-        border = cho_solve(self.rest, rhs[n:] - self.B.T @ band, check_finite=False)
-        return np.concatenate([band - self.Y @ border, border])
+        n = len(self.W)
+        band = forward(self.L, rhs[:n])
+        border = cho_solve(self.rest, rhs[n:] - self.W.T @ band, check_finite=False)
+        return np.concatenate([backward(self.L, band - self.W @ border), border])
 
     def solve(self, rhs: np.ndarray) -> np.ndarray:
         """Solution for right-hand sides [m] or [m, k]."""
-        found = self._pinned(rhs)
+        found = self._pinned(rhs.reshape(len(rhs), -1)).reshape(rhs.shape)
         return found if not len(self.G) else found - self.V @ np.linalg.solve(self.G, self.U.T @ found)
 
 
@@ -128,15 +131,17 @@ class BandedCovariance:
     def poses(self, T: int) -> np.ndarray:
         """Covariance [T, 6, 6] of the twist of every pose."""
         factor, found, place = self.factor, np.zeros((T, 6, 6)), self.at.place[: 6 * T].reshape(T, 6)
-        shared = cho_solve(factor.rest, factor.Y.T, check_finite=False).T
+        rest = cho_solve(factor.rest, np.eye(self.at.border), check_finite=False)
+        by_border = np.concatenate([backward(factor.L, factor.W), np.zeros_like(rest)])
+        shared = by_border @ rest
         dense = np.linalg.solve(factor.G, factor.V.T).T if len(factor.G) else factor.V
-        for first, block in self._diagonal_blocks():
+        for first, block in itertools.chain(self._diagonal_blocks(), [(self.at.band, rest)]):
             inside = (place >= first) & (place < first + len(block))
             for frame in np.flatnonzero(inside.any(axis=1)):
                 free = np.flatnonzero(inside[frame])
                 at = place[frame, free]
                 covariance = block[np.ix_(at - first, at - first)]
-                covariance = covariance + shared[at] @ factor.Y[at].T - dense[at] @ factor.V[at].T
+                covariance = covariance + shared[at] @ by_border[at].T - dense[at] @ factor.V[at].T
                 found[frame][np.ix_(free, free)] = covariance
         return found
 

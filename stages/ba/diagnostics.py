@@ -11,6 +11,7 @@ from stages.ba.graph import MIN_WEIGHT, FlowGraph
 from stages.ba.initialise import Candidate
 from stages.ba.options import BAOptions
 from stages.ba.problem import Estimate
+from stages.ba.rounds import NOT_CONVERGED, SHRANK
 from stages.shared import lie
 
 ROUGH_PATH = 0.2
@@ -19,7 +20,6 @@ SAME_COST, SAME_PATH, SAME_ROUGHNESS = 0.05, 0.05, 2.0
 limit, and its path differs by more than the second (share of the path length)."""
 SHRINKING = 0.7
 """A static area below this share of that of the previous round suggests that masks grow without bound."""
-SHRANK, NOT_CONVERGED = "static area shrank", "rounds have not converged"
 MOVED = 3.0
 """Converged rounds change the focal length by less than this many predicted errors (measured: by at most 0.4)."""
 

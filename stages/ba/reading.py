@@ -1,4 +1,4 @@
-"""Reading what the adjustment needs of a clip, some frames at a time: flow, images and masks."""
+"""Reading what the adjustment needs of a clip, some frames at a time: flow and images."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -8,12 +8,11 @@ import cv2
 import numpy as np
 
 from stages.ba import cuts, given
-from stages.ba.graph import EDGES, FlowGraph, build_graph, static_areas
+from stages.ba.graph import EDGES, FlowGraph, build_graph
 from stages.ba.options import BAOptions
 from stages.ba.texture import texture_weights
 from stages.shared.artifacts import Dense, read_dense, read_metadata
 from stages.shared.images import read_reduced
-from stages.shared.masks import read_mask
 from stages.shared.sequences import Sequence
 from stages.shared.threads import threaded
 
@@ -70,10 +69,3 @@ def read_texture(frames: Sequence, size: tuple[int, int]) -> Iterator[np.ndarray
     for first in range(0, len(frames.frames), BLOCK):
         read = read_reduced(frames.frames[first : first + BLOCK], size)
         yield from threaded(texture_weights, (cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY) for rgb in read))
-
-
-def read_static_areas(masks: Path | None, frames: Sequence, matches: Matches) -> np.ndarray:
-    """Static area [T, height, width] on the flow grid that a folder of masks leaves; without one, everything."""
-    if masks is None:
-        return np.ones((len(frames.numbers), *matches.size[::-1]), np.int8)
-    return static_areas((read_mask(masks, frames, k) for k in range(len(frames.numbers))), *matches.size)

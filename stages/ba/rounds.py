@@ -6,14 +6,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from stages.ba.diagnostics import NOT_CONVERGED, SHRANK
+from stages.ba.graph import static_areas
 from stages.shared.artifacts import read_metadata, read_table, write_table
 from stages.shared.atomic import atomic
 from stages.shared.cameras import read_cameras, write_tum
 from stages.shared.errors import InputError
 from stages.shared.log import logger
+from stages.shared.masks import read_mask
 from stages.shared.sequences import Sequence
 
+SHRANK, NOT_CONVERGED = "static area shrank", "rounds have not converged"
+"""Warnings of a round that compares itself with the one before."""
 SAME_SHARE, SAME_SHARE_OF_A_FRAME = 0.005, 0.05
 """Static areas that differ in a smaller share of the pixels, of the clip and of every frame, count as the same."""
 
@@ -25,6 +28,13 @@ class Results(NamedTuple):
     depth: Path
     convergence: Path
     figure: Path
+
+
+def read_static_areas(masks: Path | None, frames: Sequence, size: tuple[int, int]) -> np.ndarray:
+    """Static area [T, height, width] on a flow grid of this `size` that masks leave; without any, everything."""
+    if masks is None:
+        return np.ones((len(frames.numbers), *size[::-1]), np.int8)
+    return static_areas((read_mask(masks, frames, k) for k in range(len(frames.numbers))), *size)
 
 
 def complete(*files: Path | None) -> Results:

@@ -82,19 +82,23 @@ def row_times(graph: FlowGraph, v: np.ndarray) -> np.ndarray:
 def shifts(graph: FlowGraph, state: State, readout: float) -> np.ndarray:
     """How far [E, P, 2] px matches move because source pixel and match are exposed at the time of their rows."""
     times, moved = frame_times(graph), np.zeros(graph.matches.shape, np.float32)
+    if not readout:
+        return moved
     path = path_of(state.cam_from_world, times)
     relative, focals_px = reduced.relative_motions(graph, state.cam_from_world), state.focals_px
     source_times = readout * row_times(graph, graph.pixels[:, 1])
-    for e, (i, j) in enumerate(zip(graph.source, graph.target, strict=True)):
-        R, d = relative[e, :3, :3], state.inverse_depth[i]
+    for i in range(graph.T):
+        edges = slice(graph.pointer[i], graph.pointer[i + 1])
+        targets, R, d = graph.target[edges, None], relative[edges, :3, :3], state.inverse_depth[i]
         rays = np.column_stack([(graph.pixels - graph.centre) / focals_px[i], np.ones(len(d))])
-        begun = _moved(rays, d, path(times[i]) - path(times[i] + source_times))
-        at_once, begun = (points @ R.T + d[:, None] * relative[e, :3, 3] for points in (rays, begun))
-        target_times = readout * row_times(graph, graph.matches[e, :, 1])
-        in_turn = _moved(begun, d, path(times[j] + target_times) - path(times[j]))
-        before, after = _project(at_once, focals_px[j]), _project(in_turn, focals_px[j])
-        ahead = np.minimum(at_once[:, 2], in_turn[:, 2]) > MIN_DEPTH_RATIO
-        moved[e] = np.where(ahead[:, None], after - before, 0.0)
+        turned = _moved(rays, d, path(times[i]) - path(times[i] + source_times))
+        shifted = d[:, None] * relative[edges, None, :3, 3]
+        at_once, begun = (points @ np.swapaxes(R, 1, 2) + shifted for points in (rays, turned))
+        target_times = readout * row_times(graph, graph.matches[edges, :, 1])
+        in_turn = _moved(begun, d, path(times[targets] + target_times) - path(times[targets]))
+        before, after = (_project(points, focals_px[targets, None]) for points in (at_once, in_turn))
+        ahead = np.minimum(at_once[..., 2], in_turn[..., 2]) > MIN_DEPTH_RATIO
+        moved[edges] = np.where(ahead[..., None], after - before, 0.0)
     return moved
 
 
@@ -109,15 +113,16 @@ def resampled(state: State, solved: FlowGraph, graph: FlowGraph) -> State:
     return replace(state, inverse_depth=graph.resample(maps, solved.stride))
 
 
-def _project(points: np.ndarray, focal_px: float) -> np.ndarray:
-    """Pixels [n, 2] about the principal point of scaled points [n, 3]."""
-    return np.asarray(focal_px * points[:, :2] / np.maximum(points[:, 2:], MIN_DEPTH_RATIO))
+def _project(points: np.ndarray, focal_px: np.ndarray) -> np.ndarray:
+    """Pixels [..., n, 2] about the principal point of scaled points [..., n, 3]."""
+    return np.asarray(focal_px * points[..., :2] / np.maximum(points[..., 2:], MIN_DEPTH_RATIO))
 
 
 def _moved(points: np.ndarray, d: np.ndarray, twists: np.ndarray) -> np.ndarray:
-    """Points [n, 3], scaled by their inverse depths d [n], after small motions [n, 6], to second order in the turn."""
-    step = np.cross(twists[:, 3:], points) + d[:, None] * twists[:, :3]
-    return np.asarray(points + step + np.cross(twists[:, 3:], step) / 2)
+    """Points [..., n, 3], scaled by their inverse depths d [n], after small motions [..., n, 6], to second order in the
+    turn."""
+    step = lie.cross(twists[..., 3:], points) + d[:, None] * twists[..., :3]
+    return np.asarray(points + step + lie.cross(twists[..., 3:], step) / 2)
 
 
 def judge(gain: float, gain_sigma: float, readout: float, readout_sigma: float) -> tuple[str, str]:
@@ -199,12 +204,12 @@ def _search(graph: FlowGraph, fit: Callable[[float, State], Fit], state: State) 
 def _residuals(graph: FlowGraph, state: State, readout: float) -> np.ndarray:
     """Residuals [E, P, 2] px of the corrected matches."""
     relative, focals_px = reduced.relative_motions(graph, state.cam_from_world), state.focals_px
-    residuals = correct(graph, state, readout).matches - graph.centre
-    for e, (i, j) in enumerate(zip(graph.source, graph.target, strict=True)):
-        rays = np.column_stack([(graph.pixels - graph.centre) / focals_px[i], np.ones(len(graph.pixels))])
-        points = rays @ relative[e, :3, :3].T + state.inverse_depth[i][:, None] * relative[e, :3, 3]
-        residuals[e] -= _project(points, focals_px[j])
-    return np.asarray(residuals)
+    offsets = (graph.pixels - graph.centre) / focals_px[:, None, None]
+    rays = np.concatenate([offsets, np.ones((*offsets.shape[:2], 1))], axis=2)[graph.source]
+    shifted = state.inverse_depth[graph.source][..., None] * relative[:, None, :3, 3]
+    points = rays @ np.swapaxes(relative[:, :3, :3], 1, 2) + shifted
+    projected = _project(points, focals_px[graph.target, None, None])
+    return np.asarray(correct(graph, state, readout).matches - graph.centre - projected)
 
 
 def _sharp_scale(errors: np.ndarray, graph: FlowGraph) -> float:

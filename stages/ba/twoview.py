@@ -142,13 +142,7 @@ def fit_rotation(x: np.ndarray, y: np.ndarray, w: np.ndarray, focal_px: float) -
         across, down = np.median(y - x, axis=0)
         R = lie.exp_so3(np.array([-np.arctan(down), np.arctan(across), 0.0]))
     for level_px in np.maximum(20 * 0.5 ** np.arange(10), ROTATION_SIGMA_PX):
-        r, u = _rotation_residual(R, x, y, focal_px)
-        robust = w / (1 + (r**2).sum(axis=1) / level_px**2) ** 2
-        a, b = u[:, 0], u[:, 1]
-        J_u = focal_px * np.stack([-a * b, 1 + a * a, -b], axis=1)
-        J_v = focal_px * np.stack([-1 - b * b, a * b, a], axis=1)
-        normal = J_u.T @ (J_u * robust[:, None]) + J_v.T @ (J_v * robust[:, None])
-        rhs = J_u.T @ (robust * r[:, 0]) + J_v.T @ (robust * r[:, 1])
+        normal, rhs = _rotation_system(R, x, y, w, focal_px, level_px)
         R = lie.exp_so3(np.linalg.solve(normal + 1e-9 * (np.trace(normal) + 1) * np.eye(3), rhs)) @ R
     return R, np.linalg.norm(_rotation_residual(R, x, y, focal_px)[0], axis=1)
 
@@ -178,6 +172,27 @@ def _rotation_residual(R: np.ndarray, x: np.ndarray, y: np.ndarray, focal_px: fl
     turned = _homogeneous(x) @ R.T
     u = turned[:, :2] / turned[:, 2:]
     return (y - u) * focal_px, u
+
+
+@njit(cache=True, error_model="numpy")
+def _rotation_system(
+    R: np.ndarray, x: np.ndarray, y: np.ndarray, w: np.ndarray, focal_px: float, level_px: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Robust normal matrix [3, 3] and right-hand side [3] of a left rotation vector, at a scale of `level_px`."""
+    normal, rhs, J = np.zeros((3, 3)), np.zeros(3), np.empty((2, 3))
+    for m in range(len(x)):
+        z = R[2, 0] * x[m, 0] + R[2, 1] * x[m, 1] + R[2, 2]
+        a = (R[0, 0] * x[m, 0] + R[0, 1] * x[m, 1] + R[0, 2]) / z
+        b = (R[1, 0] * x[m, 0] + R[1, 1] * x[m, 1] + R[1, 2]) / z
+        left_u, left_v = (y[m, 0] - a) * focal_px, (y[m, 1] - b) * focal_px
+        robust = w[m] / (1.0 + (left_u * left_u + left_v * left_v) / (level_px * level_px)) ** 2
+        J[0, 0], J[0, 1], J[0, 2] = -a * b * focal_px, (1.0 + a * a) * focal_px, -b * focal_px
+        J[1, 0], J[1, 1], J[1, 2] = -(1.0 + b * b) * focal_px, a * b * focal_px, a * focal_px
+        for k in range(3):
+            rhs[k] += robust * (J[0, k] * left_u + J[1, k] * left_v)
+            for other in range(3):
+                normal[k, other] += robust * (J[0, k] * J[0, other] + J[1, k] * J[1, other])
+    return normal, rhs
 
 
 def _decompose(E: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -21,15 +21,16 @@ from stages.evaluate import (
     score_poses,
     trajectory,
 )
+from stages.evaluate.figure import draw_paths
 from stages.evaluate.ground_truth import true_cameras, true_masks
 from stages.evaluate.options import EvaluateOptions
 from stages.evaluate.paths import path_rows
 from stages.shared import cli
 from stages.shared.artifacts import Dense, read_dense, read_json, read_metadata
-from stages.shared.atomic import atomic
 from stages.shared.cameras import read_cameras
-from stages.shared.charts import draw_trajectories
+from stages.shared.charts import paths_of
 from stages.shared.cli import In, Out
+from stages.shared.images import write_figure
 from stages.shared.log import logger
 from stages.shared.masks import read_masks
 from stages.shared.run_inputs import RunInputs, given_in_words, read_run_inputs, taken_inputs
@@ -135,8 +136,7 @@ def _write_poses(
     write_rows(poses_table, rows, POSES, {"protocol": trajectory.PROTOCOL})
     paths = path_rows(candidates, truth)
     write_rows(trajectory_table, paths, TRAJECTORY, {"unit": "scene units of the truth, or of ours without truth"})
-    with atomic(figure) as partial:
-        partial.write_bytes(draw_trajectories(paths, "png"))
+    write_figure(figure, draw_paths(paths_of(paths)))
 
 
 def _write_masks(

@@ -9,6 +9,7 @@ import numpy as np
 
 from stages.scene import bending, blur_rules, geometry, photometry, rules, shutter
 from stages.scene.camera_effects import camera_decisions
+from stages.scene.figure import decision_table
 from stages.scene.observed import Observed, depth_on_grid, read_edges
 from stages.scene.options import SceneOptions
 from stages.scene.sightings import sight
@@ -56,9 +57,6 @@ def main(
     for name, decision in decisions.items():
         logger.info("%s: %s (%s): %s", name, decision["needed"], decision["source"], decision["why"])
     write_json(output, {"sequence": content.name, **decisions})
-
-    from stages.scene.figure import decision_table
-
     images.write_image(figure, decision_table(decisions))
     found = [name.replace("_", " ") for name, decision in decisions.items() if decision["needed"]]
     return f"to model: {', '.join(found) or 'a static scene'}"

@@ -6,11 +6,14 @@ their columns (Schur complement). In a long clip a frame shares points with few 
 factorised as a sparse matrix.
 """
 
+from typing import TYPE_CHECKING
+
 import numpy as np
-from scipy import sparse
-from scipy.sparse.linalg import splu
 
 from stages.scene.light_model import Points
+
+if TYPE_CHECKING:
+    from scipy import sparse
 
 DAMPING = 1e-6
 """Of the normal equations, as a share of their mean diagonal: holds gains of frames that see nothing."""
@@ -73,7 +76,7 @@ def _per_frame(of: Points, values: np.ndarray) -> np.ndarray:
 
 def _coupling(
     of: Points, weight: np.ndarray, weighted: np.ndarray, inverse: np.ndarray, channels: range
-) -> np.ndarray | sparse.csc_array:
+) -> "np.ndarray | sparse.csc_array":
     """The equations [F, F] of the gains of a table, without damping.
 
     Args:
@@ -85,6 +88,8 @@ def _coupling(
             product = weighted[..., c].T @ (inverse[:, c, None] * weighted[..., c])
             system += np.diag(_per_frame(of, weight[..., c])) - product
         return system
+    from scipy import sparse  # a fraction of a second, which short clips spare
+
     n, S = of.frame.shape
     coupled = sparse.csc_array((of.F, of.F))
     for c in channels:
@@ -94,11 +99,14 @@ def _coupling(
     return sparse.csc_array(coupled)
 
 
-def _solved(system: np.ndarray | sparse.csc_array, gauge: float, level: float, sides: np.ndarray) -> np.ndarray:
+def _solved(system: "np.ndarray | sparse.csc_array", gauge: float, level: float, sides: np.ndarray) -> np.ndarray:
     """Solutions [F, m] of a table's equations with damping `level` and a gauge on the sum of its gains."""
     F = len(sides)
     if isinstance(system, np.ndarray):
         return np.linalg.solve(system + gauge + level * np.eye(F), sides)
+    from scipy import sparse
+    from scipy.sparse.linalg import splu
+
     # The gauge couples all frames: it follows after the factorisation (Sherman and Morrison 1950).
     factors = splu(sparse.csc_array(system + level * sparse.eye_array(F)), permc_spec="MMD_AT_PLUS_A")
     free, even = factors.solve(sides), factors.solve(np.ones(F))

@@ -101,7 +101,7 @@ def _linear(patch: Patch, motion: Motion, relief: np.ndarray) -> tuple[np.ndarra
     by_point = np.zeros((*left.shape, 3))
     by_point[..., [0, 1], [0, 1]] = focal / z[..., None]
     by_point[..., 2] = -focal * seen / z[..., None]
-    by_turn, by_shift = np.cross(turned[:, :, None], by_point), by_point * (1 + relief)[:, None, None]
+    by_turn, by_shift = lie.cross(turned[:, :, None], by_point), by_point * (1 + relief)[:, None, None]
     by_motion = np.concatenate([by_turn, by_shift], axis=-1)
     return left, weight, by_motion, np.einsum("epij,ej->epi", by_point, motion.t)
 
@@ -116,9 +116,9 @@ def _step(patch: Patch, motion: Motion, relief: np.ndarray, stiff: bool) -> tupl
     scatter, pull = (part.sum(axis=0) for part in _by_relief(left, weight, slope))
     mixed = np.einsum("epck,epc->epk", weighted, slope)
     below = scatter + PRIOR
-    normal = -np.einsum("epk,fpl->ekfl", mixed / below[:, None], mixed, optimize=True)
-    own = np.einsum("epck,epcl->ekl", weighted, A, optimize=True)
-    at = np.arange(E)
+    rows, at = np.moveaxis(mixed, 1, 2).reshape(E * n, -1), np.arange(E)
+    normal = -((rows / below) @ rows.T).reshape(E, n, E, n)
+    own = np.swapaxes(weighted.reshape(E, -1, n), 1, 2) @ A.reshape(E, -1, n)
     normal[at, :, at] += own + DAMPING * own * np.eye(n) + 1e-9 * np.eye(n)
     flat = _relief_step(scatter, pull, relief)
     right = np.einsum("epck,epc->ek", weighted, left) - np.einsum("epk,p->ek", mixed, flat)

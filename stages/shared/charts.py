@@ -38,14 +38,6 @@ def colour_of(method: str, methods: Sequence[str]) -> str:
     return COLOURS.get(method) or OTHERS[others.index(method) % len(OTHERS)]
 
 
-def draw_trajectories(rows: Sequence[Row], kind: str) -> bytes:
-    """Camera centres from above and in 3D; `rows` as in eval/trajectory.parquet."""
-    with figure((10, 4.2), kind) as (fig, done):
-        _plot_top(fig.add_subplot(1, 2, 1), paths_of(rows))
-        _plot_space(fig.add_subplot(1, 2, 2, projection="3d"), paths_of(rows))
-    return done.getvalue()
-
-
 def draw_top(rows: Sequence[Row]) -> bytes:
     """Camera centres from above, as SVG."""
     with figure((5.2, 4.0), "svg") as (fig, done):

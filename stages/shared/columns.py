@@ -43,10 +43,15 @@ def tensor_column_of(values: np.ndarray) -> pa.Array:
 def _numbers(values: np.ndarray, known: np.ndarray | None = None) -> pa.Array:
     """Numbers or booleans [n], without a copy if they lie in a row; nulls where they are not `known` [n]."""
     values = np.ascontiguousarray(values)
-    kind = pa.uint8() if values.dtype == bool else pa.from_numpy_dtype(values.dtype)
     valid = None if known is None else pa.py_buffer(np.packbits(known, bitorder="little"))
-    array = pa.Array.from_buffers(kind, len(values), [valid, pa.py_buffer(values)])
-    return array.cast(pa.bool_()) if values.dtype == bool else array
+    content = pa.py_buffer(np.packbits(values, bitorder="little") if values.dtype == bool else values)
+    return pa.Array.from_buffers(pa.from_numpy_dtype(values.dtype), len(values), [valid, content])
+
+
+def _values(lists: pa.FixedSizeListArray) -> np.ndarray:
+    """The numbers of lists without null, one after the other; `flatten` would import pyarrow.compute for it."""
+    size = lists.type.list_size
+    return np.from_dlpack(lists.values.slice(lists.offset * size, len(lists) * size))
 
 
 def array_of(column: pa.ChunkedArray) -> np.ndarray:
@@ -56,9 +61,9 @@ def array_of(column: pa.ChunkedArray) -> np.ndarray:
     """
     array = column.combine_chunks() if column.num_chunks != 1 else column.chunk(0)
     if isinstance(array.type, pa.FixedShapeTensorType):
-        return np.from_dlpack(array.storage.flatten()).reshape(len(array), *array.type.shape)
+        return _values(array.storage).reshape(len(array), *array.type.shape)
     if pa.types.is_fixed_size_list(array.type):
-        return np.from_dlpack(array.flatten()).reshape(len(array), array.type.list_size)
+        return _values(array).reshape(len(array), array.type.list_size)
     whole, real = pa.types.is_integer(array.type), pa.types.is_floating(array.type)
     if array.null_count == 0 and (whole or real):
         return np.from_dlpack(array)

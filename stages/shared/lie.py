@@ -5,9 +5,17 @@ import numpy as np
 
 def skew(v: np.ndarray) -> np.ndarray:
     """Cross-product matrices [..., 3, 3] of vectors [..., 3]."""
-    x, y, z = np.moveaxis(np.asarray(v, float), -1, 0)
-    zero = np.zeros_like(x)
-    return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(*x.shape, 3, 3)
+    v = np.asarray(v, float)
+    x, y, z, W = v[..., 0], v[..., 1], v[..., 2], np.zeros((*v.shape, 3))
+    W[..., 2, 1], W[..., 0, 2], W[..., 1, 0] = x, y, z
+    W[..., 1, 2], W[..., 2, 0], W[..., 0, 1] = -x, -y, -z
+    return W
+
+
+def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Cross products [..., 3] of vectors [..., 3]; several times as fast as that of numpy where they are few."""
+    (ax, ay, az), (bx, by, bz) = ((v[..., 0], v[..., 1], v[..., 2]) for v in (a, b))
+    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
 
 
 def exp_so3(omega: np.ndarray) -> np.ndarray:

@@ -6,10 +6,9 @@ import sys
 import time
 from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator, Sized
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TypeVar
-
-from tqdm import tqdm
 
 ItemT = TypeVar("ItemT")
 logger = logging.getLogger("motionsplat")
@@ -83,19 +82,31 @@ def progress(
         total = len(items)
     told = time.monotonic()
     done, last_tenth, points = 0, 0, [(told, 0)]
-    with tqdm(desc=title, total=total, leave=False, disable=not sys.stderr.isatty()) as bar:
+    with _bar(title, total) as move:
         for item in items:
             yield item
             count = 1 if size is None else size(item)
             if count == 0:
                 continue
-            bar.update(count)
+            move(count)
             done += count
             now = time.monotonic()
             points.append((now, done))
             if done * 10 // total > last_tenth or now - told >= REPORT_S:
                 last_tenth, told = done * 10 // total, now
                 logger.info("%s: %d of %d%s", title, done, total, _left(points, total))
+
+
+@contextmanager
+def _bar(title: str, total: int) -> Iterator[Callable[[int], object]]:
+    """A progress bar on a terminal; what moves it on by some items."""
+    if not sys.stderr.isatty():
+        yield lambda _: None
+        return
+    from tqdm import tqdm  # 0.035 s, which stages of a workflow do not need
+
+    with tqdm(desc=title, total=total, leave=False) as bar:
+        yield bar.update
 
 
 def _left(points: list[tuple[float, int]], total: int) -> str:

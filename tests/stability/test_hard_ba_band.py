@@ -6,10 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.linalg import cho_solve_banded, cholesky_banded
 from synthetic import make_scene, observe
 
-from stages.ba import dba, proposal
+from stages.ba import band_layout, dba, proposal
 from stages.ba.band_layout import layout
+from stages.ba.band_solve import backward, forward
 from stages.ba.banded_system import BandedSystem
 from stages.ba.graph import FlowGraph
 from stages.ba.state import FocalPrior, State, Unknowns
@@ -94,6 +96,35 @@ def test_loop_edges_are_part_of_the_band(path: tuple[FlowGraph, State], unknowns
     size = 6 * T + (T if unknowns.zoom else 1)
     width = layout(graph, size, unknowns.indices(T), unknowns.zoom).width
     assert width < 0.85 * size
+
+
+@pytest.mark.parametrize("unknowns", [Unknowns(focal=True), ZOOM, Unknowns(focal=True, translation=False)])
+def test_the_ends_of_few_loops_stand_in_the_border(
+    path: tuple[FlowGraph, State], unknowns: Unknowns, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of a path that returns again and again no order has a narrow band; frame 0, which is held, is an end too."""
+    monkeypatch.setattr(band_layout, "REACH", 6)
+    graph = loops(path[0], [(0, 8), (0, 16), (8, 16), (8, T - 1)])
+    at = layout(graph, 6 * T + (T if unknowns.zoom else 1), unknowns.indices(T), unknowns.zoom)
+    assert set(np.arange(T)) - set(at.frame) == {0, 8, 16, T - 1}
+    assert at.first.tolist() == sorted(at.first)
+    assert_same_step(graph, path[1], unknowns)
+    assert_covariances_agree(graph, path[1], unknowns)
+
+
+@pytest.mark.parametrize("n", [1, 7, 12, 30])
+@pytest.mark.parametrize("width", [1, 4, 12])
+def test_substitution_of_many_sides_is_that_of_one_after_the_other(n: int, width: int) -> None:
+    random = np.random.default_rng(n + width)
+    K = np.asfortranarray(random.uniform(-1, 1, (width + 1, n)))
+    K[0] = 2 * width + 2
+    L = cholesky_banded(K, lower=True)
+    first = np.sort(random.integers(0, n + 1, 9))
+    sides = np.where(np.arange(n)[:, None] >= first, random.standard_normal((n, 9)), 0)
+    dense = np.array([[L[i - j, j] if 0 <= i - j <= width else 0 for j in range(n)] for i in range(n)])
+    assert_allclose(dense @ forward(L, sides, first), sides, atol=1e-13)
+    assert_allclose(forward(L, sides), forward(L, sides, first), atol=1e-13)
+    assert_allclose(backward(L, forward(L, sides)), cho_solve_banded((L, True), sides), atol=1e-13)
 
 
 def test_loops_all_over_the_place_are_solved_too(path: tuple[FlowGraph, State]) -> None:

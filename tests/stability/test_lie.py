@@ -93,3 +93,10 @@ def test_empty_batches_pass_through() -> None:
     assert lie.exp_se3(np.zeros((0, 6))).shape == (0, 4, 4)
     assert lie.log_se3(np.zeros((0, 4, 4))).shape == (0, 6)
     assert lie.adjoint(np.zeros((0, 4, 4))).shape == (0, 6, 6)
+
+
+def test_cross_products_are_those_of_numpy() -> None:
+    random = np.random.default_rng(0)
+    a, b = random.standard_normal((4, 1, 3)), random.standard_normal((5, 3))
+    assert_allclose(lie.cross(a, b), np.cross(a, b), rtol=1e-14)
+    assert_allclose(lie.cross(a, b), np.einsum("...ij,...j->...i", lie.skew(a), b), rtol=1e-14)
