@@ -35,7 +35,7 @@ MIN_VIEW_DEG = 0.5
 changes over so few views changes with time."""
 MIN_BENDING_PX, NOISE_FACTOR = 0.08, 2.0
 """Over frames up to five apart: an edge of ten grey levels per pixel is wrong by about one. Single boxes reach 0.02
-(tuned scenes), a ball that rolls by 10 degrees per frame 0.04, blocks that come apart 0.21. Factor: over the same on
+(tuned scenes), a ball that rolls by 10 degrees per frame 0.04, blocks that come apart 0.22. Factor: over the same on
 static patches, which do not bend."""
 RIGID_POINTS, BENDING_POINTS = 256, 512
 RIGID_ARAP, BENDING_ARAP = 0.5, 0.05
