@@ -89,6 +89,26 @@ def test_touching_instances_are_apart() -> None:
     assert {n: abs(of.bought.size) < 1e-2 for n, of in labels.items()} == {1: True, 2: True}
 
 
+def test_what_rolls_is_judged_whatever_the_confidence_of_its_flow() -> None:
+    """Flow that varies within a few pixels has a low confidence; where it leads back to its pixel it is right."""
+    seen = observe()
+    doubted = replace(seen, confidence=np.where(seen.dynamic[seen.edges[:, 0]], 0.05, 1.0).astype(np.float32))
+    sure, found = (bending.bending_evidence(of)[1].bought for of in (seen, doubted))
+    assert found == sure
+    assert found.samples > 0
+
+
+@pytest.mark.parametrize("wrong", ["leads elsewhere", "is not known"])
+def test_flow_that_cannot_be_trusted_is_not_judged(wrong: str) -> None:
+    seen = observe()
+    ahead = (seen.offsets > 0)[:, None, None]
+    if wrong == "leads elsewhere":
+        seen = replace(seen, flow=seen.flow + 2 * bending.BACK_PX * ahead[..., None].astype(np.float32))
+    else:
+        seen = replace(seen, confidence=np.zeros_like(seen.confidence))
+    assert all(of.bought.samples == 0 for of in bending.bending_evidence(seen).values())
+
+
 def test_what_static_patches_show_too_is_no_bending() -> None:
     """A flow that is as wrong, in the same way, on the wall and on the square: a lens, or a rolling shutter."""
     seen = observe()

@@ -146,7 +146,28 @@ def test_blur_in_few_tiles_is_no_chance() -> None:
     wrong = sums.copy()
     wrong[1, :, 8] *= -1  # what a mover in front of another would do
     wrong[1, :, 9] *= -1
-    assert judge(wrong, 0.5)["gain_percent"] < 2 * judge(wrong, 0.5)["gain_sigma_percent"]
+    found = judge(wrong, 0.5)
+    assert found["gain_percent"] + found["expected_percent"] < blur_rules.MIN_SIGMAS * found["gain_sigma_percent"]
+
+
+def test_weak_blur_is_told_from_chance_more_often_than_chance_from_blur() -> None:
+    """<a, b> scatters by a quarter of <b, b>, in all tiles alike: about zero without blur, about <b, b> with it."""
+    random, n = np.random.default_rng(0), TILES[0] * TILES[1]
+    strength = random.exponential(size=n)
+    sigma = 0.25 * strength.sum() / n**0.5
+
+    def found(blur: float) -> float:
+        decisions = []
+        for _ in range(200):
+            sums = np.ones((3, len(SHUTTERS), n)) * (100 * strength.mean())
+            sums[2] = strength * (SHUTTERS[:, None] / 0.5) ** 4
+            sums[1] = (blur * strength + sigma * random.standard_normal(n)) * (SHUTTERS[:, None] / 0.5) ** 2
+            evidence = {"speed_px": 6.0, "speed_agreement": 1.0, **judge(sums, 0.5)}
+            decisions.append(blur_rules.decide_motion_blur(evidence, "auto", 0.5)["needed"])
+        return float(np.mean(decisions))
+
+    assert found(0.0) < 0.01
+    assert found(1.0) > 0.75  # 0.5 where the gain itself had to be two standard errors above zero
 
 
 def test_a_given_shutter_is_judged_and_used() -> None:
@@ -162,8 +183,9 @@ def test_the_user_has_blur_where_none_is_observable() -> None:
 
 
 def test_the_threshold_on_record_is_the_one_that_decides() -> None:
-    """A gain of 0.5 +- 0.4 % is above the least gain, and chance all the same."""
+    """A gain of 0.5 +- 0.4 % is above the least gain, and chance all the same, unless it would be -0.9 % by chance."""
     sure = {"speed_px": 6.0, "shutter": 0.5, "shutter_sigma": 0.1, "slope_sigma": 0.1, "speed_agreement": 1.0}
-    for sigma, needed in ((0.1, True), (0.4, False)):
-        found = blur_rules.decide_motion_blur(sure | {"gain_percent": 0.5, "gain_sigma_percent": sigma}, "auto", None)
+    for sigma, expected, needed in ((0.1, 0.1, True), (0.4, 0.5, False), (0.4, 0.9, True)):
+        gain = {"gain_percent": 0.5, "gain_sigma_percent": sigma, "expected_percent": expected}
+        found = blur_rules.decide_motion_blur(sure | gain, "auto", None)
         assert found["needed"] == needed == (found["statistic"] >= found["threshold"])

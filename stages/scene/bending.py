@@ -13,15 +13,19 @@ import cv2
 import numpy as np
 
 from stages.scene import rigid_motion
-from stages.scene.geometry import BLOCK_PX, LONGEST, MIN_CONFIDENCE, RIDGE
+from stages.scene.geometry import BLOCK_PX, LONGEST, RIDGE
 from stages.scene.observed import Observed
 from stages.scene.rigid_motion import Patch
 from stages.scene.weigh import Bought, weigh
+from stages.shared.warp import warp
 
 FRAMES, REGIONS = 12, 4
 """Frames whose movers are judged, spread over the clip, and how many regions of a frame, the largest ones."""
 MARGIN_PX = 2
 """At the border of a mover the flow is in part that of what is behind."""
+BACK_PX = 0.5
+"""Flow is trusted that leads back to within this distance. Its confidence is not asked: that of flow which varies
+within a few pixels is low, as at motion boundaries, but so varies the flow of what rolls or bends."""
 POINTS, MIN_POINTS, MIN_FITTED = 400, 60, 30
 """Pixels of a patch: at most, at least, and at least of those fitted to a frame."""
 STATIC_SHARE = 0.9
@@ -151,7 +155,7 @@ def _patch(seen: Observed, k: int, mask: np.ndarray) -> Patch | None:
     chosen = np.zeros_like(mask)
     chosen[::step, ::step] = mask[::step, ::step]
     edges = np.flatnonzero((seen.edges[:, 0] == k) & (np.abs(seen.offsets) <= LONGEST))
-    good = np.array([seen.confidence[e][chosen] >= MIN_CONFIDENCE for e in edges]).reshape(len(edges), chosen.sum())
+    good = np.array([_leads_back(seen, int(e))[chosen] for e in edges]).reshape(len(edges), chosen.sum())
     sure = good.sum(axis=1) >= MIN_POINTS
     tracked = good[sure].sum(axis=0) >= 2
     if tracked.sum() < MIN_POINTS:
@@ -159,6 +163,14 @@ def _patch(seen: Observed, k: int, mask: np.ndarray) -> Patch | None:
     edges, uv = edges[sure], np.argwhere(chosen)[tracked, ::-1].astype(float)
     flow = np.array([seen.flow[e][chosen][tracked] for e in edges], float)
     return Patch(uv, flow, good[sure][:, tracked], seen.Ks[k], seen.Ks[seen.edges[edges, 1]])
+
+
+def _leads_back(seen: Observed, edge: int) -> np.ndarray:
+    """Pixels [h, w] whose flow along an edge is known, ends in the frame, and returns along the opposite edge."""
+    opposite = np.flatnonzero((seen.edges == seen.edges[edge, ::-1]).all(axis=1))[0]
+    there = seen.flow[edge]
+    apart = np.linalg.norm(there + warp(seen.flow[opposite], there), axis=-1)
+    return np.asarray((apart < BACK_PX) & (seen.confidence[edge] > 0))
 
 
 def _spacing(uv: np.ndarray) -> float:

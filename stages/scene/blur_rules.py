@@ -3,6 +3,7 @@
 from typing import Any
 
 from stages.scene.rules import Choice
+from stages.scene.weigh import SIGNIFICANT
 
 MIN_SPEED_PX = 1.5
 """Below this speed per frame no shutter smears anything visibly."""
@@ -10,8 +11,9 @@ MAX_SLOPE_SIGMA = 1 / 3
 """Above, a shutter open for half of the time cannot be told from one that smears nothing, at three deviations."""
 MIN_AGREEMENT = 0.5
 """Below, the speeds of a point differ between frames by no more than the errors of the flow."""
-MIN_GAIN_PERCENT, MIN_SIGMAS, MIN_SMEAR_PX = 0.3, 2.0, 1.0
-"""Without blur the gain was at most 0.04 per cent, on the tuned scenes where it is observable."""
+MIN_GAIN_PERCENT, MIN_SIGMAS, MIN_SMEAR_PX = 0.3, 3.0, 1.0
+"""Without blur the gain was at most 0.04 per cent, on the tuned scenes where it is observable. Its mean there is as far
+below zero as a right shutter is above: it must be MIN_SIGMAS standard errors above that mean, not above zero."""
 USUAL_SHUTTER = 0.5
 """Of cameras for film, in frames: what is used if the user wants blur where the shutter is not observable."""
 
@@ -24,10 +26,11 @@ def decide_motion_blur(evidence: dict[str, float], choice: Choice, given: float 
     Args:
         evidence: of `shutter.shutter_evidence`. given: the user's shutter.
     """
-    speed, (gain, sigma) = evidence["speed_px"], (evidence.get(f"gain_{s}percent", 0.0) for s in ("", "sigma_"))
+    names = ("gain_percent", "gain_sigma_percent", "expected_percent")
+    speed, (gain, sigma, expected) = evidence["speed_px"], (evidence.get(name, 0.0) for name in names)
     observable = evidence.get("speed_agreement", 0.0) >= MIN_AGREEMENT and evidence["slope_sigma"] <= MAX_SLOPE_SIGMA
     smear = evidence.get("shutter", 0.0) * speed
-    threshold = max(MIN_GAIN_PERCENT, MIN_SIGMAS * sigma)
+    threshold = max(MIN_GAIN_PERCENT, MIN_SIGMAS * sigma - expected)
     needed = gain >= threshold and smear >= MIN_SMEAR_PX
     if speed < MIN_SPEED_PX:
         why = f"not observable: nothing moves faster than {speed:.1f} px per frame (threshold {MIN_SPEED_PX} px)"
@@ -46,7 +49,7 @@ def decide_motion_blur(evidence: dict[str, float], choice: Choice, given: float 
     return {
         "needed": modelled,
         "statistic": gain,
-        "interval": [gain - MIN_SIGMAS * sigma, gain + MIN_SIGMAS * sigma],
+        "interval": [gain - SIGNIFICANT * sigma, gain + SIGNIFICANT * sigma],
         "threshold": threshold,
         "unit": "% of the difference",
         "evidence": evidence,

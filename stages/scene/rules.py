@@ -34,8 +34,9 @@ MIN_VIEW_DEG = 0.5
 """Median range of the views. The direction to a highlight's middle turns by half of it, less than the sun is wide: what
 changes over so few views changes with time."""
 MIN_BENDING_PX, NOISE_FACTOR = 0.08, 2.0
-"""Over frames up to five apart: an edge of ten grey levels per pixel is wrong by about one. Single boxes reach
-0.03 (tuned scenes), blocks that come apart 0.18. Factor: over the same on static patches, which do not bend."""
+"""Over frames up to five apart: an edge of ten grey levels per pixel is wrong by about one. Single boxes reach 0.02
+(tuned scenes), a ball that rolls by 10 degrees per frame 0.04, blocks that come apart 0.22. Factor: over the same on
+static patches, which do not bend."""
 RIGID_POINTS, BENDING_POINTS = 256, 512
 RIGID_ARAP, BENDING_ARAP = 0.5, 0.05
 """Held-out PSNR hardly depends on the number of points; on non-rigid movers a strong rigidity costs up to 0.9 dB."""

@@ -60,8 +60,8 @@ def shutter_evidence(seen: Observed, least_px: float, given: float | None = None
         speed_px: per frame, exceeded by a twentieth of the pixels of the fastest frame; the others are missing if it is
         below `least_px`. speed_agreement: as `_agreement`. shutter, shutter_sigma: open time in frames, 0..1, and its
         standard error. gain_percent, gain_sigma_percent: share of the squared difference between frames that the blur
-        predicts, and its standard error. slope_sigma: standard error of the slope at half a frame: 0 is no blur, 1 that
-        of this shutter.
+        predicts, and its standard error. expected_percent: the gain if the shutter is right; its negative if there is
+        no blur. slope_sigma: standard error of the slope at half a frame: 0 is no blur, 1 that of this shutter.
     """
     F = len(seen.dynamic)
     motion = functools.lru_cache(HELD_FRAMES)(functools.partial(_motion, seen))

@@ -12,9 +12,10 @@ TESTED = 3
 def judge(sums: np.ndarray, given: float | None) -> dict[str, float]:
     """The evidence about the shutter, as `shutter.shutter_evidence` returns it, from sums [3, SHUTTERS, tiles].
 
-    A tile saves 2 <a, b> - <b, b>, and <b, b> if the shutter is right. How much the tiles differ in what they save
-    holds more than chance, since movers fill few of them. So does how much they differ from what is expected, if the
-    shutter is a little wrong. Both bound the standard error of the gain: the smaller one counts.
+    A tile saves 2 <a, b> - <b, b>: <b, b> if the shutter is right, and -<b, b> on average if there is no blur. How much
+    the tiles differ in what they save holds more than chance, since movers fill few of them. So does how much they
+    differ from what is expected, if the shutter is a little wrong. Both bound the standard error of the gain: the
+    smaller one counts.
     """
     n = sums.shape[-1]
     odd = (np.arange(n) // TILES[1] + np.arange(n) % TILES[1]) % 2 == 1
@@ -30,6 +31,7 @@ def judge(sums: np.ndarray, given: float | None) -> dict[str, float]:
         "shutter_sigma": _jackknife([_best(part) for part in without]) if given is None else 0.0,
         "gain_percent": 100 * float(saved.sum() / max(before.sum(), 1e-12)),
         "gain_sigma_percent": 100 * sigma / max(float(before.sum()), 1e-12),
+        "expected_percent": 100 * float(expected.sum() / max(before.sum(), 1e-12)),
         "slope_sigma": _jackknife([float(_slopes(part)[TESTED]) for part in without]),
     }
 
