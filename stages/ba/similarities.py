@@ -35,7 +35,7 @@ class Similarities(NamedTuple):
         """[n, 7, 7] that takes a small step on the right of each to the same step on its left."""
         A = np.zeros((len(self.s), 7, 7))
         A[:, :3, :3] = self.s[:, None, None] * self.R
-        A[:, :3, 3:6] = np.stack([lie.skew(t) for t in self.t]) @ self.R
+        A[:, :3, 3:6] = lie.skew(self.t) @ self.R
         A[:, :3, 6] = -self.t
         A[:, 3:6, 3:6] = self.R
         A[:, 6, 6] = 1
