@@ -238,7 +238,7 @@ def test_what_the_image_cuts_off_stands_before_the_ground_beside_it() -> None:
     region = np.zeros((20, 24), bool)
     region[4:, 8:14] = True
     inverse = contact_inverse_depth(region, inverse_depth, ~region)
-    assert inverse_depth[-1].max() < inverse < 1.5 * inverse_depth[-1].max()
+    assert inverse_depth[-1].max() < inverse < 2 * inverse_depth[-1].max()
     region[-1] = False  # its feet are seen: it stands on row 19
     assert contact_inverse_depth(region, inverse_depth, ~region) == pytest.approx(1.1)
 

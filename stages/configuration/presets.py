@@ -14,7 +14,6 @@ PRESETS: dict[Preset, Overrides] = {
         "flow.offsets": (1, 2, 4),
         "flow.long_edges": 1,
         "ba.start_focals": (1.05,),
-        "control.steps": 200,
         "gaussians.steps": 400,
         "gaussians.stride_px": 3,
     },

@@ -28,7 +28,8 @@ of its rate over the root of how often it is. With 6 of 875 frames a step the me
 OBSERVATIONS_PER_FRAME = 1000
 MOST_AT_ONCE = 500_000
 """Observations whose residuals are computed together."""
-STUCK_PX, STUCK_P90_PX = 0.5, 3.0
+STUCK_PX, STUCK_P90_PX = 0.5, 2.0
+"""With 256 points one in ten tracks of large_object is off by 2.2 px, with 1000 by 0.5: held-out movers gain 2.0 dB."""
 NOISE_PX = 0.2
 """Noise of the tracks: a median residual below it is never called stuck."""
 

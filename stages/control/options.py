@@ -27,7 +27,7 @@ class ControlOptions(SplitOptions):
     arap: Literal["auto"] | Annotated[float, Field(ge=0, le=10)] = Field(
         "auto", description="weight of rigidity in both stages; auto: small, larger where the tracks are noisy; 0: off"
     )
-    steps: int = Field(400, ge=0, le=20000, description="optimisation steps of stage 1")
+    steps: int = Field(600, ge=0, le=20000, description="optimisation steps of stage 1")
     learning_rate: float = Field(0.002, gt=0, le=1, description="Adam's step for the motion, in extents of the points")
     track_stride_px: int = Field(2, ge=1, le=16, description="pixels of the flow grid between neighbouring tracks")
     time_frequencies: int = Field(2, ge=0, le=4, description="frequencies of the network's time encoding; more overfit")
