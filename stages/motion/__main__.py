@@ -5,10 +5,11 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from stages.motion import epipolar, photometric, resweep
+from stages.motion import drift, epipolar, photometric, resweep
 from stages.motion.epipolar import Evidence
 from stages.motion.options import MotionOptions
 from stages.motion.pooling import pool
+from stages.motion.static_paths import StaticScene
 from stages.shared import cli, drawing
 from stages.shared.artifacts import read_dense, read_metadata, write_dense
 from stages.shared.cameras import Cameras, read_cameras, scale_intrinsics
@@ -43,8 +44,8 @@ def main(
 
     Without cameras the evidence is the epipolar residual of the flow over many frame pairs (the homography residual
     where no pair shows parallax). With the cameras of the previous round it is the residual at the best depth of each
-    pixel; where flow is unreliable, the images must confirm it. Both are pooled along the flow. The metadata of the
-    output says which was used, and why.
+    pixel, which the images must confirm where flow is unreliable, and the drift of long tracks, which shows slow
+    motion. Evidence is pooled along the flow. The metadata of the output says which was used, and why.
     """
     frames = read_sequence(sequence)
     matched, scale = read_dense(flow), float(read_metadata(flow)["scale"])
@@ -113,7 +114,9 @@ def _from_cameras(
     evidence, inverse_depth, sigma_px = resweep.camera_evidence(
         pairs, *seen, resweep.resample(depth["inverse_depth"], stride_px * scale, h, w)
     )
-    evidence = photometric.corroborate(evidence, rgb, pairs, resweep.projections(pairs, *seen), inverse_depth)
+    drifting = drift.drifting(StaticScene(pairs, rgb, seen, inverse_depth, evidence.residual), rgb)
+    lines = resweep.projections(pairs, *seen)
+    evidence = photometric.corroborate(evidence, rgb, pairs, lines, inverse_depth, drifting)
     rotating = set(cameras.status[~unobserved]) == {"rotation-only"}
     model = "rotations: the camera does not translate" if rotating else "depth re-sweep"
     return evidence, {"source": "cameras", "model": model, "sigma_px": sigma_px}

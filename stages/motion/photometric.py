@@ -46,6 +46,7 @@ def corroborate(
     pairs: FlowPairs,
     projections: tuple[np.ndarray, np.ndarray],
     inverse_depth: np.ndarray,
+    drifting: np.ndarray | None = None,
 ) -> Evidence:
     """Evidence whose residual is reduced where flow is unreliable and the images do not confirm motion.
 
@@ -57,6 +58,7 @@ def corroborate(
         evidence: residual [T, h, w] of the flow to a static world, and its weight.
         rgb: [T, h, w, 3] uint8 frames on the flow grid.
         projections: A [E, 3, 3] and b [E, 3] of `resweep`; inverse_depth: [T, h, w] in the units of b.
+        drifting: [T, h, w] of `drift`, which pictures have confirmed already; a residual below it is raised to it.
     """
     T = len(rgb)
 
@@ -67,12 +69,14 @@ def corroborate(
         edges = edges[np.abs(i - pairs.target[edges]) <= flow_pairs.REACH]
         confidence = pairs.confidence[edges].astype(np.float32)
         reliability = confidence.sum(axis=0) / (RELIABLE * max(len(edges), 1))
-        depths = _static_depths(inverse_depth[i].astype(np.float32), evidence.residual[i])
+        depths = static_depths(inverse_depth[i].astype(np.float32), evidence.residual[i])
         near = edges[np.abs(i - pairs.target[edges]) <= REACH]
         cameras = projections[0][near], projections[1][near]
         targets, flows = pairs.target[near], pairs.flow[near]
         contradicted = _contradicted(frames, i, targets, flows, cameras, depths)
         residual = evidence.residual[i] * np.maximum(np.minimum(reliability, 1), contradicted)
+        if drifting is not None:
+            residual = np.maximum(residual, drifting[i])
         plane = surrounding_plane(inverse_depth[i], (1 - evidence.residual[i]) ** STATIC_POWER * evidence.weight[i])
         residual *= 1 - at_rest(details, i, rgb[i], targets, flows, cameras, plane)
         weight = max((confidence > 0.5).mean(), PRIOR_WEIGHT) if len(edges) else 0
@@ -89,7 +93,7 @@ def corroborate(
     return Evidence(residual, weight)
 
 
-def _static_depths(inverse_depth: np.ndarray, residual: np.ndarray) -> list[np.ndarray]:
+def static_depths(inverse_depth: np.ndarray, residual: np.ndarray) -> list[np.ndarray]:
     """Candidate inverse depths [h, w] of a static pixel: the smoothed estimate, the farthest and nearest around it.
 
     The flow of a thin or moving object leaks onto static pixels beside it, and so does the depth estimated from it.
