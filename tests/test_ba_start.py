@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 from synthetic import Scene, make_scene, observe, rotation_error_deg, trajectory_error
 
 from stages.ba import classify, dba, twoview
-from stages.ba.depth import contact_inverse_depth, depth_maps, fill, joined
+from stages.ba.depth import CUT_OFF, contact_inverse_depth, depth_maps, fill, joined
 from stages.ba.estimate import estimate
 from stages.ba.graph import FlowGraph, static_areas
 from stages.ba.guesses import PoseGuess
@@ -237,8 +237,8 @@ def test_what_the_image_cuts_off_stands_before_the_ground_beside_it() -> None:
     inverse_depth = np.where(np.arange(20) < 10, 0.1, 0.1 * (np.arange(20) - 8))[:, None] * np.ones((1, 24))
     region = np.zeros((20, 24), bool)
     region[4:, 8:14] = True
-    inverse = contact_inverse_depth(region, inverse_depth, ~region)
-    assert inverse_depth[-1].max() < inverse < 2 * inverse_depth[-1].max()
+    assert contact_inverse_depth(region, inverse_depth, ~region) == pytest.approx(CUT_OFF * 1.1)
+    assert CUT_OFF > 1
     region[-1] = False  # its feet are seen: it stands on row 19
     assert contact_inverse_depth(region, inverse_depth, ~region) == pytest.approx(1.1)
 

@@ -1,5 +1,8 @@
 """Drift of long tracks, against clips whose motion and errors are known to a hundredth of a pixel."""
 
+import gc
+import weakref
+
 import cv2
 import numpy as np
 import pytest
@@ -7,6 +10,7 @@ from scipy.fft import dct
 from slow_mover import FOUND, SLOW, STEP, H, T, W, cameras, evidence, frames, observed, where
 
 from stages.motion import drift, resweep, tracks
+from stages.motion.static_paths import StaticScene
 from stages.motion.tracks import Tracks, batches, sampled
 from stages.shared.warp import bilinear
 
@@ -73,6 +77,20 @@ def test_tracks_follow_the_flow_and_cover_the_frames() -> None:
         covered[batch.frame, v, u] = True
     near = cv2.dilate(covered[T // 2].astype(np.uint8), np.ones((11, 11), np.uint8))
     assert near.mean() > 0.95
+
+
+def test_what_the_static_scene_keeps_is_gone_with_its_last_use() -> None:
+    """50 frames of it are a hundred megabytes; a cycle of references would hold them until Python looks for cycles."""
+    ones = np.ones((T, H, W), np.float32)
+    scene = StaticScene(observed(STEP, STEP), frames(STEP, None), cameras(), ones, 0 * ones)
+    gc.disable()
+    try:
+        kept = weakref.ref(scene.around(0).detail)
+        assert kept() is not None
+        del scene
+        assert kept() is None
+    finally:
+        gc.enable()
 
 
 @pytest.mark.parametrize("shape", [(9, 13), (9, 13, 2)])

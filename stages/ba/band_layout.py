@@ -38,14 +38,16 @@ class Layout:
     @property
     def work(self) -> float:
         """Multiplications of a factorisation: of the band, of the border with it, and of the border."""
-        return float(self.band) * (self.width**2 + 2 * self.width * self.border + self.border**2)
+        along = self.width**2 + 2 * self.width * self.border + self.border**2
+        return float(self.band) * along + self.border**3 / 3
 
 
 def layout(graph: FlowGraph, size: int, free: np.ndarray, zoom: bool) -> Layout:
     """The layout of `size` unknowns, of which `free` are solved for; with `zoom` every frame has a focal length.
 
     What all frames share stands in the border. The frames keep their order, or are folded where loops join them, or
-    keep their order but for the ends of loops, which stand in the border: whatever takes least work.
+    keep their order but for the ends of loops, which stand in the border: whatever takes least work. Where every frame
+    is such an end, nothing would be left along the band.
     """
     T, links = graph.T, _links(graph, zoom)
     of_frame = [6 * np.arange(T)[:, None] + np.arange(6)] + ([6 * T + np.arange(T)[:, None]] if zoom else [])
@@ -55,7 +57,8 @@ def layout(graph: FlowGraph, size: int, free: np.ndarray, zoom: bool) -> Layout:
     ends = np.unique(graph.source[np.abs(graph.target - graph.source) > REACH])
     folded = reverse_cuthill_mckee(links, symmetric_mode=True)
     orders = [np.arange(T), folded] + ([np.setdiff1d(np.arange(T), ends)] if len(ends) else [])
-    return min((_placed(links, unknowns, is_free, order) for order in orders), key=lambda at: at.work)
+    found = [_placed(links, unknowns, is_free, order) for order in orders]
+    return min((at for at in found if at.band), key=lambda at: at.work)
 
 
 def _placed(links: csr_matrix, unknowns: np.ndarray, is_free: np.ndarray, order: np.ndarray) -> Layout:

@@ -1,7 +1,7 @@
 """Where the static scene takes the pixels of tracks: cameras, the depths around them, and what the cameras miss."""
 
 from collections.abc import Callable
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -74,9 +74,9 @@ class StaticScene:
         Args:
             inverse_depth, residual: [T, h, w] of `resweep.camera_evidence`.
         """
-        self.pairs, self._rgb, self._cameras = pairs, rgb, cameras
-        self._inverse_depth, self._residual = inverse_depth, residual
-        self.around: Callable[[int], Surroundings] = lru_cache(2 * REACH + 2)(self._around)
+        self.pairs, self._cameras = pairs, cameras
+        of_frame = partial(_around, pairs, rgb, cameras, inverse_depth, residual)  # a method would keep its own cache
+        self.around: Callable[[int], Surroundings] = lru_cache(2 * REACH + 2)(of_frame)
 
     def projections(self, i: np.ndarray, j: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """A [k, 3, 3] and b [k, 3] from frames i [k] to frames j [k]."""
@@ -98,7 +98,7 @@ class StaticScene:
         coefficients = np.zeros((len(uv), 3, 2))
         for k, rows in by_frame(frames):
             coefficients[rows] = self.around(k).common
-        return np.einsum("kc,kcx->kx", self._affine(uv), coefficients)
+        return np.einsum("kc,kcx->kx", _affine(uv, self.pairs.confidence.shape[1:]), coefficients)
 
     def confidence(self, frames: np.ndarray, uv: np.ndarray) -> np.ndarray:
         """Confidence [k] of the flow from pixels uv [k, 2] of frames [k] to the next; 0 on what is burnt in."""
@@ -117,35 +117,50 @@ class StaticScene:
             found[rows] = bilinear(self.around(k).detail, uv[rows, None] + offsets)
         return found
 
-    def _around(self, k: int) -> Surroundings:
-        own, far, near = static_depths(self._inverse_depth[k].astype(np.float32), self._residual[k])
-        far, near = np.minimum(far, own), np.maximum(near, own)
-        return Surroundings(far, near, own, log_detail(self._rgb[k])[..., 1], self._common(k, far, near))
 
-    def _common(self, k: int, far: np.ndarray, near: np.ndarray) -> np.ndarray:
-        """Coefficients [3, 2] of `Surroundings.common`, by iteratively reweighted least squares."""
-        edge = self.pairs.edges.get((k, k + 1))
-        if edge is None:
-            return np.zeros((3, 2))
-        grid = slice(COARSE // 2, None, COARSE), slice(COARSE // 2, None, COARSE)
-        uv = self.pairs.pixels[grid].reshape(-1, 2).astype(float)
-        moved = uv + self.pairs.flow[edge][grid].reshape(-1, 2)
-        A, b = self.projections(np.array([k]), np.array([k + 1]))
-        projected = Projected(A[0], b[0], uv)
-        residual = moved - projected.at(np.clip(projected.nearest(moved), far[grid].ravel(), near[grid].ravel()))
-        basis, confidence = self._affine(uv), self.pairs.confidence[edge][grid].ravel().astype(float)
-        left, weight = residual, confidence
-        for scale_px in np.repeat(COMMON_PX, ITERATIONS):
-            weighted = basis * weight[:, None]
-            common = np.linalg.solve(weighted.T @ basis + RIDGE * np.eye(3), weighted.T @ residual)
-            left = residual - basis @ common
-            weight = confidence / (1 + (left**2).sum(axis=1) / scale_px**2) ** 2
-        return np.asarray(common)
+def _around(
+    pairs: FlowPairs,
+    rgb: np.ndarray,
+    cameras: tuple[np.ndarray, np.ndarray],
+    inverse_depth: np.ndarray,
+    residual: np.ndarray,
+    k: int,
+) -> Surroundings:
+    """The `Surroundings` of frame k; the other arguments are those of `StaticScene`."""
+    own, far, near = static_depths(inverse_depth[k].astype(np.float32), residual[k])
+    far, near = np.minimum(far, own), np.maximum(near, own)
+    detail = np.ascontiguousarray(log_detail(rgb[k])[..., 1])  # a view would keep its other channel too
+    return Surroundings(far, near, own, detail, _common(pairs, cameras, k, far, near))
 
-    def _affine(self, uv: np.ndarray) -> np.ndarray:
-        """1 and the coordinates of pixels uv [k, 2], in half widths from the centre of the frame, [k, 3]."""
-        h, w = self.pairs.confidence.shape[1:]
-        return np.column_stack([np.ones(len(uv)), (uv - [(w - 1) / 2, (h - 1) / 2]) / (w / 2)])
+
+def _common(
+    pairs: FlowPairs, cameras: tuple[np.ndarray, np.ndarray], k: int, far: np.ndarray, near: np.ndarray
+) -> np.ndarray:
+    """Coefficients [3, 2] of `Surroundings.common`, by iteratively reweighted least squares."""
+    edge = pairs.edges.get((k, k + 1))
+    if edge is None:
+        return np.zeros((3, 2))
+    grid = slice(COARSE // 2, None, COARSE), slice(COARSE // 2, None, COARSE)
+    uv = pairs.pixels[grid].reshape(-1, 2).astype(float)
+    moved = uv + pairs.flow[edge][grid].reshape(-1, 2)
+    poses, Ks = cameras
+    A, b = projection((poses[k], Ks[k]), (poses[k + 1], Ks[k + 1]))
+    projected = Projected(A, b, uv)
+    residual = moved - projected.at(np.clip(projected.nearest(moved), far[grid].ravel(), near[grid].ravel()))
+    basis, confidence = _affine(uv, pairs.confidence.shape[1:]), pairs.confidence[edge][grid].ravel().astype(float)
+    left, weight = residual, confidence
+    for scale_px in np.repeat(COMMON_PX, ITERATIONS):
+        weighted = basis * weight[:, None]
+        common = np.linalg.solve(weighted.T @ basis + RIDGE * np.eye(3), weighted.T @ residual)
+        left = residual - basis @ common
+        weight = confidence / (1 + (left**2).sum(axis=1) / scale_px**2) ** 2
+    return np.asarray(common)
+
+
+def _affine(uv: np.ndarray, size: tuple[int, ...]) -> np.ndarray:
+    """1 and the coordinates of pixels uv [k, 2], in half widths from the centre of a frame of size h, w, [k, 3]."""
+    h, w = size
+    return np.column_stack([np.ones(len(uv)), (uv - [(w - 1) / 2, (h - 1) / 2]) / (w / 2)])
 
 
 def by_frame(frames: np.ndarray) -> list[tuple[int, np.ndarray]]:

@@ -151,14 +151,18 @@ class GaussianScene(torch.nn.Module):
 
     def opacities_at(self, time: float) -> tuple[Tensor, Tensor | None]:
         """Opacities [M] at `time` 0..1 of the Gaussians that are there then, and their rows; None: all of them."""
-        rows, n = self.rows_at(time), self.n_static
-        opacities = rows_of(self.gaussians["logits"], rows).sigmoid()
+        rows = self.rows_at(time)
+        return self._opacities(time, rows), rows
+
+    def _opacities(self, time: float, rows: Tensor | None) -> Tensor:
+        """Opacities at `time` of the Gaussians in `rows`; None: all of them."""
+        opacities, n = rows_of(self.gaussians["logits"], rows).sigmoid(), self.n_static
         if not self.fading:
-            return opacities, None
+            return opacities
         parts = [n, len(opacities) - n]
         still, peak = opacities.split_with_sizes(parts)
         births, spans = rows_of(self.births, rows), rows_of(self.gaussians["log_spans"], rows)
-        return torch.cat([still, peak * presence(births[n:], spans.split_with_sizes(parts)[1], time)]), rows
+        return torch.cat([still, peak * presence(births[n:], spans.split_with_sizes(parts)[1], time)])
 
     @torch.no_grad()
     def rows_at(self, time: float) -> Tensor | None:
@@ -193,7 +197,7 @@ class GaussianScene(torch.nn.Module):
         """`place` by torch's operations: for accelerators, and the oracle of the kernel; arguments as in `at`."""
         means, quats, sh_dc = self.at(time, detach, rows)
         scales = rows_of(self.gaussians["log_scales"], rows).exp()
-        return Placed(means, quats, scales, self.opacities_at(time)[0], sh_dc)
+        return Placed(means, quats, scales, self._opacities(time, rows), sh_dc)
 
     def render(
         self, time: float, viewmat: Tensor, K: Tensor, width: int, height: int, detach: bool = False

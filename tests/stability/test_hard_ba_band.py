@@ -112,6 +112,18 @@ def test_the_ends_of_few_loops_stand_in_the_border(
     assert_covariances_agree(graph, path[1], unknowns)
 
 
+def test_where_every_frame_is_the_end_of_a_loop_none_is_apart(
+    path: tuple[FlowGraph, State], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The camera turns round and round: with all of its frames in the border no band would be left to be factored."""
+    graph = loops(path[0], [(k, k + T // 2) for k in range(T // 2)])
+    for reach in (6, 0):
+        monkeypatch.setattr(band_layout, "REACH", reach)
+        at = layout(graph, 6 * T + 1, Unknowns(focal=True).indices(T), False)
+        assert (at.band, at.border) == (6 * (T - 1), 1)
+        assert_same_step(graph, path[1], Unknowns(focal=True))
+
+
 @pytest.mark.parametrize("n", [1, 7, 12, 30])
 @pytest.mark.parametrize("width", [1, 4, 12])
 def test_substitution_of_many_sides_is_that_of_one_after_the_other(n: int, width: int) -> None:
