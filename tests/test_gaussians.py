@@ -106,14 +106,16 @@ def test_a_killed_training_resumes_to_the_same_result(monkeypatch: pytest.Monkey
 
 def test_training_does_not_depend_on_the_thread_count(monkeypatch: pytest.MonkeyPatch) -> None:
     losses, before = [], torch.get_num_threads()
-    for threads in (1, 2, 3):
-        monkeypatch.setenv("OMP_NUM_THREADS", str(threads))
-        torch.set_num_threads(threads)
-        seen = truth.observations(TRAIN)
-        trainer = Trainer(coloured_scene(seen), seen, GaussiansOptions(steps=8), arap_weight=0.01)
-        trainer.run(lambda _: None)
-        losses.append(trainer.history.loss)
-    torch.set_num_threads(before)
+    try:
+        for threads in (1, 2, 3):
+            monkeypatch.setenv("OMP_NUM_THREADS", str(threads))
+            torch.set_num_threads(threads)
+            seen = truth.observations(TRAIN)
+            trainer = Trainer(coloured_scene(seen), seen, GaussiansOptions(steps=8), arap_weight=0.01)
+            trainer.run(lambda _: None)
+            losses.append(trainer.history.loss)
+    finally:
+        torch.set_num_threads(before)
     assert losses[0] == losses[1] == losses[2]
 
 
