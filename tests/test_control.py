@@ -96,7 +96,7 @@ def run_fit(
     folder: Path, paths: dict[str, Path], needed: bool = True, *more: str
 ) -> tuple[dict, dict[str, np.ndarray]]:
     scene = folder / "scene.json"
-    decision = {"dynamic": {"needed": needed}, "non_rigid": {"points": 64, "arap_weight": 0.05}}
+    decision = {"dynamic": {"needed": needed}, "non_rigid": {"arap_weight": 0.05}}
     scene.write_text(json.dumps(decision))
     outputs = {"points": "points.parquet", "deformation": "deformation.safetensors", "figure": "control.png"}
     flags = paths | {"scene": scene} | {flag: folder / name for flag, name in outputs.items()}

@@ -55,7 +55,7 @@ def fit_body(
     seen = sightings_of(all_moved[:, frames], frames, T, depth_error)
     cameras = make_cameras(np.tile(np.eye(4), (T, 1, 1)), centred_intrinsics(200.0, 256, 192), np.arange(1, T + 1))
     options = ControlOptions(**{"control_points": 60, "steps": 120, **changes})
-    model, report = stage1.fit_sightings(seen, cameras, {"points": 60, "arap_weight": 0.05}, options)
+    model, report = stage1.fit_sightings(seen, cameras, 0.05, options)
     assert model is not None
     return model, report, seen, all_moved
 
@@ -87,10 +87,12 @@ def test_the_table_follows_a_turning_body_and_the_frames_left_out() -> None:
         assert np.median(np.linalg.norm(uv - truth, axis=1)) < 1.0
 
 
-def test_a_long_clip_is_fitted_as_well_as_a_short_one_in_as_many_steps() -> None:
+def test_a_long_clip_takes_more_frames_into_a_step(monkeypatch: pytest.MonkeyPatch) -> None:
     """A frame that is seldom drawn moves far when it is: Adam divides by how often."""
-    short, long = (fit_body(T=T, steps=30, control_points=24, learning_rate=0.02)[1] for T in (17, 241))
-    assert long["p90_px"] < 1.1 * short["p90_px"]
+    found = fit_body(T=241, steps=60, control_points=24, learning_rate=0.02)[1]
+    monkeypatch.setattr(fitting, "SHARE_PER_STEP", 0)
+    naive = fit_body(T=241, steps=60, control_points=24, learning_rate=0.02)[1]
+    assert found["p90_px"] < 0.8 * naive["p90_px"]
 
 
 def test_poor_depth_of_the_movers_does_not_spoil_their_image() -> None:
@@ -108,19 +110,17 @@ def test_the_network_learns_from_the_table() -> None:
     assert report["median_px"] < 0.5
 
 
-@pytest.mark.parametrize(("T", "attempts"), [(17, 3), (129, 2)])
-def test_motion_that_cannot_be_explained_is_reported_after_other_attempts(T: int, attempts: int) -> None:
-    """Every track goes its own way: no motion of control points carries them. A long clip begins with more of them."""
+@pytest.mark.parametrize("T", [17, 129])
+def test_motion_that_cannot_be_explained_is_reported_after_another_attempt(T: int) -> None:
+    """Every track goes its own way: no motion of control points carries them."""
     rng = np.random.default_rng(0)
     frames = np.flatnonzero(training(T))
     scattered = turning_body(frames / (T - 1))[0] + np.cumsum(rng.normal(0, 0.1, (400, len(frames), 3)), axis=1)
     cameras = make_cameras(np.tile(np.eye(4), (T, 1, 1)), centred_intrinsics(200.0, 256, 192), np.arange(1, T + 1))
-    options = ControlOptions(steps=10)
-    _, report = stage1.fit_sightings(
-        sightings_of(scattered, frames, T), cameras, {"points": 16, "arap_weight": 0.05}, options
-    )
+    options = ControlOptions(steps=10, control_points=64)
+    _, report = stage1.fit_sightings(sightings_of(scattered, frames, T), cameras, 0.05, options)
     assert report["status"] == "stuck"
-    assert report["attempts"] == attempts
+    assert report["attempts"] == 2
     assert report["control_points"] == 64
 
 
@@ -132,7 +132,7 @@ def test_a_noisy_fit_is_more_rigid_and_never_beyond_the_scene() -> None:
     options = ControlOptions(steps=20, control_points=30)
 
     def weight(tracks: Sightings, most: float, choice: ControlOptions = options) -> float:
-        return stage1.fit_sightings(tracks, cameras, {"points": 30, "arap_weight": most}, choice)[1]["arap_weight"]
+        return stage1.fit_sightings(tracks, cameras, most, choice)[1]["arap_weight"]
 
     assert weight(noisy, 0.5) > weight(seen, 0.5) >= stage1.MIN_ARAP
     assert weight(noisy, stage1.MIN_ARAP) == stage1.MIN_ARAP

@@ -68,7 +68,7 @@ def _fit(
         status = "the poses failed" if failed else "the scene has no moving parts"
         return None, {"status": status, "arap_weight": 0.0, "region": options.region}
     seen = _sightings(sequence, *files, cameras, options)
-    model, metadata = stage1.fit_sightings(seen, cameras, needs["non_rigid"], options)
+    model, metadata = stage1.fit_sightings(seen, cameras, needs["non_rigid"]["arap_weight"], options)
     if metadata["status"] != "fitted":
         logger.warning("control points: %s; look at the figure and the residual in the metadata", metadata["status"])
     return model, metadata

@@ -12,7 +12,7 @@ class ControlOptions(SplitOptions):
     """Control points and their motion (stage 1)."""
 
     control_points: Literal["auto"] | Annotated[int, Field(ge=1, le=4096)] = Field(
-        "auto", description="number of control points; auto: what scene.json found"
+        "auto", description="number of control points; auto: 1000, or as many as there are tracks"
     )
     added_share: float = Field(
         0, ge=0, le=0.9, description="share of the control points that is added halfway, where the gradient is high"

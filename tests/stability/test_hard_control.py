@@ -81,7 +81,7 @@ def test_one_track_at_the_horizon_does_not_lengthen_the_steps() -> None:
     seen = sightings(np.arange(F), np.linspace(0, 1, F), every, uv, depth, np.full(depth.shape, 0.02), moved)
     cameras = make_cameras(np.tile(np.eye(4), (F, 1, 1)), K, np.arange(1, F + 1))
     options = ControlOptions(control_points=100, steps=80)
-    _, report = stage1.fit_sightings(seen, cameras, {"points": 100, "arap_weight": 0.05}, options)
+    _, report = stage1.fit_sightings(seen, cameras, 0.05, options)
     assert report["attempts"] == 1
     assert report["median_px"] < 0.2
     assert report["p90_px"] < 1.0
