@@ -5,7 +5,7 @@ import ctypes
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3
 """Parameters of glibc's mallopt (malloc.h)."""
 KEPT_BYTES, MOST_BYTES = 1 << 30, 1 << 25
-"""Arrays up to this size, and what versions that refuse it take: DEFAULT_MMAP_THRESHOLD_MAX (man mallopt)."""
+"""Size up to which freed arrays are kept; where glibc refuses it, its DEFAULT_MMAP_THRESHOLD_MAX (man mallopt)."""
 
 
 def keep_freed_memory() -> bool:
