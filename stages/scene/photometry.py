@@ -17,6 +17,9 @@ LEAST_GREY, LEAST_SHARE = 0.7, 0.15
 LEAST_FOG_GREY, LEAST_FOG_SHARE = 0.29, 0.3
 """Of fog, which has four parameters and costs next to nothing: as much as 8 bits round off. Its share is larger, since
 it imitates whatever differs between the near ground and the rest, as bands of flicker do."""
+LIGHT_GROUPS = 300
+"""Groups of points that light is fitted to and judged on: gains and fog are few numbers. Views need all groups, since
+few of them shine."""
 MIN_DISTANCE_CHANGE = 0.02
 """Median relative range: with less, fog of any density changes hardly any colour, and none is fitted."""
 RIDGE = 1e-2
@@ -30,7 +33,7 @@ class LightEvidence(NamedTuple):
 
     Attributes:
         exposure: a gain per frame. white_balance: a gain per channel beside it. atmosphere: fog.
-        model: the parts that buy enough. fitted: its parameters, from all points.
+        model: the parts that buy enough. fitted: its parameters, from all cells.
         distance_change: median over the points of the range of their distances, over their distance.
     """
 
@@ -51,6 +54,7 @@ def light_evidence(seen: Sightings, foggy: bool = False) -> LightEvidence:
     Args:
         foggy: `fitted` has fog whether that buys enough or not, where fog is observable.
     """
+    seen = _some_groups(seen)
 
     @cache
     def errors(model: Model) -> np.ndarray:
@@ -75,6 +79,15 @@ def light_evidence(seen: Sightings, foggy: bool = False) -> LightEvidence:
         _fit_all(seen, chosen._replace(fog=chosen.fog or (foggy and observable))),
         distance_change,
     )
+
+
+def _some_groups(seen: Sightings) -> Sightings:
+    """At most LIGHT_GROUPS of the groups of points, spread over all."""
+    count = len(seen.cell) // GROUP
+    chosen = np.unique(np.linspace(0, count - 1, min(count, LIGHT_GROUPS)).astype(int))
+    rows = (GROUP * chosen[:, None] + np.arange(GROUP)).ravel()
+    of_points = (name for name in seen._fields if name != "centres")
+    return seen._replace(**{name: getattr(seen, name)[rows] for name in of_points})
 
 
 def is_worth(bought: Bought, fog: bool) -> bool:
