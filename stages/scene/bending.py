@@ -58,17 +58,26 @@ class _Errors(NamedTuple):
     bent: np.ndarray
 
 
+class _Near(NamedTuple):
+    """Edges [E] from a frame to those up to LONGEST away: flow [E, h, w, 2], and where it leads back [E, h, w] bool."""
+
+    edges: np.ndarray
+    flow: np.ndarray
+    back: np.ndarray
+
+
 def bending_evidence(seen: Observed) -> dict[int, Bending]:
     """What bending buys for each instance."""
     found = []
     frames = np.unique(np.linspace(0, len(seen.rgb) - 1, FRAMES).astype(int))
     for n, k in enumerate(frames):
-        for instance, mask in _movers(seen, k):
-            if mask.sum() < MIN_POINTS:  # its shape would be too few elsewhere, and a speck has thousands of places
-                continue
+        # The shape of fewer pixels would be too few elsewhere, and a speck has thousands of places.
+        movers = [(instance, mask) for instance, mask in _movers(seen, k) if mask.sum() >= MIN_POINTS]
+        near = _near(seen, k) if movers else None
+        for instance, mask in movers:
             beside = _static_patch(seen, k, mask, (n + 0.5) / len(frames))
             for static, where in ((False, mask), (True, beside)):
-                patch = None if where is None else _patch(seen, k, where)
+                patch = None if where is None or near is None else _patch(seen, k, near, where)
                 if patch is not None:
                     errors = (np.clip(part, -MOST_PX, MOST_PX) for part in held_out_errors(patch))
                     found.append(_Errors(instance, k, static, *errors))
@@ -149,20 +158,26 @@ def _static_patch(seen: Observed, k: int, mask: np.ndarray, place: float) -> np.
     return patch
 
 
-def _patch(seen: Observed, k: int, mask: np.ndarray) -> Patch | None:
+def _near(seen: Observed, k: int) -> _Near | None:
+    """The flow from a frame, read once for all of its movers; None where it has no edge."""
+    edges = np.flatnonzero((seen.edges[:, 0] == k) & (np.abs(seen.offsets) <= LONGEST))
+    if not len(edges):
+        return None
+    return _Near(edges, np.stack([seen.flow[e] for e in edges]), np.stack([_leads_back(seen, int(e)) for e in edges]))
+
+
+def _patch(seen: Observed, k: int, near: _Near, mask: np.ndarray) -> Patch | None:
     """Pixels of a mask with their flow to frames up to LONGEST away; None if there are too few."""
     step = max(int(np.ceil((mask.sum() / POINTS) ** 0.5)), 1)
     chosen = np.zeros_like(mask)
     chosen[::step, ::step] = mask[::step, ::step]
-    edges = np.flatnonzero((seen.edges[:, 0] == k) & (np.abs(seen.offsets) <= LONGEST))
-    good = np.array([_leads_back(seen, int(e))[chosen] for e in edges]).reshape(len(edges), chosen.sum())
+    good = near.back[:, chosen]
     sure = good.sum(axis=1) >= MIN_POINTS
     tracked = good[sure].sum(axis=0) >= 2
     if tracked.sum() < MIN_POINTS:
         return None
-    edges, uv = edges[sure], np.argwhere(chosen)[tracked, ::-1].astype(float)
-    flow = np.array([seen.flow[e][chosen][tracked] for e in edges], float)
-    return Patch(uv, flow, good[sure][:, tracked], seen.Ks[k], seen.Ks[seen.edges[edges, 1]])
+    uv, flow = np.argwhere(chosen)[tracked, ::-1].astype(float), near.flow[sure][:, chosen][:, tracked].astype(float)
+    return Patch(uv, flow, good[sure][:, tracked], seen.Ks[k], seen.Ks[seen.edges[near.edges[sure], 1]])
 
 
 def _leads_back(seen: Observed, edge: int) -> np.ndarray:

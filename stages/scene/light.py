@@ -108,7 +108,7 @@ def _noise(of: Points, error: np.ndarray) -> float:
 
 
 def _weights(of: Points, error: np.ndarray, noise: float) -> np.ndarray:
-    """Weights [n, S, 3]: squared colour, so that errors count in grey levels, times that of the robust kernel."""
+    """Weights [n, 3, S]: squared colour, so that errors count in grey levels, times that of the robust kernel."""
     ratio = of.colours * error / np.float32(KERNEL * noise)
     return np.asarray(np.where(of.usable, np.square(of.colours / (1 + ratio * ratio)), np.float32(0)))
 
@@ -121,8 +121,8 @@ def _cost(of: Points, error: np.ndarray, noise: float) -> float:
 
 def _radiance_step(weight: np.ndarray, slope: np.ndarray, error: np.ndarray) -> np.ndarray:
     """Change [n, 3] of the log radiances that fits the errors best."""
-    scatter = (weight * slope * slope).sum(axis=1)
-    return np.asarray((weight * slope * error).sum(axis=1) / np.where(scatter > 0, scatter, 1.0))
+    scatter = (weight * slope * slope).sum(axis=2)
+    return np.asarray((weight * slope * error).sum(axis=2) / np.where(scatter > 0, scatter, 1.0))
 
 
 def _step(of: Points, model: Model, state: State, error: np.ndarray, noise: float, trust: tuple[float, float]) -> State:

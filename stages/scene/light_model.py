@@ -68,7 +68,8 @@ class Points:
     Attributes:
         F: number of frames. frame: [n, S] the frames of each point, ascending, or [1, F] of all points.
         sparse: whether `frame` leaves frames out.
-        colours, usable, logs: [n, S, 3]. distance, off_axis: [n, S, 1]. unit: median distance.
+        colours, usable, logs: [n, 3, S]: sums over the sightings of a point run along memory. distance, off_axis:
+            [n, 1, S]. unit: median distance.
     """
 
     def __init__(self, seen: Sightings, rows: np.ndarray) -> None:
@@ -77,28 +78,30 @@ class Points:
         self.sparse = self.frame.shape[1] < self.F
 
         def sighted(values: np.ndarray) -> np.ndarray:
-            return values[np.arange(len(values))[:, None], self.frame] if self.sparse else values
+            kept = values[np.arange(len(values))[:, None], self.frame] if self.sparse else values
+            return np.ascontiguousarray(np.swapaxes(kept, 1, 2))
 
         self.colours, self.usable = sighted(seen.colours[rows]), sighted(usable)
         self.logs = np.log(np.maximum(self.colours, np.float32(1e-3)))
-        self.distance, self.off_axis = (sighted(part[rows])[..., None] for part in (seen.distance, seen.off_axis))
+        self.distance, self.off_axis = (sighted(part[rows][..., None]) for part in (seen.distance, seen.off_axis))
         self.unit = float(np.median(seen.distance[rows])) if len(usable) else 1.0
         self.reach, self.far_radiance = self._farthest()
 
     def spread(self, values: np.ndarray) -> np.ndarray:
-        """Values [n, S, ...] as [n, F, ...], 0 in the frames that are left out."""
+        """Values [n, 3, S] as [n, F, 3], 0 in the frames that are left out."""
+        values = np.swapaxes(values, 1, 2)
         if not self.sparse:
             return values
-        table = np.zeros((len(values), self.F, *values.shape[2:]), values.dtype)
+        table = np.zeros((len(values), self.F, values.shape[2]), values.dtype)
         table[np.arange(len(values))[:, None], self.frame] = values
         return table
 
     def _farthest(self) -> tuple[float, np.ndarray]:
         """Median distance and linear radiance [3] of the most distant sightings; their medians where there are none."""
-        seen = self.usable.all(axis=2)
+        seen = self.usable.all(axis=1)
         if not seen.any():
             return self.unit, np.full(3, 0.5)
-        distance, colours = self.distance[..., 0][seen], self.colours[seen]
+        distance, colours = self.distance[:, 0][seen], np.swapaxes(self.colours, 1, 2)[seen]
         far = distance >= np.quantile(distance, 1 - FARTHEST)
         return float(np.median(distance[far])), np.median(colours[far], axis=0).astype(float) ** DISPLAY_GAMMA
 
@@ -110,13 +113,17 @@ class Points:
         shown = float(np.exp(-extinction * self.reach))
         return np.asarray(self.far_radiance * max(1 - 2 * shown, 0.0) / max(1 - shown, LEAST_RADIANCE))
 
+    def level(self, light: Light) -> np.ndarray:
+        """Gains and vignetting [n or 1, 3, S] of a light, of the log colours."""
+        gains = np.swapaxes(light.log_gains[self.frame], 1, 2)
+        return np.asarray(gains + light.vignetting * self.off_axis, np.float32)
+
     def mean_radiance(self, light: Light) -> np.ndarray:
         """Linear radiance [n, 3] behind the fog of the mean colour of each point."""
-        count = np.maximum(self.usable.sum(axis=1), 1)
-        level = (light.log_gains[self.frame] + light.vignetting * self.off_axis).astype(np.float32)
-        shown = np.where(self.usable, np.exp(DISPLAY_GAMMA * (self.logs - level)), 0.0).sum(axis=1) / count
+        count = np.maximum(self.usable.sum(axis=2), 1)
+        shown = np.where(self.usable, np.exp(DISPLAY_GAMMA * (self.logs - self.level(light))), 0.0).sum(axis=2) / count
         clear, scattering = fog_over(light, self.distance)
-        seen_through, added = (np.where(self.usable, part, 0.0).sum(axis=1) / count for part in (clear, scattering))
+        seen_through, added = (np.where(self.usable, part, 0.0).sum(axis=2) / count for part in (clear, scattering))
         veiled = shown - light.scattered * added
         return brightened(np.maximum(veiled, LEAST_RADIANCE) / np.maximum(seen_through, LEAST_RADIANCE), np.zeros(1))
 
@@ -138,39 +145,39 @@ def fog_over(light: Light, distance: np.ndarray) -> tuple[np.ndarray, np.ndarray
 
 
 def linear_radiance(of: Points, state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Transmittance [n, S, 1], its integral [n, S, 1], and the linear radiance [n, S, 3] > 0 that is seen."""
+    """Transmittance [n, 1, S], its integral [n, 1, S], and the linear radiance [n, 3, S] > 0 that is seen."""
     clear, scattering = fog_over(state.light, of.distance)
-    surface = state.radiance[:, None].astype(np.float32) * clear
-    shown = surface + state.light.scattered.astype(np.float32) * scattering
+    surface = state.radiance[..., None].astype(np.float32) * clear
+    shown = surface + state.light.scattered[:, None].astype(np.float32) * scattering
     return clear, scattering, np.maximum(shown, np.float32(LEAST_RADIANCE))  # the sky behind black fog is black
 
 
 def errors_of(of: Points, state: State) -> np.ndarray:
-    """Errors [n, S, 3] of the logarithms of the colours."""
-    level = (state.light.log_gains[of.frame] + state.light.vignetting * of.off_axis).astype(np.float32)
-    shown = linear_radiance(of, state)[2] if state.light.extinction > 0 else state.radiance[:, None].astype(np.float32)
-    return np.asarray(of.logs - level - np.log(shown) / np.float32(DISPLAY_GAMMA))
+    """Errors [n, 3, S] of the logarithms of the colours."""
+    foggy = state.light.extinction > 0
+    shown = linear_radiance(of, state)[2] if foggy else state.radiance[..., None].astype(np.float32)
+    return np.asarray(of.logs - of.level(state.light) - np.log(shown) / np.float32(DISPLAY_GAMMA))
 
 
 def slopes_of(of: Points, state: State) -> np.ndarray:
-    """Derivatives [n, S, 3] of the log colours by the log radiances."""
+    """Derivatives [n, 3, S] of the log colours by the log radiances."""
     if state.light.extinction == 0:
         return np.full(of.colours.shape, 1 / DISPLAY_GAMMA, np.float32)
     clear, _, linear = linear_radiance(of, state)
-    return np.asarray(state.radiance[:, None].astype(np.float32) * clear / linear / np.float32(DISPLAY_GAMMA))
+    return np.asarray(state.radiance[..., None].astype(np.float32) * clear / linear / np.float32(DISPLAY_GAMMA))
 
 
 def derivatives(of: Points, model: Model, state: State) -> list[np.ndarray]:
-    """Derivatives [n, S, 3] of the log colours by vignetting, and by b and b A [3] over the median distance."""
+    """Derivatives [n, 3, S] of the log colours by vignetting, and by b and b A [3] over the median distance."""
     extras = [np.broadcast_to(of.off_axis, of.colours.shape)]
     if model.fog:
         clear, scattering, linear = linear_radiance(of, state)
         b, r, scale = state.light.extinction, of.distance, of.unit * DISPLAY_GAMMA * linear
         # d scattering / d b = (r t - (1 - t) / b) / b, which is -r^2 / 2 where b is 0
         bent = (r * clear - scattering) / b if b * of.unit > 1e-3 else -r * r / 2
-        by_b = -r * clear * state.radiance[:, None] + bent * state.light.scattered
+        by_b = -r * clear * state.radiance[..., None] + bent * state.light.scattered[:, None]
         extras.append((by_b / scale).astype(np.float32))
-        extras += [(scattering / scale * channel).astype(np.float32) for channel in np.eye(3)]
+        extras += [(scattering / scale * channel[:, None]).astype(np.float32) for channel in np.eye(3)]
     return extras
 
 

@@ -29,8 +29,8 @@ def normal_step(
     """Steps of the gains, table by table, and of the K extras, from the normal equations without the radiances.
 
     Args:
-        fitted: weights, slopes by the log radiance and errors [n, S, 3] of the sightings. extras: K derivatives
-            [n, S, 3]. gains: number of tables, 0, 1 or 3. trust: further damping of all extras but the first, as a
+        fitted: weights, slopes by the log radiance and errors [n, 3, S] of the sightings. extras: K derivatives
+            [n, 3, S]. gains: number of tables, 0, 1 or 3. trust: further damping of all extras but the first, as a
             share of their diagonal, and of the second beside it.
 
     Returns:
@@ -38,11 +38,11 @@ def normal_step(
     """
     weight, slope, error = fitted
     weighted, K = weight * slope, len(extras)
-    scatter = (weighted * slope).sum(axis=1)
+    scatter = (weighted * slope).sum(axis=2)
     inverse = np.divide(1.0, scatter, out=np.zeros_like(scatter), where=scatter > np.finfo(scatter.dtype).tiny)
 
     def clear_of_radiance(values: np.ndarray) -> np.ndarray:
-        return np.asarray(weight * (values - slope * ((weighted * values).sum(axis=1) * inverse)[:, None]))
+        return np.asarray(weight * (values - slope * ((weighted * values).sum(axis=2) * inverse)[..., None]))
 
     parts = [clear_of_radiance(values) for values in (*extras, error)]
     corner = np.array([[float(np.vdot(extra, part)) for part in parts] for extra in extras])
@@ -63,8 +63,8 @@ def normal_step(
 
 
 def _sides(of: Points, parts: list[np.ndarray], channels: range) -> np.ndarray:
-    """Sums [F, K + 1] over the sightings of each frame, of the extras and of the errors [n, S, 3]."""
-    return np.stack([np.sum([_per_frame(of, part[..., c]) for c in channels], axis=0) for part in parts], axis=1)
+    """Sums [F, K + 1] over the sightings of each frame, of the extras and of the errors [n, 3, S]."""
+    return np.stack([np.sum([_per_frame(of, part[:, c]) for c in channels], axis=0) for part in parts], axis=1)
 
 
 def _per_frame(of: Points, values: np.ndarray) -> np.ndarray:
@@ -80,22 +80,22 @@ def _coupling(
     """The equations [F, F] of the gains of a table, without damping.
 
     Args:
-        weighted: weights times slopes [n, S, 3]. inverse: [n, 3] of what holds the radiances.
+        weighted: weights times slopes [n, 3, S]. inverse: [n, 3] of what holds the radiances.
     """
     if not of.sparse:
         system = np.zeros((of.F, of.F))
         for c in channels:
-            product = weighted[..., c].T @ (inverse[:, c, None] * weighted[..., c])
-            system += np.diag(_per_frame(of, weight[..., c])) - product
+            product = weighted[:, c].T @ (inverse[:, c, None] * weighted[:, c])
+            system += np.diag(_per_frame(of, weight[:, c])) - product
         return system
     from scipy import sparse  # a fraction of a second, which short clips spare
 
     n, S = of.frame.shape
     coupled = sparse.csc_array((of.F, of.F))
     for c in channels:
-        rows = sparse.csr_array((weighted[..., c].ravel().astype(float), of.frame.ravel(), np.arange(0, n * S + 1, S)))
+        rows = sparse.csr_array((weighted[:, c].ravel().astype(float), of.frame.ravel(), np.arange(0, n * S + 1, S)))
         rows.resize(n, of.F)
-        coupled += sparse.diags_array(_per_frame(of, weight[..., c])) - rows.T @ (inverse[:, c, None] * rows)
+        coupled += sparse.diags_array(_per_frame(of, weight[:, c])) - rows.T @ (inverse[:, c, None] * rows)
     return sparse.csc_array(coupled)
 
 

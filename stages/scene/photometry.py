@@ -12,12 +12,20 @@ from stages.scene.sightings import GROUP, Sightings
 from stages.scene.weigh import NOTHING, Bought, weigh
 
 GREY_LEVELS = 255.0
-LEAST_GREY, LEAST_SHARE, LEAST_FOG_SHARE = 0.7, 0.15, 0.3
-"""Grey levels of held-out error, and share of its square, that a model of light must save: 0.07 dB at 33 dB. Fog
-imitates whatever differs between the near ground and the rest, as bands of flicker do."""
+LEAST_GREY, LEAST_SHARE = 0.7, 0.15
+"""Grey levels of held-out error, and share of its square, that gains must save: 0.07 dB at 33 dB."""
+LEAST_FOG_GREY, LEAST_FOG_SHARE = 0.29, 0.3
+"""Of fog, which has four parameters and costs next to nothing: as much as 8 bits round off. Its share is larger, since
+it imitates whatever differs between the near ground and the rest, as bands of flicker do."""
+LIGHT_GROUPS = 300
+"""Groups of points that light is fitted to and judged on: gains and fog are few numbers. Views need all groups, since
+few of them shine."""
 MIN_DISTANCE_CHANGE = 0.02
 """Median relative range: with less, fog of any density changes hardly any colour, and none is fitted."""
 RIDGE = 1e-2
+SHRINKAGE = 5.0
+"""Harmonics are shrunk (James and Stein 1961): hardly where they explain far more than noise, to nothing where they
+explain less than so many times what noise would if errors in neighbouring frames were independent."""
 
 
 class LightEvidence(NamedTuple):
@@ -25,7 +33,7 @@ class LightEvidence(NamedTuple):
 
     Attributes:
         exposure: a gain per frame. white_balance: a gain per channel beside it. atmosphere: fog.
-        model: the parts that buy enough. fitted: its parameters, from all points.
+        model: the parts that buy enough. fitted: its parameters, from all cells.
         distance_change: median over the points of the range of their distances, over their distance.
     """
 
@@ -46,6 +54,7 @@ def light_evidence(seen: Sightings, foggy: bool = False) -> LightEvidence:
     Args:
         foggy: `fitted` has fog whether that buys enough or not, where fog is observable.
     """
+    seen = _some_groups(seen)
 
     @cache
     def errors(model: Model) -> np.ndarray:
@@ -72,9 +81,18 @@ def light_evidence(seen: Sightings, foggy: bool = False) -> LightEvidence:
     )
 
 
+def _some_groups(seen: Sightings) -> Sightings:
+    """At most LIGHT_GROUPS of the groups of points, spread over all."""
+    count = len(seen.cell) // GROUP
+    chosen = np.unique(np.linspace(0, count - 1, min(count, LIGHT_GROUPS)).astype(int))
+    rows = (GROUP * chosen[:, None] + np.arange(GROUP)).ravel()
+    of_points = (name for name in seen._fields if name != "centres")
+    return seen._replace(**{name: getattr(seen, name)[rows] for name in of_points})
+
+
 def is_worth(bought: Bought, fog: bool) -> bool:
     """Whether a part of the light buys enough."""
-    return bought.reaches(LEAST_GREY, LEAST_FOG_SHARE if fog else LEAST_SHARE)
+    return bought.reaches(*((LEAST_FOG_GREY, LEAST_FOG_SHARE) if fog else (LEAST_GREY, LEAST_SHARE)))
 
 
 def _chosen(bought: Callable[[Model, Model], Bought]) -> Model:
@@ -208,10 +226,14 @@ def _basis(directions: np.ndarray, usable: np.ndarray, degree: int) -> np.ndarra
 
 
 def _coefficients(colours: np.ndarray, basis: np.ndarray, fitted: np.ndarray) -> np.ndarray:
-    """Coefficients [g, K, 3] that the points [g, m] share, each with a mean colour of its own: ridge regression."""
+    """Coefficients [g, K, 3] that the points [g, m] share, each with its own mean: ridge, then SHRINKAGE."""
     shown, count = fitted[..., None], np.maximum(fitted.sum(axis=2), 1)[..., None, None]
     x, y = (np.where(shown, part - (part * shown).sum(axis=2, keepdims=True) / count, 0.0) for part in (basis, colours))
-    normal = np.einsum("gmfi,gmfj->gij", x, x)
-    size = np.maximum(fitted.sum(axis=(1, 2)), 1)
-    normal += (RIDGE * size)[:, None, None] * np.eye(basis.shape[-1])
-    return np.asarray(np.linalg.solve(normal, np.einsum("gmfi,gmfc->gic", x, y)))
+    size, K = fitted.sum(axis=(1, 2)), basis.shape[-1]
+    normal = np.einsum("gmfi,gmfj->gij", x, x) + (RIDGE * np.maximum(size, 1))[:, None, None] * np.eye(K)
+    found = np.linalg.solve(normal, np.einsum("gmfi,gmfc->gic", x, y))
+    change = x @ found[:, None]
+    explained, left = (np.square(part).sum(axis=(1, 2, 3)) for part in (change, y - change))
+    noise = K * left / np.maximum(size - fitted.any(axis=2).sum(axis=1) - K, 1)
+    kept = np.maximum(1 - SHRINKAGE * noise / np.where(explained > 0, explained, np.inf), 0.0)
+    return np.asarray(kept[:, None, None] * found)

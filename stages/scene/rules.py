@@ -11,6 +11,7 @@ import numpy as np
 from stages.scene.bending import Bending
 from stages.scene.geometry import MaskEvidence
 from stages.scene.photometry import (
+    LEAST_FOG_GREY,
     LEAST_FOG_SHARE,
     LEAST_GREY,
     LEAST_SHARE,
@@ -19,7 +20,7 @@ from stages.scene.photometry import (
     ViewEvidence,
     is_worth,
 )
-from stages.scene.weigh import NOTHING, Bought
+from stages.scene.weigh import NOTHING, SIGNIFICANT, Bought
 
 MIN_MASK_SHARE = 5e-4
 """A mask of less than this share of the pixels is noise of the refinement: 56 px of a 512 x 218 frame."""
@@ -27,8 +28,9 @@ MIN_MOTION_PX, MIN_MOTION_SHARE = 0.15, 0.5
 """Masked pixels that fit the static scene about as well as a motion of their own are false positives."""
 MIN_TRAVEL_PX, MIN_TRAVEL_SHARE = 0.05, 0.2
 """Travel that explains less than the errors of the flow does not separate depths from infinity."""
-MIN_VIEW_GREY, MIN_VIEW_SHARE = 2.55, 0.25
-"""Harmonics make the model two or three times as large; a degree more must save another tenth of the change."""
+MIN_VIEW_GREY, MIN_VIEW_SHARE = 1.2, 0.4
+"""Harmonics make the model two or three times as large; a degree more must save another tenth of the change. Errors of
+pose and depth that neighbours share save up to 1.0 (tuned scenes), highlights over 10 degrees 1.4 and more."""
 MIN_SECOND_DEGREE_SHARE = 0.1
 MIN_VIEW_DEG = 0.5
 """Median range of the views. The direction to a highlight's middle turns by half of it, less than the sun is wide: what
@@ -137,17 +139,18 @@ def decide_atmosphere(evidence: LightEvidence, choice: Choice) -> Decision:
 def decide_view_dependent(evidence: ViewEvidence, choice: Choice) -> Decision:
     """View-dependent colour, with the degree of the spherical harmonics: 0 where it is not needed."""
     first, second = evidence.degrees
-    best = max(evidence.degrees, key=lambda bought: bought.saved)
-    observable = best.samples > 0 and evidence.angle_deg >= MIN_VIEW_DEG
-    needed = observable and best.reaches(MIN_VIEW_GREY, MIN_VIEW_SHARE)
+    observable = first.samples > 0 and evidence.angle_deg >= MIN_VIEW_DEG
+    beyond_chance = first.rank_sigmas > SIGNIFICANT
+    needed = observable and beyond_chance and first.size >= MIN_VIEW_GREY and first.share >= MIN_VIEW_SHARE
     why = (
-        f"the change of neighbours with the view, over {evidence.angle_deg:.0f} degrees, {_saves(best, 'grey levels')}"
-        f" (at least {MIN_VIEW_SHARE:.0%})"
+        f"the change of neighbours with the view, over {evidence.angle_deg:.0f} degrees, {_saves(first, 'grey levels')}"
+        f" (at least {MIN_VIEW_SHARE:.0%}); cells that gain outrank the others by {first.rank_sigmas:.1f} standard"
+        f" deviations (more than {SIGNIFICANT:g})"
     )
     if not observable:
         why = f"not observable: points are seen over {evidence.angle_deg:.2f} degrees, less than {MIN_VIEW_DEG}; {why}"
     numbers = {"share_degree1": first.share, "share_degree2": second.share, "view_angle_deg": evidence.angle_deg}
-    decision = _decision(needed, best, MIN_VIEW_GREY, "grey levels", numbers, why, choice)
+    decision = _decision(needed, first, MIN_VIEW_GREY, "grey levels", numbers, why, choice)
     degree = 2 if second.share - first.share >= MIN_SECOND_DEGREE_SHARE else 1
     return decision | {"sh_degree": degree if decision["needed"] else 0}
 
@@ -198,8 +201,10 @@ def _least_bending(evidence: Bending) -> float:
 
 
 def _light_decision(bought: Bought, fog: bool, evidence: dict[str, float], why: str, choice: Choice) -> Decision:
-    why = f"{why} (at least {LEAST_FOG_SHARE if fog else LEAST_SHARE:.0%})"
-    return _decision(is_worth(bought, fog), bought, LEAST_GREY, "grey levels", evidence, why, choice)
+    grey, share = (LEAST_FOG_GREY, LEAST_FOG_SHARE) if fog else (LEAST_GREY, LEAST_SHARE)
+    return _decision(
+        is_worth(bought, fog), bought, grey, "grey levels", evidence, f"{why} (at least {share:.0%})", choice
+    )
 
 
 def _saves(bought: Bought, unit: str) -> str:

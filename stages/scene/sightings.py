@@ -9,12 +9,17 @@ from stages.scene.observed import Observed
 from stages.shared import lie
 from stages.shared.cameras import pixel_grid, project, unproject
 from stages.shared.frame_store import Computed, Frames
+from stages.shared.images import DISPLAY_GAMMA
 from stages.shared.log import progress
 from stages.shared.warp import bilinear
 
 DARK, BRIGHT = 0.06, 0.94
 """Colours outside this range are clipped or mostly noise: a channel there says nothing about light."""
-SMOOTH_PX = 1.5
+SMOOTH_PX, SPANS = 1.5, (1.0, 2**0.5, 2.0)
+"""A point's colour is averaged over as much of its surface in all frames: over SMOOTH_PX where it is farthest, over up
+to twice that where it is nearer. Else texture fades with distance, dark points get brighter, and that is thin fog."""
+FOOTPRINT_PX2 = 1 / 6
+"""Variance of what a pixel averages by itself, per axis: the pixel and its reduction to the flow grid."""
 DEPTH_TOLERANCE = 0.05
 FRAMES_PER_REFERENCE, MIN_REFERENCES = 4, 3
 """Points are taken from every so-manieth frame, and from no fewer frames than that."""
@@ -36,7 +41,8 @@ class Sightings(NamedTuple):
     """n static points, n a multiple of GROUP, four neighbours behind one another, in F frames.
 
     Attributes:
-        colours: [n, F, 3] smoothed, 0..1, as stored in the frames. usable: [n, F, 3] bool: seen there, not clipped.
+        colours: [n, F, 3] 0..1, as stored in the frames, of linear radiance that is averaged over the surface.
+        usable: [n, F, 3] bool: seen there, not clipped.
         distance: [n, F] from the camera, scene units. off_axis: [n, F] squared distance from the principal point, 1 in
             the corners. cell: [n] number of the cell of space. odd: [n] bool, its half, as on a chessboard.
         points: [n, 3] world. centres: [F, 3] of the cameras.
@@ -56,13 +62,20 @@ def sight(seen: Observed) -> Sightings:
     """Static points of low contrast, where a misplaced sample changes little, looked up by pose and depth."""
     F = len(seen.rgb)
     most = HELD_BYTES // (13 * seen.dynamic[0].size)
-    smooth = Computed(F, lambda k: cv2.GaussianBlur(seen.rgb[k], (0, 0), SMOOTH_PX), most)
+    smooth = Computed(F, lambda k: _smoothed(seen.rgb[k]), most // len(SPANS))
     kernel = np.ones((2 * MARGIN_PX + 1, 2 * MARGIN_PX + 1), np.uint8)
     burnt_in = False if seen.scene is None else ~seen.scene  # rests in the image, not in the world
     hidden = Computed(F, lambda k: cv2.dilate((seen.dynamic[k] | burnt_in).astype(np.uint8), kernel), most)
     points = _points(seen, smooth, hidden)
-    looked_up = [_look_up(seen, smooth[k], hidden[k], k, points) for k in progress(range(F), "static points")]
-    colours, usable, off_axis = (np.stack(part, axis=1) for part in zip(*looked_up, strict=True))
+    placed = zip(*(_place(seen, hidden[k], k, points) for k in range(F)), strict=True)
+    uv, shown, size = (np.stack(part, axis=1) for part in placed)
+    spans = _spans(shown, size)
+    colours = np.stack(
+        [_colours(smooth[k], uv[:, k], spans[:, k]) for k in progress(range(F), "static points")], axis=1
+    )
+    usable = shown[..., None] & (colours > DARK) & (colours < BRIGHT)
+    radius = (uv - seen.Ks[:, :2, 2]) / (0.5 * np.hypot(*seen.dynamic[0].shape))
+    off_axis = np.square(radius).sum(axis=-1).astype(np.float32)
     often = (usable.sum(axis=1) >= MIN_SIGHTINGS).any(axis=1)
     kept = np.repeat(often.reshape(-1, GROUP).all(axis=1), GROUP)
     colours, usable, off_axis, points = (part[kept] for part in (colours, usable, off_axis, points))
@@ -71,7 +84,7 @@ def sight(seen: Observed) -> Sightings:
     return Sightings(colours, usable, distance, off_axis, *_cells(seen, points, centres), points, centres)
 
 
-def _points(seen: Observed, smooth: Frames[np.ndarray], hidden: Frames[np.ndarray]) -> np.ndarray:
+def _points(seen: Observed, smooth: Frames[list[np.ndarray]], hidden: Frames[np.ndarray]) -> np.ndarray:
     """World points [n, 3] of groups of four flat static pixels of frames spread over the clip."""
     F, h, w = seen.dynamic.shape
     groups = min(SAMPLES, max(MAX_SIGHTINGS // F, LEAST_SAMPLES)) // GROUP
@@ -81,7 +94,7 @@ def _points(seen: Observed, smooth: Frames[np.ndarray], hidden: Frames[np.ndarra
     corners = np.array([[0, 0], [0, GROUP_PX], [GROUP_PX, 0], [GROUP_PX, GROUP_PX]])
     found = [np.zeros((0, 3))]
     for k in references:
-        flat = _is_flat(smooth[k], hidden[k] > 0)
+        flat = _is_flat(stored(smooth[k][0]), hidden[k] > 0)
         whole = np.all([flat[v : h - GROUP_PX + v, u : w - GROUP_PX + u] for v, u in corners], axis=0)
         at = np.argwhere(whole)
         at = at[np.unique(np.linspace(0, len(at) - 1, min(groups, len(at))).astype(int))]
@@ -99,10 +112,8 @@ def _is_flat(image: np.ndarray, hidden: np.ndarray) -> np.ndarray:
     return np.asarray(usable & (contrast <= np.median(contrast[usable])) if usable.any() else usable)
 
 
-def _look_up(
-    seen: Observed, image: np.ndarray, hidden: np.ndarray, k: int, points: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Colours [n, 3] of points in frame k, whether they are usable [n, 3], and `off_axis` [n]."""
+def _place(seen: Observed, hidden: np.ndarray, k: int, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Pixels [n, 2] of points in frame k, whether they are seen there [n], and what a pixel spans of them [n]."""
     h, w = hidden.shape
     z = points @ seen.cam_from_world[k, 2, :3] + seen.cam_from_world[k, 2, 3]
     front = z > 0
@@ -111,11 +122,36 @@ def _look_up(
     inside = front & ((uv >= 0) & (uv <= (w - 1, h - 1))).all(axis=1)
     uv[~inside] = 0.0
     near = np.abs(bilinear(seen.depth[k], uv) / np.where(inside, z, 1.0) - 1) < DEPTH_TOLERANCE
-    shown = inside & near & (bilinear(hidden, uv) == 0)
-    colours = bilinear(image, uv).astype(np.float32)
-    usable = shown[:, None] & (colours > DARK) & (colours < BRIGHT)
-    radius = (uv - seen.Ks[k, :2, 2]) / (0.5 * np.hypot(h, w))
-    return colours, usable, np.square(radius).sum(axis=1).astype(np.float32)
+    return uv, inside & near & (bilinear(hidden, uv) == 0), z / seen.Ks[k, 0, 0]
+
+
+def _spans(shown: np.ndarray, size: np.ndarray) -> np.ndarray:
+    """Standard deviation [n, F] px of the smoothing that averages as much of the surface as where it is farthest."""
+    largest = np.where(shown, size, 0.0).max(axis=1, keepdims=True)
+    ratio = np.where(shown, largest / np.where(shown, size, 1.0), 1.0)
+    variance = (SMOOTH_PX**2 + FOOTPRINT_PX2) * ratio**2 - FOOTPRINT_PX2
+    return np.asarray(np.sqrt(np.minimum(variance, (SMOOTH_PX * SPANS[-1]) ** 2)))
+
+
+def _smoothed(rgb: np.ndarray) -> list[np.ndarray]:
+    """Linear radiance [h, w, 3] of a frame, smoothed as widely as SPANS say."""
+    linear = cv2.pow(rgb, DISPLAY_GAMMA)
+    return [cv2.GaussianBlur(linear, (0, 0), SMOOTH_PX * span) for span in SPANS]
+
+
+def _colours(images: list[np.ndarray], uv: np.ndarray, sigma: np.ndarray) -> np.ndarray:
+    """Stored colours [n, 3] at pixels uv of a frame, smoothed by `sigma` [n] px: between two images by the variance."""
+    levels, variance = np.square(SMOOTH_PX * np.array(SPANS)), np.square(sigma)
+    below = np.clip(np.searchsorted(levels, variance, side="right") - 1, 0, len(levels) - 2)
+    share = ((variance - levels[below]) / (levels[below + 1] - levels[below]))[:, None].astype(np.float32)
+    shown = np.stack([bilinear(image, uv) for image in images])
+    at = np.arange(len(uv))
+    return stored((1 - share) * shown[below, at] + share * shown[below + 1, at])
+
+
+def stored(linear: np.ndarray) -> np.ndarray:
+    """Colours as stored in frames, 0..1, of linear radiance."""
+    return np.asarray(np.maximum(linear, 0) ** np.float32(1 / DISPLAY_GAMMA), np.float32)
 
 
 def _cells(seen: Observed, points: np.ndarray, centres: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

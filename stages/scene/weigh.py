@@ -16,12 +16,15 @@ class Bought(NamedTuple):
     Attributes:
         saved, sigma: mean squared error saved per sample, and its standard error over the groups of samples.
         before: mean squared error of the simpler model. samples: their number.
+        rank_sigmas: how far beyond chance the groups that gain outrank those that lose (Wilcoxon 1945), in standard
+            deviations. Where few groups gain much, their mean is uncertain, but not that they gain.
     """
 
     saved: float
     sigma: float
     before: float
     samples: int
+    rank_sigmas: float = 0.0
 
     @property
     def size(self) -> float:
@@ -62,7 +65,14 @@ def weigh(simple: np.ndarray, rich: np.ndarray, groups: np.ndarray) -> Bought:
     count, n = int(kept.sum()), len(per_group)
     saved = float(per_group.sum()) / count
     sigma = float(per_group.std(ddof=1)) * n**0.5 / count if n > 1 else abs(saved)
-    return Bought(saved, sigma, float(squares.mean()), count)
+    return Bought(saved, sigma, float(squares.mean()), count, signed_ranks(per_group))
+
+
+def signed_ranks(values: np.ndarray) -> float:
+    """Sum of the signed ranks of values [n] by size, over its standard deviation if either sign is as likely."""
+    values = values[values != 0]
+    rank = np.argsort(np.argsort(np.abs(values))) + 1.0
+    return float((np.sign(values) * rank).sum() / np.sqrt(max(np.square(rank).sum(), 1.0)))
 
 
 def _sums(groups: np.ndarray, values: np.ndarray) -> np.ndarray:
