@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks import kill_and_resume
+from stages.shared import chain
 from stages.shared.artifacts import write_json
 
 STAGE = """
@@ -59,3 +60,7 @@ def test_a_killed_stage_goes_on_and_its_times_are_put_back(home: Path) -> None:
 def test_a_stage_that_ends_before_the_kill_is_an_error(home: Path) -> None:
     with pytest.raises(SystemExit, match="ended before it was killed"):
         kill_and_resume.lost(home.parents[2], home, "ba", 2.0, [])
+
+
+def test_no_stage_runs_again_because_of_one_that_was_killed_before() -> None:
+    assert list(kill_and_resume.STAGES) == sorted(kill_and_resume.STAGES, key=chain.STAGES.index, reverse=True)
