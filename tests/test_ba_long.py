@@ -39,7 +39,10 @@ def joined(graph: FlowGraph) -> FlowGraph:
 def test_a_long_path_takes_few_passes_and_its_loops_wait(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """From a focal length of 1.2 times the true one. There were 89 passes, with loops in each; now 54."""
+    """From a focal length of 1.2 times the true one. There were 89 passes, with loops in each; now 54.
+
+    Paths of a part of it at other focal lengths take the edges of 16 more.
+    """
     graph, truth = clip(T, STRIDE)
     graph, visited, before_loops = joined(graph), [], []
     add, find = proposal.normal_equations, estimation.find_start
@@ -63,7 +66,7 @@ def test_a_long_path_takes_few_passes_and_its_loops_wait(
     assert all(k <= n for k, n in told)
     assert path_error(found.state.cam_from_world, truth) < 2e-4
     assert found.state.focal_px == pytest.approx(FOCAL_PX, rel=2e-3)
-    assert sum(edges for edges, _ in visited) < 70 * len(graph.source)
+    assert sum(edges for edges, _ in visited) < 80 * len(graph.source)
     assert max(reach for _, reach in before_loops) < LOOP
     assert found.zoom.decision == "constant"
 

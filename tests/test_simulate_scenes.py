@@ -150,3 +150,17 @@ def test_the_long_walk_returns_and_runs_by_name_alone() -> None:
     apart = np.linalg.norm(centres[:, None] - centres[None], axis=2)
     again = (np.abs(walked[:, None] - walked) > 30) & (apart < 1.5)
     assert again.any(axis=1)[-60:].all(), "the second lap lies beside the first"
+
+
+def test_something_moves_in_the_first_frames_of_the_long_walk() -> None:
+    """The benchmark of long video compares its first 50 frames with more: a stage must have the same to do in them."""
+    scene = load_scene(REPO / "stages/simulate/scenes/long/long_walk.yaml").model_copy(
+        update={"width": 96, "height": 54}
+    )
+    stage = frames.set_stage(scene, seed=0)
+    uv = pixel_grid(scene.height, scene.width).reshape(-1, 2)
+    for frame in (0, 25, 49):
+        now, then = stage.moment(frame), stage.moment(frame + 1)
+        hits = raycast.cast(now.snapshot, now.view, uv)
+        moved = exact_motion.motion(hits, uv, stage.world, then.snapshot, then.view, now.view.K[0, 0])
+        assert moved.moving.mean() > 0.005

@@ -2,12 +2,10 @@
 
 from dataclasses import replace
 
-import numpy as np
-
 from stages.ba import initialise
-from stages.ba.graph import MIN_WEIGHT, FlowGraph, cut_out
+from stages.ba.graph import cut_out
 from stages.ba.guesses import Observed, guess
-from stages.ba.part import FRAMES, best_part
+from stages.ba.part import FRAMES, best_part, flow_px
 from stages.ba.refinement import CONSISTENT_SHARE, FINE_PX, WEAK_FOCAL, consistent_share
 from stages.ba.state import Level, Unknowns
 from stages.ba.uncertainty import focal_sigma
@@ -24,7 +22,7 @@ def focals_of_part(observed: Observed) -> list[float]:
     graph = observed.graph
     if graph.T <= FRAMES:
         return list(observed.focals_px)
-    inside = best_part(_flow_px(graph))
+    inside = best_part(flow_px(graph))
     part = cut_out(graph, inside)
     best = initialise.choose(guess(replace(observed, graph=part, unmasked=part, previous=None), part))
     levels = [Level(sigma_px, ITERATIONS) for sigma_px in FINE_PX]
@@ -32,13 +30,3 @@ def focals_of_part(observed: Observed) -> list[float]:
     if not consistent_share(part, found) >= CONSISTENT_SHARE or focal_sigma(part, found) > WEAK_FOCAL:
         return list(observed.focals_px)
     return [found.focal_px]
-
-
-def _flow_px(graph: FlowGraph) -> np.ndarray:
-    """Median length of the confident flow from each frame to the next, [T]; 0 without any."""
-    length = np.zeros(graph.T)
-    for e in np.flatnonzero(graph.target - graph.source == 1):
-        sure = graph.weights[e] > MIN_WEIGHT
-        if sure.any():
-            length[graph.source[e]] = np.median(np.linalg.norm(graph.matches[e] - graph.pixels, axis=1)[sure])
-    return length

@@ -8,9 +8,10 @@ and focal length leads back, at any scale of the kernel: the path has to be chai
 import numpy as np
 
 from stages.ba import dba, initialise
-from stages.ba.graph import FlowGraph, thin_graph, without_loops
+from stages.ba.graph import FlowGraph, cut_out, thin_graph, without_loops
 from stages.ba.guesses import ENOUGH, MAX_PAIR_PX, Observed
 from stages.ba.initialise import COST_MARGIN, Candidate, Hypothesis
+from stages.ba.part import FRAMES, best_part, flow_px
 from stages.ba.refinement import CONSISTENT_SHARE, FINE_PX, SHARP, SHARP_PX, consistent_share
 from stages.ba.state import Level, State, Unknowns
 from stages.ba.uncertainty import median_residual
@@ -27,20 +28,24 @@ def better_focal(observed: Observed, coarse: FlowGraph, best: Candidate) -> floa
 
     It costs less by more than COST_MARGIN at the wide scales of the refinement, and no more at the scale of the noise:
     there alone a path that bends to take in a mover costs more than the right one. Without masks it must explain as
-    many matches as the refinement asks for before it frees the focal length.
+    many matches as the refinement asks for before it frees the focal length. Of a long path this is told from the part
+    where the flow is longest.
 
     Args:
         coarse: the graph on which paths are chained.
     """
-    factor = max(1, int(np.sqrt(len(observed.graph.pixels) / PIXELS)))
-    graph = thin_graph(without_loops(observed.graph), factor)
+    graph, path = observed.graph, best.state.cam_from_world
+    if graph.T > FRAMES:
+        inside = best_part(flow_px(graph))
+        graph, coarse, path = cut_out(graph, inside), cut_out(coarse, inside), path[inside]
+    graph = thin_graph(without_loops(graph), max(1, int(np.sqrt(len(graph.pixels) / PIXELS))))
 
     def adjusted(cam_from_world: np.ndarray, focal_px: float, name: str) -> State:
         state = initialise.initial_state(graph, cam_from_world, focal_px, FINE_PX[0])
         levels = [Level(sigma_px, ITERATIONS, ENOUGH) for sigma_px in FINE_PX]
         return initialise.adjust(graph, state, levels, Unknowns(focal=True), observed.prior, name).state
 
-    start = adjusted(best.state.cam_from_world, best.state.focal_px, "focal")
+    start = adjusted(path, best.state.focal_px, "focal")
     sharp_px = float(np.clip(SHARP * median_residual(graph, start), *SHARP_PX))
     limits = _costs(graph, start, sharp_px) * ([1 - COST_MARGIN] * len(FINE_PX) + [1])
     found: list[tuple[float, float]] = []

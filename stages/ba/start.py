@@ -15,7 +15,6 @@ from stages.ba.graph import MIN_WEIGHT, FlowGraph, mask_graph, thin_graph, witho
 from stages.ba.guesses import ENOUGH, MAX_PAIR_PX, Observed, guess
 from stages.ba.initialise import Candidate
 from stages.ba.other_focals import better_focal
-from stages.ba.part import FRAMES
 from stages.ba.refinement import UNUSUAL_FOCAL
 from stages.ba.state import Level, State
 from stages.ba.zoom import Evidence
@@ -57,7 +56,7 @@ def find_start(observed: Observed) -> Start:
     factor = max(1, int(np.sqrt(len(observed.graph.pixels) / COARSE_PIXELS)))
     plain, coarse = (thin_graph(without_loops(graph), factor) for graph in (observed.unmasked, observed.graph))
     candidates = guess(observed, coarse)
-    if observed.free and coarse.T <= FRAMES and not (observed.previous and observed.previous.alone):
+    if observed.free and not (observed.previous and observed.previous.alone):
         focal_px = better_focal(observed, coarse, initialise.choose(candidates))
         if focal_px:
             candidates = guess(replace(observed, previous=None, focals_px=[focal_px]), coarse)

@@ -1,13 +1,15 @@
 """Hard cases of the focal length: a slow dolly that pans, whose adjustment has a local minimum at a wrong one."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 from synthetic import Scene, make_scene, observe, trajectory_error
 
-from stages.ba import classify, initialise, other_focals
+from stages.ba import classify, initialise, other_focals, part
 from stages.ba.estimate import estimate
+from stages.ba.graph import FlowGraph
 from stages.ba.guesses import Observed, guess
 from stages.ba.options import BAOptions
 from stages.ba.other_focals import better_focal
@@ -54,3 +56,19 @@ def test_another_focal_length_is_taken_only_where_it_clearly_costs_less(monkeypa
     assert better_focal(wrong, wrong.graph, stuck) is None
     masked = replace(wrong, masked=True)
     assert better_focal(masked, masked.graph, stuck) == pytest.approx(scene.focal_px, rel=0.02)
+
+
+def test_of_a_long_path_other_focal_lengths_are_tried_on_a_part(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene, part_of_frames, chained = panning_dolly(0.95), 8, []
+    wrong = observed_at(scene, 1.2 * 112)
+    stuck, chain = initialise.choose(guess(wrong, wrong.graph)), initialise.chain
+
+    def chaining(graph: FlowGraph, *args: Any) -> np.ndarray:
+        chained.append(graph.T)
+        return chain(graph, *args)
+
+    monkeypatch.setattr(initialise, "chain", chaining)
+    for module in (part, other_focals):
+        monkeypatch.setattr(module, "FRAMES", part_of_frames)
+    assert better_focal(wrong, wrong.graph, stuck) == pytest.approx(scene.focal_px, rel=0.02)
+    assert chained == [part_of_frames] * len(other_focals.RATIOS)
