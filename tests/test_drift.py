@@ -63,6 +63,27 @@ def test_slow_and_fast_parts_are_those_of_the_cosine_transform() -> None:
         np.testing.assert_allclose(fast[k], power[count:].sum() / (2 * (len(of_track) - count)))
 
 
+def test_a_track_that_drifts_for_a_while_shows_motion_there_alone() -> None:
+    """As a static track does past which a mover walks: its other sightings are no evidence."""
+    made = Tracks(np.array([0, 24, 54]), np.zeros(54, int), np.zeros((54, 2)))
+    dragged = np.zeros((29, 2))
+    dragged[15:] = [0.3, -0.2]
+    random = np.random.default_rng(4)
+    steps = [np.tile([0.0, 0.1], (23, 1)) + random.normal(0, 0.02, (23, 2)), dragged]
+    share = drift.share_here(made, np.concatenate(steps))
+    steady, left = np.split(share, [24])
+    assert (steady > 0.5).all()
+    assert (left[:10] < drift.HERE / 10).all()
+    assert (left[18:] > 1).all()
+    for k, of_track in enumerate(steps):
+        at = np.arange(len(of_track))
+        weights = np.exp(-((at[:, None] - at) ** 2) / (2 * drift.AROUND**2))
+        weights[np.abs(at[:, None] - at) > 3 * drift.AROUND] = 0
+        power = ((weights @ of_track / weights.sum(axis=1, keepdims=True)) ** 2).sum(axis=1)
+        at_ends = np.concatenate([power[:1], (power[1:] + power[:-1]) / 2, power[-1:]])
+        np.testing.assert_allclose(share[made.track == k], at_ends / power.mean(), rtol=1e-6, atol=1e-9)
+
+
 def test_tracks_follow_the_flow_and_cover_the_frames() -> None:
     pairs = observed(STEP, STEP + SLOW)
     covered = np.zeros((T, H, W), bool)
