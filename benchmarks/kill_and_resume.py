@@ -36,6 +36,7 @@ def killed(command: list[str], folder: Path, stats: str, after_s: float) -> floa
         deadline = time.monotonic() + GRACE_S
         while not (found := [process for process, words in running(folder) if stats_of(words) == stats]):
             if workflow.poll() is not None or time.monotonic() > deadline:
+                workflow.terminate()
                 sys.exit(f"{stats}: its stage did not begin; is it of the configured run?")
             time.sleep(0.1)
         began = time.monotonic()
@@ -57,12 +58,13 @@ def lost(folder: Path, home: Path, stage: str, after: float, words: list[str]) -
     stats.unlink()
     within = str(stats.relative_to(folder))
     command = command_of(folder, read_json(folder / "options.json"), "--cores", "all", within, *words)
-    killed_s = killed(command, folder, within, after * whole_s)
-    subprocess.run(command, cwd=REPO, stdout=subprocess.DEVNULL, check=True)
-    costs = read_json(stats)
-    resumed_s = float(costs["wall_s"] - costs["taken_over_s"])
-    stats.write_bytes(before)
-    return whole_s, killed_s, resumed_s
+    try:
+        killed_s = killed(command, folder, within, after * whole_s)
+        subprocess.run(command, cwd=REPO, stdout=subprocess.DEVNULL, check=True)
+        costs = read_json(stats)
+    finally:
+        stats.write_bytes(before)
+    return whole_s, killed_s, float(costs["wall_s"] - costs["taken_over_s"])
 
 
 def main() -> None:

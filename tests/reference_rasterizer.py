@@ -5,7 +5,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-BLUR, MIN_ALPHA, MAX_ALPHA, MIN_TRANSMITTANCE = 0.1, 1 / 255, 0.999, 1e-4
+BLUR, MIN_ALPHA, MAX_ALPHA, MIN_TRANSMITTANCE = 0.3, 1 / 255, 0.999, 1e-4
 
 
 class Reference(NamedTuple):

@@ -30,7 +30,8 @@ MIN_TRAVEL_PX, MIN_TRAVEL_SHARE = 0.05, 0.2
 """Travel that explains less than the errors of the flow does not separate depths from infinity."""
 MIN_VIEW_GREY, MIN_VIEW_SHARE = 1.2, 0.4
 """Harmonics make the model two or three times as large; a degree more must save another tenth of the change. Errors of
-pose and depth that neighbours share save up to 1.0 (tuned scenes), highlights over 10 degrees 1.4 and more."""
+pose and depth that neighbours share save up to 1.0 (tuned scenes); highlights over 10 degrees save 1.4 on quay, and
+less on grove, where they are missed."""
 MIN_SECOND_DEGREE_SHARE = 0.1
 MIN_VIEW_DEG = 0.5
 """Median range of the views. The direction to a highlight's middle turns by half of it, less than the sun is wide: what
@@ -149,7 +150,12 @@ def decide_view_dependent(evidence: ViewEvidence, choice: Choice) -> Decision:
     )
     if not observable:
         why = f"not observable: points are seen over {evidence.angle_deg:.2f} degrees, less than {MIN_VIEW_DEG}; {why}"
-    numbers = {"share_degree1": first.share, "share_degree2": second.share, "view_angle_deg": evidence.angle_deg}
+    numbers = {
+        "share_degree1": first.share,
+        "share_degree2": second.share,
+        "rank_sigmas": first.rank_sigmas,
+        "view_angle_deg": evidence.angle_deg,
+    }
     decision = _decision(needed, first, MIN_VIEW_GREY, "grey levels", numbers, why, choice)
     degree = 2 if second.share - first.share >= MIN_SECOND_DEGREE_SHARE else 1
     return decision | {"sh_degree": degree if decision["needed"] else 0}

@@ -26,10 +26,10 @@ FRAMES_PER_REFERENCE, MIN_REFERENCES = 4, 3
 SAMPLES, MAX_SIGHTINGS, LEAST_SAMPLES = 2400, 150_000, 700
 """Points, and the product of points and frames, at most; a long clip may exceed it for at most LEAST_SAMPLES points."""
 GROUP_PX = 5
-"""Side of the square of four points: beyond the smoothing, and mostly on the same surface."""
+"""Side of the square of four points: mostly on the same surface."""
 GROUP = 4
-MARGIN_PX = 3
-"""Distance from movers, and from what is burnt in, within which smoothing mixes their colours in."""
+MARGIN = 2.0
+"""Standard deviations of the smoothing: nearer to movers, and to what is burnt in, it mixes their colours in."""
 HELD_BYTES = 400_000_000
 """Memory for smoothed frames."""
 MIN_SIGHTINGS = 4
@@ -63,13 +63,13 @@ def sight(seen: Observed) -> Sightings:
     F = len(seen.rgb)
     most = HELD_BYTES // (13 * seen.dynamic[0].size)
     smooth = Computed(F, lambda k: _smoothed(seen.rgb[k]), most // len(SPANS))
-    kernel = np.ones((2 * MARGIN_PX + 1, 2 * MARGIN_PX + 1), np.uint8)
     burnt_in = False if seen.scene is None else ~seen.scene  # rests in the image, not in the world
-    hidden = Computed(F, lambda k: cv2.dilate((seen.dynamic[k] | burnt_in).astype(np.uint8), kernel), most)
-    points = _points(seen, smooth, hidden)
-    placed = zip(*(_place(seen, hidden[k], k, points) for k in range(F)), strict=True)
-    uv, shown, size = (np.stack(part, axis=1) for part in placed)
+    free = Computed(F, lambda k: _free_px(seen.dynamic[k] | burnt_in), most)
+    points = _points(seen, smooth, free)
+    placed = zip(*(_place(seen, free[k], k, points) for k in range(F)), strict=True)
+    uv, shown, size, free_px = (np.stack(part, axis=1) for part in placed)
     spans = _spans(shown, size)
+    shown &= free_px >= MARGIN * spans
     colours = np.stack(
         [_colours(smooth[k], uv[:, k], spans[:, k]) for k in progress(range(F), "static points")], axis=1
     )
@@ -84,7 +84,7 @@ def sight(seen: Observed) -> Sightings:
     return Sightings(colours, usable, distance, off_axis, *_cells(seen, points, centres), points, centres)
 
 
-def _points(seen: Observed, smooth: Frames[list[np.ndarray]], hidden: Frames[np.ndarray]) -> np.ndarray:
+def _points(seen: Observed, smooth: Frames[list[np.ndarray]], free: Frames[np.ndarray]) -> np.ndarray:
     """World points [n, 3] of groups of four flat static pixels of frames spread over the clip."""
     F, h, w = seen.dynamic.shape
     groups = min(SAMPLES, max(MAX_SIGHTINGS // F, LEAST_SAMPLES)) // GROUP
@@ -94,7 +94,7 @@ def _points(seen: Observed, smooth: Frames[list[np.ndarray]], hidden: Frames[np.
     corners = np.array([[0, 0], [0, GROUP_PX], [GROUP_PX, 0], [GROUP_PX, GROUP_PX]])
     found = [np.zeros((0, 3))]
     for k in references:
-        flat = _is_flat(stored(smooth[k][0]), hidden[k] > 0)
+        flat = _is_flat(stored(smooth[k][0]), free[k] < MARGIN * SMOOTH_PX)
         whole = np.all([flat[v : h - GROUP_PX + v, u : w - GROUP_PX + u] for v, u in corners], axis=0)
         at = np.argwhere(whole)
         at = at[np.unique(np.linspace(0, len(at) - 1, min(groups, len(at))).astype(int))]
@@ -112,9 +112,16 @@ def _is_flat(image: np.ndarray, hidden: np.ndarray) -> np.ndarray:
     return np.asarray(usable & (contrast <= np.median(contrast[usable])) if usable.any() else usable)
 
 
-def _place(seen: Observed, hidden: np.ndarray, k: int, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Pixels [n, 2] of points in frame k, whether they are seen there [n], and what a pixel spans of them [n]."""
-    h, w = hidden.shape
+def _free_px(hidden: np.ndarray) -> np.ndarray:
+    """Distance [h, w] px of each pixel to the nearest hidden one, float32; huge without any."""
+    return np.asarray(cv2.distanceTransform((~hidden).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE))
+
+
+def _place(seen: Observed, free: np.ndarray, k: int, points: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Pixels [n, 2] of points in frame k; [n]: whether they are seen, what a pixel spans of them, and how far from
+    hidden pixels they are, px.
+    """
+    h, w = free.shape
     z = points @ seen.cam_from_world[k, 2, :3] + seen.cam_from_world[k, 2, 3]
     front = z > 0
     uv = np.zeros((len(points), 2))
@@ -122,7 +129,7 @@ def _place(seen: Observed, hidden: np.ndarray, k: int, points: np.ndarray) -> tu
     inside = front & ((uv >= 0) & (uv <= (w - 1, h - 1))).all(axis=1)
     uv[~inside] = 0.0
     near = np.abs(bilinear(seen.depth[k], uv) / np.where(inside, z, 1.0) - 1) < DEPTH_TOLERANCE
-    return uv, inside & near & (bilinear(hidden, uv) == 0), z / seen.Ks[k, 0, 0]
+    return uv, inside & near, z / seen.Ks[k, 0, 0], bilinear(free, uv)
 
 
 def _spans(shown: np.ndarray, size: np.ndarray) -> np.ndarray:

@@ -7,7 +7,7 @@ import numpy as np
 OUTLIER = 4.0
 """A sample that misses both models by more than this many standard deviations of the noise shows something else."""
 SIGNIFICANT = 2.0
-"""What is saved must exceed this many of its standard errors."""
+"""What is saved must exceed this many of its standard errors, or signed ranks of the groups this many of theirs."""
 
 
 class Bought(NamedTuple):
@@ -53,8 +53,8 @@ def weigh(simple: np.ndarray, rich: np.ndarray, groups: np.ndarray) -> Bought:
     """What errors `rich` [n] save over `simple` [n], both of held-out samples, of one sign or not.
 
     Samples that both models miss are left out; which ones these are favours neither. The standard error is that of a
-    mean over the groups [n] of samples, since the errors within a group are alike. Of
-    a single group it is all that is saved.
+    mean over the groups [n] of samples, since the errors within a group are alike. Of a single group it is all that is
+    saved.
     """
     smaller = np.minimum(np.abs(simple), np.abs(rich))
     if not smaller.size:

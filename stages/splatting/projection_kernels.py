@@ -25,9 +25,8 @@ from stages.shared.threads import spread
 
 BLOCK = 1024
 """Gaussians per task; the camera's gradient is summed per block, so it does not depend on the thread count."""
-BLUR = 0.1
-"""Variance in px^2 added to every splat, the filter of Mip-Splatting (Yu et al., CVPR 2024): the 0.3 of 3DGS and gsplat
-blurs what the frames resolve."""
+BLUR = 0.3
+"""Variance in px^2 added to every splat, as in 3DGS and gsplat ("classic" antialiasing)."""
 MARGIN = 0.3
 """J is evaluated inside the field of view widened by this share, as in gsplat: farther out it grows without limit."""
 Limits = tuple[float, float, float, float]

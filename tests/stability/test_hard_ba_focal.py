@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from synthetic import Scene, make_scene, observe, trajectory_error
 
-from stages.ba import classify, initialise, other_focals, part
+from stages.ba import classify, initialise, other_focals, part, start
 from stages.ba.estimate import estimate
 from stages.ba.graph import FlowGraph
 from stages.ba.guesses import Observed, guess
@@ -20,9 +20,9 @@ from stages.shared import lie
 TRAVEL = np.array([-0.4, 0.0, 0.3])
 
 
-def panning_dolly(focal: float) -> Scene:
+def panning_dolly(focal: float, T: int = 10) -> Scene:
     """A room seen from a slow dolly that turns by 30 degrees against its travel."""
-    time = np.linspace(0, 1, 10)[:, None]
+    time = np.linspace(0, 1, T)[:, None]
     turns = lie.exp_so3(np.radians(30) * (time - 0.5) * [0, 1, 0])
     centres = TRAVEL * np.hstack([time, time, time**2])
     path = lie.from_parts(turns, -(turns @ centres[..., None])[..., 0])
@@ -61,6 +61,14 @@ def test_another_focal_length_is_taken_only_where_it_clearly_costs_less(monkeypa
 def test_of_a_long_path_other_focal_lengths_are_tried_on_a_part(monkeypatch: pytest.MonkeyPatch) -> None:
     scene, part_of_frames, chained = panning_dolly(0.95), 8, []
     wrong = observed_at(scene, 1.2 * 112)
+    parts, cut_out = [], other_focals.cut_out
+
+    def cutting(graph: FlowGraph, inside: slice) -> FlowGraph:
+        parts.append(inside)
+        return cut_out(graph, inside)
+
+    monkeypatch.setattr(other_focals, "cut_out", cutting)
+    monkeypatch.setattr(other_focals, "flow_px", lambda graph: np.arange(graph.T))  # longest at the end
     stuck, chain = initialise.choose(guess(wrong, wrong.graph)), initialise.chain
 
     def chaining(graph: FlowGraph, *args: Any) -> np.ndarray:
@@ -72,3 +80,15 @@ def test_of_a_long_path_other_focal_lengths_are_tried_on_a_part(monkeypatch: pyt
         monkeypatch.setattr(module, "FRAMES", part_of_frames)
     assert better_focal(wrong, wrong.graph, stuck) == pytest.approx(scene.focal_px, rel=0.02)
     assert chained == [part_of_frames] * len(other_focals.RATIOS)
+    assert parts == [slice(2, 10)] * 2
+
+
+def test_a_path_of_any_length_is_compared_with_those_of_other_focal_lengths(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[int] = []
+
+    def asking(observed: Observed, *_: Any) -> None:
+        asked.append(observed.graph.T)
+
+    monkeypatch.setattr(start, "better_focal", asking)
+    start.find_start(observed_at(panning_dolly(0.95, part.FRAMES + 4), 112))
+    assert asked == [part.FRAMES + 4]
