@@ -121,7 +121,8 @@ def find_clip(folder: Path, options: Mapping[str, Any]) -> tuple[Path, int]:
     config = configuration.load(shipped | options, options)
     with contextlib.chdir(folder):
         shots = datasets.video_shots(config)
-        found = datasets.find_sequences(config, datasets.frame_folders(config, shots), shots, headers=False)
+        clips = datasets.find_sequences(config, datasets.frame_folders(config, shots), shots, headers=False)
+        found, _ = datasets.divided(config, clips, shots)
     if len(found) != 1:
         raise InputError(config.dataset, "one sequence", ", ".join(found), "name one clip without cuts")
     ((name, sequence),) = found.items()
@@ -182,13 +183,14 @@ def with_all(rows: Sequence[Row]) -> list[Row]:
 def table_of(rows: Sequence[Row]) -> Table:
     """A row per stage, all numbers of frames in a cell, with exponents and whether the goals are met."""
     series = {measure: growth.series_of(rows, "frames", measure) for measure in MEASURES}
-    sizes = " / ".join(f"{n:g}" for n in next(iter(series["cpu_s"].values()))[0])
+    counts = next(iter(series["cpu_s"].values()))[0]
+    sizes = " / ".join(f"{n:g}" for n in counts)
     shown = []
     for stage in series["cpu_s"]:
         line: Row = {"stage": stage}
         for measure, (_, digits) in MEASURES.items():
-            values = series[measure][stage][1] if stage in series[measure] else np.zeros(0)
-            line[measure] = " / ".join(f"{value:.{digits}f}" for value in values)
+            known = dict(zip(*series[measure].get(stage, ((), ())), strict=True))
+            line[measure] = " / ".join(f"{known[n]:.{digits}f}" if n in known else "-" for n in counts)
         fits = {measure: growth.fit_growth(*series[measure][stage]) for measure in ("cpu_s", "wall_s")}
         line |= {f"{measure}_growth": fit.words() if fit else "too few sizes" for measure, fit in fits.items()}
         shown.append(line | {"goals": verdict(series["resident_mb"].get(stage), fits["cpu_s"])})

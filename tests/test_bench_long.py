@@ -6,6 +6,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import yaml
 
@@ -15,7 +16,7 @@ from stages.comparisons import growth, tradeoff_charts
 from stages.configuration import settings
 from stages.shared.artifacts import read_json, write_json
 from stages.shared.errors import InputError
-from stages.shared.images import read_rgb
+from stages.shared.images import read_rgb, write_image
 
 HOLDS_40_READS_60_MB = """
 import mmap, sys, tempfile
@@ -141,3 +142,18 @@ def test_a_wide_scene_is_drawn_small_and_its_first_frames_enlarged(tmp_path: Pat
     assert [read_rgb(frame).shape for frame in frames] == [(64, 1024, 3)] * 3
     home, length = bench_long.find_clip(tmp_path, options)
     assert (home, length) == (tmp_path / "results/demo_1024x64/demo_1024x64", 3)
+
+
+def test_a_folder_with_cuts_is_refused_before_anything_runs(tmp_path: Path) -> None:
+    random = np.random.default_rng(0)
+    for k, image in enumerate(np.repeat(random.integers(0, 255, (2, 48, 64, 3), np.uint8), 4, axis=0)):
+        write_image(tmp_path / f"clip/frame_{k + 1:04d}.png", image)
+    with pytest.raises(InputError, match="clip_shot1, clip_shot2"):
+        bench_long.find_clip(tmp_path, bench_long.clip_options(str(tmp_path / "clip"), tmp_path, 64, 48, 8))
+
+
+def test_a_size_without_a_sample_has_a_dash() -> None:
+    found = rows()
+    found[2]["resident_mb"] = None
+    flow = next(line for line in bench_long.table_of(found).rows if line["stage"] == "flow")
+    assert flow["resident_mb"] == "100 / 400 / -"

@@ -23,7 +23,9 @@ from stages.shared.errors import InputError
 from stages.shared.sequences import read_sequence
 from stages.shared.tables import read_rows
 from stages.video import __main__ as video_stage
+from stages.video import shots
 from stages.video.folders import find_ranges
+from stages.video.shots import Look
 
 
 def grey(images: list[np.ndarray]) -> list[np.ndarray]:
@@ -49,6 +51,15 @@ def write(folder: Path, images: list[np.ndarray], first: int = 1) -> Path:
 def test_cuts_are_found_to_the_frame() -> None:
     clip = texture(9, 0) + texture(4, 1) + texture(12, 2)
     assert ranges(clip, first=17) == [(17, 25), (26, 29), (30, 41)]
+
+
+@pytest.mark.parametrize("size", [(1024, 96), (1024, 20), (20, 300), (9, 7)])
+def test_cuts_are_found_in_strips_and_in_tiny_frames(size: tuple[int, int]) -> None:
+    """OpenCV's coarse flow crashes on images of less than 32 px."""
+    random, (w, h) = np.random.default_rng(0), size
+    first, second = (random.integers(0, 255, (h, w), np.uint8) for _ in range(2))
+    looks = [Look(k, float(k), image) for k, image in enumerate([first] * 4 + [second] * 4)]
+    assert [shot.pts for shot in shots.find_shots(looks, repeated=True).shots] == [[0, 1, 2, 3], [4, 5, 6, 7]]
 
 
 def test_a_whip_pan_is_no_cut() -> None:

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 
 from stages.shared.flow_pairs import FlowPairs
+from stages.shared.log import progress
 
 STRIDE_PX = 4
 """Grid step of the seeds."""
@@ -57,7 +58,8 @@ def batches(pairs: FlowPairs, T: int) -> Iterator[Tracks]:
     h, w = pairs.confidence.shape[1:]
     passed = np.zeros((T, h, w), bool)
     size = 2 * STRIDE_PX - 1
-    for k in sorted(range(T), key=lambda k: (k % (2 * REACH + 1) != REACH, k)):
+    order = sorted(range(T), key=lambda k: (k % (2 * REACH + 1) != REACH, k))
+    for k in progress(order, "long tracks"):
         near = cv2.dilate(passed[k].astype(np.uint8), np.ones((size, size), np.uint8)) > 0
         v, u = np.mgrid[STRIDE_PX // 2 : h : STRIDE_PX, STRIDE_PX // 2 : w : STRIDE_PX]
         free = ~near[v, u]

@@ -13,6 +13,8 @@ from stages.shared.image_headers import conversions, read_header
 
 SMALL_PX = 64
 """Frames whose longer side is less are warned of: it is the least width that the flow can be asked for."""
+WIDEST = 8
+"""Frames are at most so many times as wide as high: reduced to 256 px, they must leave the flow 32 rows."""
 TRUTH_KINDS = {
     "camdata_left": ".cam",
     "depth": ".dpt",
@@ -67,7 +69,7 @@ def list_sequence(name: str, folder: Path) -> Sequence:
     """A sequence from the names of its frames and the header of the first one, without truth; no other file is read.
 
     Raises:
-        InputError: for fewer than 3 frames, a gap in the numbering, or an unreadable first frame.
+        InputError: for fewer than 3 frames, a gap in the numbering, a strip, or an unreadable first frame.
     """
     files = frame_files(folder)
     if len(files) < MIN_FRAMES:
@@ -82,6 +84,9 @@ def list_sequence(name: str, folder: Path) -> Sequence:
             found = "the same number twice" if after == before else f"{after} after {before}"
             raise InputError(path, f"frame number {before + 1}", found, "renumber the frames without gaps")
     (width, height), mode = read_header(files[0])
+    if width > WIDEST * height:
+        expected = f"frames at most {WIDEST} times as wide as high"
+        raise InputError(files[0], expected, f"{width} x {height}", "crop their sides")
     return Sequence(name, files, numbers, width, height, warnings=conversions({mode}))
 
 
@@ -89,7 +94,7 @@ def check_sequence(name: str, folder: Path) -> Sequence:
     """Check the frames by their names, headers and last bytes, without decoding, and list the truth beside them.
 
     Raises:
-        InputError: for fewer than 3 frames, a gap in the numbering, different sizes, or an unreadable file.
+        InputError: for fewer than 3 frames, a gap in the numbering, different sizes, strips, or an unreadable file.
     """
     sequence = list_sequence(name, folder)
     modes = check_headers(sequence)
