@@ -137,11 +137,11 @@ def test_a_scene_is_taken_by_name_or_file_and_kept_as_it_was_drawn(tmp_path: Pat
 
 
 def test_a_wide_scene_is_drawn_small_and_its_first_frames_enlarged(tmp_path: Path) -> None:
-    options = bench_long.clip_options("demo", tmp_path, 1024, 64, 3)
+    options = bench_long.clip_options("demo", tmp_path, 1024, 128, 3)
     frames = sorted(Path(options["dataset"]).glob("*.png"))
-    assert [read_rgb(frame).shape for frame in frames] == [(64, 1024, 3)] * 3
+    assert [read_rgb(frame).shape for frame in frames] == [(128, 1024, 3)] * 3
     home, length = bench_long.find_clip(tmp_path, options)
-    assert (home, length) == (tmp_path / "results/demo_1024x64/demo_1024x64", 3)
+    assert (home, length) == (tmp_path / "results/demo_1024x128/demo_1024x128", 3)
 
 
 def test_a_folder_with_cuts_is_refused_before_anything_runs(tmp_path: Path) -> None:
