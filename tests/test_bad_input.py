@@ -141,7 +141,6 @@ def test_too_few_frames(tmp_path: Path, count: int) -> None:
 
 
 def test_a_strip_is_refused(tmp_path: Path) -> None:
-    """OpenCV's flow would crash the process on it."""
     for path in write_frames(tmp_path / "data" / "clip").iterdir():
         cv2.imwrite(str(path), np.full((40, 328, 3), 99, np.uint8))
     refuse(tmp_path, "dataset: data", "at most 8 times as wide as high", "328 x 40", "crop their sides")

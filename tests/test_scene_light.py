@@ -240,7 +240,7 @@ def test_highlights_must_be_large_a_large_share_and_beyond_chance(
     grey: float, share: float, rank_sigmas: float, needed: bool
 ) -> None:
     bought = Bought(grey**2, 9.0, grey**2 / share, 100, rank_sigmas)
-    decision = rules.decide_view_dependent(ViewEvidence((bought, NOTHING), NOTHING, 10.0), "auto")
+    decision = rules.decide_view_dependent(ViewEvidence((bought, NOTHING), 10.0), "auto")
     assert decision["needed"] == needed
     assert decision["threshold"] == rules.MIN_VIEW_GREY
     assert decision["evidence"]["rank_sigmas"] == rank_sigmas

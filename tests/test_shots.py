@@ -55,7 +55,7 @@ def test_cuts_are_found_to_the_frame() -> None:
 
 @pytest.mark.parametrize("size", [(1024, 96), (1024, 20), (20, 300), (9, 7)])
 def test_cuts_are_found_in_strips_and_in_tiny_frames(size: tuple[int, int]) -> None:
-    """OpenCV's coarse flow crashes on images of less than 32 px."""
+    """OpenCV's presets of flow crash the process on images of less than 32 px."""
     random, (w, h) = np.random.default_rng(0), size
     first, second = (random.integers(0, 255, (h, w), np.uint8) for _ in range(2))
     looks = [Look(k, float(k), image) for k, image in enumerate([first] * 4 + [second] * 4)]

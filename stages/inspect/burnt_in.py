@@ -15,6 +15,7 @@ import numpy as np
 
 from stages.shared.bars import BrightestYet
 from stages.shared.images import enlarge, reduce, reduced_size
+from stages.shared.quick_flow import quick_flow
 from stages.shared.warp import warp
 
 WIDTH_PX = 512
@@ -232,4 +233,4 @@ def _small(grey: np.ndarray) -> np.ndarray:
 
 def _flow(before: np.ndarray, after: np.ndarray) -> np.ndarray:
     """Flow [h, w, 2] px between frames [h, w] uint8."""
-    return cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_FAST).calc(before, after, None)
+    return quick_flow(before, after, cv2.DISOPTICAL_FLOW_PRESET_FAST)

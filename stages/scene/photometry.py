@@ -144,11 +144,10 @@ class ViewEvidence(NamedTuple):
     """What colours that change with the view buy, in grey levels: harmonics of degree 1 and 2 over none.
 
     Attributes:
-        degrees: of 1 and 2. second: of degree 2 over degree 1. angle_deg: median range of the viewing directions.
+        degrees: of 1 and 2. angle_deg: median range of the viewing directions.
     """
 
     degrees: tuple[Bought, Bought]
-    second: Bought
     angle_deg: float
 
 
@@ -165,11 +164,11 @@ def view_evidence(seen: Sightings, fitted: Light) -> ViewEvidence:
     errors, judged = zip(*(_predicted(colours, directions, usable, degree) for degree in range(3)), strict=True)
     kept = np.logical_and.reduce(judged)
     if not kept.any():
-        return ViewEvidence((NOTHING, NOTHING), NOTHING, 0.0)
+        return ViewEvidence((NOTHING, NOTHING), 0.0)
     cell = np.broadcast_to(seen.cell.reshape(-1, GROUP, 1, 1), errors[0].shape)[kept]
     none, first, second = (GREY_LEVELS * error[kept] for error in errors)
     degrees = weigh(none, first, cell), weigh(none, second, cell)
-    return ViewEvidence(degrees, weigh(first, second, cell), _angle_deg(directions, usable))
+    return ViewEvidence(degrees, _angle_deg(directions, usable))
 
 
 def _angle_deg(directions: np.ndarray, usable: np.ndarray) -> float:

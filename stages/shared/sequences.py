@@ -14,7 +14,7 @@ from stages.shared.image_headers import conversions, read_header
 SMALL_PX = 64
 """Frames whose longer side is less are warned of: it is the least width that the flow can be asked for."""
 WIDEST = 8
-"""Frames are at most so many times as wide as high: reduced to 256 px, they must leave the flow 32 rows."""
+"""Frames are at most so many times as wide as high: reduced for the flow, a strip has too few rows to search in."""
 TRUTH_KINDS = {
     "camdata_left": ".cam",
     "depth": ".dpt",

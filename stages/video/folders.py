@@ -8,10 +8,11 @@ import numpy as np
 
 from stages.shared.artifacts import read_json, write_json
 from stages.shared.digest import code_digest
+from stages.shared.images import reduce, reduced_size
 from stages.shared.log import progress
 from stages.shared.sequences import Sequence, frames_digest
 from stages.shared.threads import threaded
-from stages.video.shots import Look, as_compared, find_shots
+from stages.video.shots import CUT_WIDTH_PX, Look, find_shots
 
 AT_ONCE = 64
 """So many frames are read between two steps of the progress bar."""
@@ -52,9 +53,9 @@ def find_ranges(images: list[np.ndarray], numbers: list[int]) -> list[tuple[int,
 
 
 def _look(path: Path) -> np.ndarray | None:
-    """The brightness of a frame [h, w] uint8, as it is compared; None if it cannot be read.
+    """The brightness of a frame [h, w] uint8, CUT_WIDTH_PX wide; None if it cannot be read.
 
     A JPEG of a large frame is decoded at a quarter of its size, which takes a fraction of the time.
     """
     image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
-    return None if image is None else as_compared(image)
+    return None if image is None else reduce(image, reduced_size(image.shape[1], image.shape[0], CUT_WIDTH_PX))

@@ -3,6 +3,8 @@
 import cv2
 import numpy as np
 
+from stages.shared.quick_flow import quick_flow
+
 SAME_SHOT, SAME_SHOT_FINE = 0.35, 0.48
 """Least correlation of a frame with the one before, warped onto it, within a shot: by coarse flow, and by fine flow.
 
@@ -52,7 +54,7 @@ def warped_correlation(
 ) -> float:
     """Correlation of a frame [h, w] uint8 with the one before, warped by DIS flow from a first translation (x, y)."""
     start = np.broadcast_to(np.array(start_px, np.float32), (*after.shape, 2)).copy()
-    flow = cv2.DISOpticalFlow.create(preset).calc(after, before, start)
+    flow = quick_flow(after, before, preset, start)
     v, u = np.indices(after.shape, np.float32)
     warped = cv2.remap(before, u + flow[..., 0], v + flow[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return correlation(warped, after)

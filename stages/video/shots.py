@@ -11,8 +11,6 @@ from stages.shared.images import reduce, reduced_size
 from stages.video.likeness import continues, continues_coarsely, repeats, shows_nothing
 
 CUT_WIDTH_PX = 128
-LEAST_PX = 32
-"""Of either side: OpenCV's coarse flow searches patches of 8 px at a quarter of the size, and crashes on less."""
 FOREIGN = 5
 """Up to so many frames between frames that continue each other are no shot: flashes, broken frames, a mover that fills
 the view."""
@@ -24,17 +22,6 @@ class Look(NamedTuple):
     pts: int
     time_s: float
     grey: np.ndarray
-
-
-def as_compared(grey: np.ndarray) -> np.ndarray:
-    """A frame [h, w] uint8 as cuts are looked for: CUT_WIDTH_PX wide, wider where it would be too low for the flow.
-
-    What is smaller than LEAST_PX continues with its last row or column.
-    """
-    height, width = grey.shape
-    small = reduce(grey, reduced_size(width, height, max(CUT_WIDTH_PX, -(-LEAST_PX * width // height))))
-    missing = [max(0, LEAST_PX - side) for side in small.shape]
-    return np.pad(small, [(0, size) for size in missing], "edge")
 
 
 @dataclass
@@ -92,7 +79,8 @@ class Cutter:
 
     def part_of(self, look: Look) -> Shot:
         """The part to which the next frame belongs; a new one after a cut."""
-        small = as_compared(look.grey)
+        grey = look.grey
+        small = reduce(grey, reduced_size(grey.shape[1], grey.shape[0], CUT_WIDTH_PX))
         before, self._before = self._before, small
         blank = shows_nothing(small)
         if not blank and self._returns(small):
