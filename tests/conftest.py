@@ -4,6 +4,7 @@
 # tests of torch and numba take 15 times the CPU time on a busy machine.
 import stages  # noqa: F401, I001
 
+import logging
 import shutil
 import subprocess
 import sys
@@ -58,9 +59,11 @@ def _fresh_costs(monkeypatch: pytest.MonkeyPatch) -> None:
 def _fresh_log() -> Iterator[None]:
     """The log as at a program's start, after a test that ran a stage's main in this process, too.
 
-    `log.setup` ends the propagation to the root logger, without which `caplog` of every later test stays empty.
+    `log.setup` sets the level and ends the propagation to the root logger, on both of which `caplog` of every later
+    test depends.
     """
     yield
+    logger.setLevel(logging.NOTSET)
     logger.propagate = True
     for handler in logger.handlers[:]:
         logger.removeHandler(handler)

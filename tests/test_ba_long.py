@@ -59,7 +59,7 @@ def test_a_long_path_takes_few_passes_and_its_loops_wait(
     monkeypatch.setattr(proposal, "normal_equations", adding)
     monkeypatch.setattr(estimation, "find_start", finding)
     options = BAOptions.model_validate({"start_focals": (1.2,), "rolling_shutter": "no"})
-    caplog.set_level("INFO")
+    caplog.set_level("INFO", logger="motionsplat")
     found = estimation.estimate(Problem(graph, masked=False), options)
     told = [(int(k), int(n)) for k, n in re.findall(r"adjusting, [^:\n]+: (\d+) of (\d+)$", caplog.text, re.MULTILINE)]
     assert len(told) > 10

@@ -1,6 +1,5 @@
 """Hard cases of bundle adjustment: nothing to see, nothing to tell apart, and scales far from one."""
 
-import logging
 from dataclasses import replace
 from pathlib import Path
 
@@ -249,11 +248,6 @@ def test_a_rotation_fit_to_identical_points_is_the_identity() -> None:
 def test_too_few_matches_give_no_motion() -> None:
     x = np.random.default_rng(0).normal(size=(10, 2))
     assert twoview.estimate_motion(x, x, np.ones(10), 100.0, 0.5, 0) is None
-
-
-@pytest.fixture(autouse=True)
-def _quiet() -> None:
-    logging.getLogger("motionsplat").setLevel(logging.ERROR)
 
 
 def test_masks_that_hide_the_static_scene_are_distrusted() -> None:
