@@ -225,7 +225,7 @@ def test_truth_of_another_size(tmp_path: Path) -> None:
     assert "64 x 48 like the frames, found 20 x 10" in result.stderr
 
 
-@pytest.mark.parametrize("kind", ["occlusions", "invalid", "clean_right"])
+@pytest.mark.parametrize("kind", ["occlusions", "invalid", "clean_right", "final_right"])
 def test_pictures_of_the_truth_are_read_too(tmp_path: Path, kind: str) -> None:
     """The evaluation reads them after minutes of work: what is wrong with them must stop before."""
     folder = sintel_clip(tmp_path)

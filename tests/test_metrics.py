@@ -7,16 +7,18 @@ import kornia
 import numpy as np
 import pytest
 import torch
+from conftest import write_frames
 from evo.core import metrics as evo_metrics
 from evo.core.geometry import GeometryException
 from evo.core.trajectory import PosePath3D
 
 from stages.evaluate import flow_check, image_metrics, mask_metrics, trajectory
 from stages.evaluate.ground_truth import moving_pixels
-from stages.evaluate.score_images import score_frame
+from stages.evaluate.score_images import score_frame, true_images
 from stages.shared import lie, sintel
 from stages.shared.alignment import DegenerateError
 from stages.shared.cameras import pixel_grid
+from stages.shared.sequences import check_sequence
 
 
 def _evo(estimated: np.ndarray, true: np.ndarray) -> tuple[float, float, float]:
@@ -204,3 +206,16 @@ def test_motion_masks_follow_from_true_flow_depth_and_cameras() -> None:
     source, target = ((run.CAM_FROM_WORLD[k], run.K) for k in (1, 2))
     found = moving_pixels(run.flow(1, 2), depth, source, target)
     np.testing.assert_array_equal(found, run.moving(points, 1))
+
+
+def test_the_right_eye_is_compared_with_the_pass_of_the_frames(tmp_path: Path) -> None:
+    """Fog and exposure of the final pass are no error of the scene, nor are those that the clean pass lacks."""
+    for kind in ("final", "clean", "clean_right", "final_right"):
+        write_frames(tmp_path / kind / "clip")
+    for name, kind in (("final", "final_right"), ("clean", "clean_right")):
+        sequence = check_sequence("clip", tmp_path / name / "clip")
+        assert {path.parent.parent.name for path in true_images(sequence, "right").values()} == {kind}
+    for path in (tmp_path / "final_right" / "clip").iterdir():
+        path.unlink()
+    sequence = check_sequence("clip", tmp_path / "final" / "clip")  # as in MPI-Sintel, which has a clean right eye only
+    assert {path.parent.parent.name for path in true_images(sequence, "right").values()} == {"clean_right"}

@@ -190,3 +190,23 @@ def test_flicker_and_vignette_shape() -> None:
     vignetted = effects.vignette(lens, flat)
     assert vignetted[20, 30, 0] == 1.0
     assert vignetted[0, 0, 0] == pytest.approx(0.4)
+
+
+def test_the_right_eye_has_the_effects_of_the_left_and_noise_of_its_own() -> None:
+    """Before a wall of one colour both see the same light, through the same air, at the same exposure."""
+    listed = {name: ALL[name] for name in ("fog", "exposure", "noise")}
+    keys = [{"time": 0, "eye": [0, -4, 1.5], "target": [0, 0, 1.5]}]
+    camera = {"keys": keys, "baseline": 0.01}
+    scene = Scene(description="", frames=4, width=96, height=48, camera=camera, objects=OBJECTS, effects=listed)
+    left = frames.set_stage(scene, seed=0)
+    right, now = frames.right_eye(left, left.moment(1))
+    images = []
+    for stage, moment in ((left, left.moment(1)), (right, now)):
+        seen = frames.see(stage, moment)
+        clean = frames.develop(stage, moment, seen, with_effects=False)
+        images.append(frames.final(stage, 1, moment, seen, clean))
+    assert right.view(1).centre[0] == pytest.approx(left.view(1).centre[0] + 0.01)
+    difference = images[1] - images[0]
+    noise = np.sqrt(np.mean(np.maximum(images[0], 0) / 1000 + 0.01**2))
+    assert np.abs(difference.mean(axis=(0, 1))).max() < 0.2 * noise
+    assert np.median(np.abs(difference)) == pytest.approx(0.6745 * np.sqrt(2) * noise, rel=0.2)

@@ -8,7 +8,7 @@ import pytest
 
 from stages.render.__main__ import seconds_per_frame
 from stages.render.options import RenderOptions
-from stages.render.shots import even_moments, planned_shots, right_cameras
+from stages.render.shots import Shot, even_moments, planned_shots, right_cameras
 from stages.render.viewpoints import novel_path, right_eye
 from stages.shared import lie
 from stages.shared.cameras import make_cameras
@@ -71,9 +71,23 @@ def test_right_eyes_are_rendered_for_the_frames_that_have_one_on_disk(tmp_path: 
             files[kind][10 + k] = tmp_path / f"{kind}_{k}.cam"
             write_cam(files[kind][10 + k], np.eye(3), pose[:3])
     files["clean_right"] = {12: tmp_path / "12.png", 13: tmp_path / "13.png"}
-    sequence = Sequence("clip", [], list(range(10, 16)), 8, 8, files)
+    numbers = list(range(10, 16))
+    sequence = Sequence("clip", [tmp_path] * 6, numbers, 8, 8, files)
     rows, eyes = right_cameras(sequence, left)
-    assert rows.tolist() == [2, 3]
-    assert np.allclose(eyes, right[2:4], atol=1e-12)
+    assert rows.tolist() == [0, 1, 2, 3, 4, 5]
+    assert np.allclose(eyes, right, atol=1e-12)
+
+    def shots() -> list[Shot]:
+        planned = planned_shots(sequence, make_cameras(left, np.eye(3), np.array(numbers)), 3.0, RenderOptions(), 0.5)
+        return [shot for shot in planned if shot.split == "right"]
+
+    assert [shot.number for shot in shots()] == [12, 13]
+    assert [shot.shutter for shot in shots()] == [None, None]  # the clean pass is sharp
+    files["final_right"] = {13: tmp_path / "13.png"}
+    (only,) = shots()
+    assert (only.number, only.frame) == (13, 3)
+    assert only.shutter is not None
+    assert np.allclose(only.shutter.cam_from_world, right, atol=1e-12)
+    assert np.allclose(only.cam_from_world, right[3], atol=1e-12)
     del files["camdata_left"][11]  # no scale without every left camera
     assert len(right_cameras(sequence, left)[0]) == 0

@@ -23,7 +23,7 @@ SPLITS = {
     "test": "held-out frames: their images are used neither for training nor for the choice of effects and control "
     "points; flow, masks, depth and poses were estimated from all frames, including these, and each is rendered from "
     "its own estimated pose",
-    "right": "right-eye views against the clean pass, the only one with right-eye truth",
+    "right": "right-eye views against the right eye of the frames' own pass, or of the clean one if it has none",
 }
 
 
@@ -159,5 +159,5 @@ def reduced(truth: np.ndarray, image: np.ndarray) -> np.ndarray:
 def true_images(sequence: Sequence, split: str) -> dict[int, Path]:
     """The files that renders of a split are compared with, by frame number."""
     if split == "right":
-        return sequence.truth.get("clean_right", {})
+        return sequence.truth.get(sequence.right_kind, {})
     return dict(zip(sequence.numbers, sequence.frames, strict=True))

@@ -166,7 +166,8 @@ def check_truth(sequence: Sequence) -> None:
         InputError: for a wrong tag, a truncated file, or a size that differs from that of the frames.
     """
     readers: dict[str, Callable[[Path], np.ndarray]] = {"flow": sintel.read_flo, "depth": sintel.read_dpt}
-    readers |= dict.fromkeys(("motion_mask", "occlusions", "invalid"), read_mask) | {"clean_right": read_rgb}
+    readers |= dict.fromkeys(("motion_mask", "occlusions", "invalid"), read_mask)
+    readers |= dict.fromkeys(("clean_right", "final_right"), read_rgb)
     for kind, read in readers.items():
         for path in sequence.truth.get(kind, {}).values():
             height, width = read(path).shape[:2]
@@ -201,9 +202,9 @@ def missing_truth(sequence: Sequence) -> list[str]:
         "motion_mask": "no motion masks: no IoU",
         "flow": "no flow truth: no end-point error",
         "depth": "no depth truth",
-        "clean_right": "no right-eye frames: no score of novel views",
+        sequence.right_kind: "no right-eye frames: no score of novel views",
     }
-    partly = {"clean_right"}  # right-eye truth may cover only some frames
+    partly = {sequence.right_kind}  # right-eye truth may cover only some frames
     return [
         text
         for kind, text in told.items()

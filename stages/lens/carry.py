@@ -85,7 +85,7 @@ def carry_images(frames: Sequence, pinhole: Pinhole, folder: Path) -> None:
     writers: dict[str, Callable[[Path, Path], None]] = {
         "depth": lambda path, out: sintel.write_dpt(out, nearest(sintel.read_dpt(path))),
         "flow": lambda path, out: sintel.write_flo(out, flow(path)),
-        "clean_right": lambda path, out: write_image(out, picture(path)),
+        **dict.fromkeys(("clean_right", "final_right"), lambda path, out: write_image(out, picture(path))),
         **dict.fromkeys(("camdata_left", "camdata_right"), camera),
         **dict.fromkeys(("motion_mask", "occlusions", "invalid"), mask),
     }

@@ -28,7 +28,8 @@ def main(
 ) -> str:
     """Render every frame at its estimated pose and time, a fly-through, and the right eye if its true camera is known.
 
-    Frames have the motion blur that the model was trained with, other views are sharp. In the fly-through the camera
+    Frames, and the right eye of the final pass, have the motion blur that the model was trained with; other views are
+    sharp. In the fly-through the camera
     circles around the estimated path while time runs from 0 to 1. It lasts as long as the video, within what is
     bearable.
     """
@@ -36,19 +37,16 @@ def main(
     from stages.render.video import write_gif
     from stages.shared.atomic import atomic_folder
     from stages.shared.images import write_image
-    from stages.splatting.shutter import Shutter
 
     content, cameras = read_sequence(sequence), read_cameras(poses)
     trained = read_metadata(model)
-    shots = planned_shots(content, cameras, float(trained["median_depth"]), options)
-    shutter = None
-    if "shutter" in trained:
-        shutter = Shutter(float(trained["shutter"]), cameras.cam_from_world, cameras.Ks)
+    open_for = float(trained["shutter"]) if "shutter" in trained else None
+    shots = planned_shots(content, cameras, float(trained["median_depth"]), options, open_for)
     scene = load_scene(model, options.device)
     novel = []
     with atomic_folder(output, FILES) as folder:
         for shot in progress(shots, "rendering"):
-            image = take(scene, shot, content.width, content.height, shutter)
+            image = take(scene, shot, content.width, content.height)
             write_image(folder / shot.split / f"frame_{shot.number:04d}.png", image)
             if shot.split == "novel":
                 novel.append(image)

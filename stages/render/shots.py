@@ -28,7 +28,8 @@ class Shot:
     Attributes:
         split: its folder, "train", "test", "novel" or "right". number: the number in its file name. time: 0..1.
         cam_from_world: [4, 4]. K: [3, 3] px.
-        frame: 0-based index of the frame whose picture it is, with its motion blur; None: it is sharp.
+        frame: 0-based index of the frame whose time it is; None: it is none's.
+        shutter: that of its motion blur, with the cameras of all frames; None: it is sharp.
     """
 
     split: str
@@ -37,29 +38,43 @@ class Shot:
     cam_from_world: np.ndarray
     K: np.ndarray
     frame: int | None = None
+    shutter: Shutter | None = None
 
 
-def planned_shots(content: Sequence, cameras: Cameras, distance: float, options: RenderOptions) -> list[Shot]:
+def planned_shots(
+    content: Sequence, cameras: Cameras, distance: float, options: RenderOptions, open_for: float | None = None
+) -> list[Shot]:
     """All views of the stage: every frame at its pose, the fly-through, and the right eye.
 
     Args:
         distance: of the point that the fly-through looks at, scene units.
+        open_for: how long the shutter is open, in frames, 0..1; None: nothing is blurred.
     """
-    T = len(content.frames)
+    T, poses = len(content.frames), cameras.cam_from_world
     times, is_test = frame_times(T), held_out(T, options)
+    shutter = None if open_for is None else Shutter(open_for, poses, cameras.Ks)
     shots = [
-        Shot(
-            "test" if is_test[k] else "train", content.numbers[k], times[k], cameras.cam_from_world[k], cameras.Ks[k], k
-        )
+        Shot("test" if is_test[k] else "train", content.numbers[k], times[k], poses[k], cameras.Ks[k], k, shutter)
         for k in range(T)
     ]
     moments = even_moments(content.times_s, options.novel_views)
-    path = novel_path(cameras.cam_from_world, moments, options.orbit_share * distance, distance)
+    path = novel_path(poses, moments, options.orbit_share * distance, distance)
     nearest = np.rint(moments * (T - 1)).astype(int)  # of a lens that zooms
     shots += [Shot("novel", n + 1, moments[n], path[n], cameras.Ks[nearest[n]]) for n in range(len(moments))]
+    return shots + _right_shots(content, cameras, times, open_for)
+
+
+def _right_shots(content: Sequence, cameras: Cameras, times: np.ndarray, open_for: float | None) -> list[Shot]:
+    """The right eye of the frames that have one on disk, blurred as they are if it is of the final pass."""
     rows, eyes = right_cameras(content, cameras.cam_from_world)
-    return shots + [
-        Shot("right", content.numbers[k], times[k], eye, cameras.Ks[k]) for k, eye in zip(rows, eyes, strict=True)
+    shutter = None
+    if open_for is not None and content.right_kind == "final_right" and len(rows) == len(times):
+        shutter = Shutter(open_for, eyes, cameras.Ks)
+    on_disk = content.truth.get(content.right_kind, {})
+    return [
+        Shot("right", content.numbers[k], times[k], eye, cameras.Ks[k], k, shutter)
+        for k, eye in zip(rows.tolist(), eyes, strict=True)
+        if content.numbers[k] in on_disk
     ]
 
 
@@ -71,13 +86,13 @@ def even_moments(times_s: list[float] | None, count: int) -> np.ndarray:
 
 
 def right_cameras(content: Sequence, cam_from_world: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Indices [n] of the frames with ground truth of the right eye, and its cameras [n, 4, 4] in the estimated world.
+    """Indices [n] of the frames whose right camera is known, and these cameras [n, 4, 4] in the estimated world.
 
     Args:
         cam_from_world: estimated [T, 4, 4]. Where the estimated path does not determine a scale, none are returned.
     """
-    both = set(content.truth.get("camdata_right", {})) & set(content.truth.get("clean_right", {}))
-    rows = np.array([k for k, number in enumerate(content.numbers) if number in both], int)
+    known = content.truth.get("camdata_right", {})
+    rows = np.array([k for k, number in enumerate(content.numbers) if number in known], int)
     if len(rows) == 0 or not content.has_truth("camdata_left"):
         return rows[:0], np.zeros((0, 4, 4))
     _, left = sintel.read_cams(content.truth_files("camdata_left"))
@@ -101,9 +116,9 @@ def load_scene(model: Path, device: str) -> GaussianScene:
 
 
 @torch.no_grad()
-def take(scene: GaussianScene, shot: Shot, width: int, height: int, shutter: Shutter | None = None) -> np.ndarray:
-    """The rendered view, [height, width, 3] uint8; that of a frame with the motion blur of the shutter, if any."""
+def take(scene: GaussianScene, shot: Shot, width: int, height: int) -> np.ndarray:
+    """The rendered view, [height, width, 3] uint8, with the motion blur of its shutter, if any."""
     picture = instant(shot.time, shot.cam_from_world, shot.K)
-    if shot.frame is not None and shutter is not None:
-        picture = open_moments(scene, shutter, shot.frame, (width, height))
+    if shot.frame is not None and shot.shutter is not None:
+        picture = open_moments(scene, shot.shutter, shot.frame, (width, height))
     return to_uint8(expose(scene, picture, width, height)[0].cpu().numpy())

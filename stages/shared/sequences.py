@@ -23,6 +23,7 @@ TRUTH_KINDS = {
     "occlusions": ".png",
     "invalid": ".png",
     "clean_right": ".png",
+    "final_right": ".png",
     "camdata_right": ".cam",
     "distortion": ".json",
 }
@@ -54,6 +55,11 @@ class Sequence:
     def stamps(self) -> list[float]:
         """The time stamps [T] of the frames in seconds; their numbers if there are none."""
         return list(self.numbers) if self.times_s is None else self.times_s
+
+    @property
+    def right_kind(self) -> str:
+        """The kind of the right-eye frames to compare with: of the frames' own pass if there are any, else clean."""
+        return "final_right" if self.truth.get("final_right") else "clean_right"
 
     def has_truth(self, kind: str) -> bool:
         """Whether every frame has this kind of truth (flow: every frame but the last)."""
@@ -129,7 +135,8 @@ def truth_folders(folder: Path) -> dict[str, Path]:
     """The existing folders of ground truth, `<training>/<kind>/<sequence>`, for `<training>/<pass>/<sequence>`."""
     if folder.parent.name not in ("clean", "final"):
         return {}
-    beside = {kind: folder.parent.parent / kind / folder.name for kind in TRUTH_KINDS}
+    other = {"clean": "final_right", "final": None}[folder.parent.name]  # of a pass with effects that these lack
+    beside = {kind: folder.parent.parent / kind / folder.name for kind in TRUTH_KINDS if kind != other}
     return {kind: path for kind, path in beside.items() if path.is_dir()}
 
 

@@ -19,7 +19,7 @@ from stages.simulate import frames
 from stages.simulate.effect_models import Effects
 from stages.simulate.exact_motion import Motion, motion
 from stages.simulate.frames import Moment, Stage
-from stages.simulate.keyframes import View, right_of
+from stages.simulate.keyframes import View
 from stages.simulate.options import SimulateOptions
 from stages.simulate.raycast import enclosing
 from stages.simulate.scene import Scene, load_scene
@@ -35,8 +35,12 @@ KINDS = (
     "invalid",
     "motion_mask",
     "clean_right",
+    "final_right",
     "camdata_right",
 )
+RIGHT_EVERY, FIRST_RIGHT = 4, 2
+"""The final pass of the right eye is drawn of one frame in so many, from this one on: with motion blur it takes as long
+as that of the left. By default none of these frames is held out from training."""
 LENS = "distortion"
 """Kind of the truth of a lens, of scenes that have one: {"k1": ..., "k2": ...} of every frame."""
 FILES = ("frame_*.png", "frame_*.flo", "frame_*.dpt", "frame_*.cam", "frame_*.json")
@@ -108,17 +112,19 @@ def draw_frame(stage: Stage, frame: int, now: Moment, other: Moment, folders: di
     with watch.measure("truth"):
         uv = pixel_grid(scene.height, scene.width).reshape(-1, 2)
         moved = motion(seen.hits, uv, stage.world, other.snapshot, other.view, now.view.K[0, 0])
-    final = frames.final(stage, frame, now, seen, clean)
+    passes = {"clean": clean, "final": frames.final(stage, frame, now, seen, clean)}
     with watch.measure("right eye"):
-        right = right_of(now.view, scene.camera.baseline)
-        other_eye = Moment(now.snapshot, right)
-        clean_right = frames.develop(stage, other_eye, frames.see(stage, other_eye), with_effects=False)
+        stage, now_right = frames.right_eye(stage, now)
+        seen_right = frames.see(stage, now_right)
+        passes["clean_right"] = frames.develop(stage, now_right, seen_right, with_effects=False)
+        if frame % RIGHT_EVERY == FIRST_RIGHT:
+            passes["final_right"] = frames.final(stage, frame, now_right, seen_right, passes["clean_right"])
     with watch.measure("writing"):
         stem = f"frame_{frame + 1:04d}"
-        for kind, image in (("clean", clean), ("final", final), ("clean_right", clean_right)):
+        for kind, image in passes.items():
             write_image(folders[kind] / f"{stem}.png", frames.to_srgb(image))
         sintel.write_dpt(folders["depth"] / f"{stem}.dpt", seen.hits.depth.reshape(clean.shape[:2]))
-        for kind, view in (("camdata_left", now.view), ("camdata_right", right)):
+        for kind, view in (("camdata_left", now.view), ("camdata_right", now_right.view)):
             _write_view(folders[kind] / f"{stem}.cam", view)
         if scene.camera.distortion is not None:
             write_json(folders[LENS] / f"{stem}.json", scene.camera.distortion.model_dump())

@@ -87,9 +87,9 @@ def exposure(effect: Exposure, picture: np.ndarray, time: float, seed: int) -> n
     return np.asarray(picture * 2**stops * np.array([1 + tint, 1.0, 1 - tint]))
 
 
-def noise(effect: Noise, picture: np.ndarray, frame: int, seed: int) -> np.ndarray:
-    """Add shot noise (normal, of variance picture / photons) and read noise to an image [H, W, 3]."""
-    rng = np.random.default_rng([seed, 5, frame])
+def noise(effect: Noise, picture: np.ndarray, frame: int, seed: int, eye: int = 0) -> np.ndarray:
+    """Add shot noise (normal, of variance picture / photons) and read noise to an image [H, W, 3] of eye 0 or 1."""
+    rng = np.random.default_rng([seed, 5, frame, eye])
     deviation = np.sqrt(np.maximum(picture, 0) / effect.photons + effect.read**2)
     return np.asarray(picture + deviation * rng.standard_normal(picture.shape))
 

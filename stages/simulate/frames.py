@@ -7,7 +7,7 @@ import numpy as np
 
 from stages.shared.cameras import pixel_grid
 from stages.simulate import effects
-from stages.simulate.keyframes import View, camera_path
+from stages.simulate.keyframes import View, camera_path, right_of
 from stages.simulate.raycast import Hits, cast
 from stages.simulate.scene import Scene
 from stages.simulate.shading import Surface, lit, surfaces
@@ -33,7 +33,8 @@ class Stage(NamedTuple):
     """The inputs of every image of a scene.
 
     Attributes:
-        scene: the scene file. world: its triangles. view: frame index -> left camera. watch: measures the seconds.
+        scene: the scene file. world: its triangles. view: frame index -> camera. watch: measures the seconds.
+        eye: 0 left, 1 right.
     """
 
     scene: Scene
@@ -41,6 +42,7 @@ class Stage(NamedTuple):
     view: Callable[[float], View]
     seed: int
     watch: Stopwatch
+    eye: int = 0
 
     def moment(self, frame: float) -> Moment:
         """The scene and the left camera at a frame index, which may be fractional."""
@@ -53,6 +55,13 @@ def set_stage(scene: Scene, seed: int) -> Stage:
     watch = Stopwatch()
     with watch.measure("scene"):
         return Stage(scene, World(scene, seed), camera_path(scene, seed), seed, watch)
+
+
+def right_eye(stage: Stage, now: Moment) -> tuple[Stage, Moment]:
+    """The same before the right camera, timed apart. The noise of its sensor is another."""
+    baseline = stage.scene.camera.baseline
+    right = stage._replace(view=lambda frame: right_of(stage.view(frame), baseline), watch=Stopwatch(), eye=1)
+    return right, now._replace(view=right_of(now.view, baseline))
 
 
 class Seen(NamedTuple):
@@ -114,7 +123,7 @@ def final(stage: Stage, frame: int, moment: Moment, seen: Seen, clean: np.ndarra
             radiance = effects.exposure(listed.exposure, radiance, time, stage.seed)
     if listed.noise:
         with measure("noise"):
-            radiance = effects.noise(listed.noise, radiance, frame, stage.seed)
+            radiance = effects.noise(listed.noise, radiance, frame, stage.seed, stage.eye)
     return radiance
 
 
