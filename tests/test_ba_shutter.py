@@ -102,6 +102,24 @@ def test_a_rolling_shutter_is_found_with_its_readout_and_better_poses(readout: f
         assert trajectory_error(at_once.state.cam_from_world, truth) > 1e-2
 
 
+@pytest.mark.parametrize(("readout", "stops"), [(0.0, True), (0.15, False)])
+def test_the_search_stops_where_no_readout_saves_anything(
+    readout: float, stops: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """After two readouts beside none; a small one is looked for on."""
+    found: list[int] = []
+
+    def kept(*args: object) -> tuple[dict[float, shutter.Fit], float]:
+        result = search(*args)
+        found.append(len(result[0]))
+        return result
+
+    search = shutter._search
+    monkeypatch.setattr(shutter, "_search", kept)
+    assert (solve(readout).rolling.decision == "global") == stops
+    assert (found[-1] <= 3) == stops
+
+
 def test_without_one_the_solution_is_that_of_a_global_shutter_to_the_bit() -> None:
     tested, off = solve(0.0), solve(0.0, "no")
     assert (tested.rolling.decision, off.rolling.decision) == ("global", "not tested")
@@ -110,13 +128,14 @@ def test_without_one_the_solution_is_that_of_a_global_shutter_to_the_bit() -> No
 
 
 def test_a_shutter_that_is_asked_for_of_a_camera_that_hardly_moves_is_not_followed_and_said() -> None:
-    """Its readout would be that of the noise: 0.2 of the frame interval here, within a predicted error of 0.04."""
+    """Its readout would be that of the noise: 0.2 of the frame interval here."""
     graph, _ = observe_rolled(hand(0.0005, 0.0005, steady=(0.0,) * 6), 0.0)
     off, asked = (
         estimate(Problem(graph, masked=True), OPTIONS.model_copy(update={"rolling_shutter": word}))
         for word in ("no", "yes")
     )
-    assert (off.camera, asked.rolling.decision) == ("near-still", "global")
+    assert off.camera == "near-still"
+    assert asked.rolling.decision in ("global", "not observable")
     assert_allclose(asked.state.cam_from_world, off.state.cam_from_world, rtol=0, atol=0)
     assert any("`rolling_shutter: yes` is not followed: the camera hardly moves" in flag for flag in asked.flags)
     assert not any("not followed" in flag for flag in off.flags)

@@ -15,7 +15,9 @@ from stages.scene.observed import Observed
 from stages.scene.photometry import LightEvidence, ViewEvidence, light_evidence, view_evidence
 from stages.scene.sightings import sight
 from stages.scene.weigh import NOTHING, Bought
+from stages.scene.windows import FOOTPRINT_PX2, SMOOTH_PX, WIDEST, windows
 from stages.shared.cameras import pixel_grid, unproject
+from stages.shared.images import DISPLAY_GAMMA
 
 NOISE = 0.01
 
@@ -47,7 +49,7 @@ def lit_room(
         surface = shade[..., None] * (np.ones(3) if grey else np.array([1.0, 0.8, 0.6]))
         distance = np.linalg.norm(points - np.linalg.inv(pose)[:3, 3], axis=-1)[..., None]
         clear = np.exp(-extinction * distance)
-        shown = gains[k] * (clear * surface + (1 - clear) * np.array(airlight)) ** (1 / 2.2)
+        shown = gains[k] * (clear * surface + (1 - clear) * np.array(airlight)) ** (1 / DISPLAY_GAMMA)
         noise = NOISE * rng.standard_normal((*depth.shape, 1 if grey else 3))
         rgb.append(np.clip(np.rint(255 * (shown + noise)), 0, 255) / 255)
     return Observed(
@@ -112,7 +114,9 @@ def test_fog_is_told_from_exposure(extinction: float, level: float, drift_percen
     assert air["needed"] == foggy
     assert air["extinction"] == evidence.fitted.extinction
     if foggy:
-        assert evidence.fitted.airlight == pytest.approx([level, level, 1.2 * level], abs=0.15)
+        brighter = np.exp(DISPLAY_GAMMA * np.log(drift(drift_percent)).mean())  # fitted gains are 1 on average
+        expected = level * brighter * np.array([1, 1, 1.2])
+        assert evidence.fitted.airlight == pytest.approx(expected, abs=0.03)
 
 
 def test_what_is_burnt_in_is_no_point_of_the_scene() -> None:
@@ -146,21 +150,19 @@ def test_a_sky_behind_black_fog_has_errors_all_the_same() -> None:
     assert np.isfinite(cleared(far, black)).all()
 
 
-@pytest.mark.parametrize(("wall", "extinction_error", "airlight_error"), [(True, 0.08, 0.06), (False, 0.33, 0.25)])
+@pytest.mark.parametrize("wall", [True, False])
 @pytest.mark.parametrize(
-    ("extinction", "level"), [(0.05, 0.6), (0.2, 0.6), (0.4, 0.6), (0.1, 0.9), (0.08, 0.9), (0.3, 0.6)]
+    ("extinction", "level"), [(0.02, 0.6), (0.05, 0.6), (0.2, 0.6), (0.4, 0.6), (0.1, 0.9), (0.08, 0.9), (0.3, 0.6)]
 )
-def test_thin_and_thick_fog_are_found_from_a_light_without(
-    extinction: float, level: float, wall: bool, extinction_error: float, airlight_error: float
-) -> None:
-    """0.2 to 1.6 per median distance. The vignetting that is fitted first takes the part of thin fog.
+def test_thin_and_thick_fog_are_found_from_a_light_without(extinction: float, level: float, wall: bool) -> None:
+    """0.1 to 1.6 per median distance. The vignetting that is fitted first takes the part of thin fog.
 
     At first thin bright fog explains more than the true one; then extinction and airlight lie in a long curved valley.
-    In the room, the thinnest comes out too thin.
+    In the room, thin fog comes out a third too thin where windows are as long as wide: the camera goes past a wall.
     """
     found = fitted_fog(lit_room(extinction, (level, level, 1.1 * level), wall=wall))
-    assert found.extinction == pytest.approx(extinction, rel=extinction_error)
-    assert found.airlight == pytest.approx([level, level, 1.1 * level], rel=airlight_error)
+    assert found.extinction == pytest.approx(extinction, rel=0.08)
+    assert found.airlight == pytest.approx([level, level, 1.1 * level], rel=0.06)
 
 
 def fitted_fog(shown: Observed) -> Light:
@@ -168,6 +170,31 @@ def fitted_fog(shown: Observed) -> Light:
     seen = sight(shown)
     every, start = np.ones(len(seen.cell), bool), no_light(seen.colours.shape[1])
     return light.fit(seen, Model(0, True), every, light.fit(seen, Model(0, False), every, start))
+
+
+def test_windows_cover_the_same_of_a_surface_in_all_frames() -> None:
+    """In no frame less than SMOOTH_PX of the image, and where one of them is wide it is not the others as well."""
+    turns = np.linspace(0.2, 1.0, 4)
+    J = np.stack([np.array([[1.3 * np.cos(a), 0.2], [0.1, 1.0 + 0.2 * a]]) for a in turns])  # px per place
+    square = np.array([[0, 0], [5, 0], [0, 5], [5, 5]], float)
+    corners = np.einsum("fij,cj->cfi", J, square)[None]
+    shown = np.ones((1, 5), bool)
+    shown[0, 4] = False
+    found = windows(np.concatenate([corners, np.full((1, 4, 1, 2), 7.0)], axis=2), shown)
+    along, across = found.along[0, :4], found.variance[0, :4]
+    image = across[:, None, None] * np.eye(2) + along[:, :, None] * along[:, None] + FOOTPRINT_PX2 * np.eye(2)
+    surface = np.linalg.inv(J) @ image @ np.swapaxes(np.linalg.inv(J), 1, 2)
+    assert surface == pytest.approx(np.broadcast_to(surface[0], surface.shape), rel=1e-6, abs=1e-6)
+    assert across.min() == pytest.approx(SMOOTH_PX**2, rel=1e-6)
+    assert found.reach.max() < WIDEST * SMOOTH_PX
+    assert np.isfinite(found.reach).all()
+
+
+def test_a_square_that_is_seen_edge_on_has_the_longest_windows() -> None:
+    corners = np.array([[0.0, 0], [5, 0], [0, 5], [5, 5]])[None, :, None] * np.array([[1, 1], [1, 1e-4]])[:, None, None]
+    found = windows(np.swapaxes(corners, 0, 1).reshape(1, 4, 2, 2), np.ones((1, 2), bool))
+    assert found.reach.max() == pytest.approx(WIDEST * SMOOTH_PX)
+    assert found.variance.min() >= SMOOTH_PX**2 - 1e-9
 
 
 def test_texture_that_fades_with_distance_is_no_fog() -> None:

@@ -1,12 +1,14 @@
 """Motion blur before a panning camera whose speed changes: found, measured, and not mistaken for other effects."""
 
+from typing import Any
+
 import cv2
 import numpy as np
 import pytest
 
-from stages.scene import blur_rules
+from stages.scene import blur_rules, shutter
 from stages.scene.observed import Observed
-from stages.scene.shutter import shutter_evidence
+from stages.scene.shutter import FIRST_PAIRS, PAIRS, shutter_evidence
 from stages.scene.shutter_fit import SHUTTERS, TILES, judge
 
 H, W, F = 72, 128, 12
@@ -73,10 +75,25 @@ def decided(seen: Observed, given: float | None = None) -> dict:
     return blur_rules.decide_motion_blur(shutter_evidence(seen, blur_rules.MIN_SPEED_PX, given), "auto", given)
 
 
-@pytest.mark.parametrize("shutter", [0.3, 0.6, 0.9])
-def test_the_shutter_is_measured(shutter: float) -> None:
-    evidence = measured(clip(shutter, noise=0.005))
-    assert evidence["shutter"] == pytest.approx(shutter, abs=0.06)
+@pytest.mark.parametrize(("blurred", "pairs"), [(0.0, FIRST_PAIRS), (0.5, PAIRS)])
+def test_few_pairs_rule_out_blur_and_never_find_it(blurred: float, pairs: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    compared: list[int] = []
+
+    def counted(*args: Any) -> np.ndarray:
+        compared.append(args[-1])
+        return compare(*args)
+
+    compare = shutter._compare
+    monkeypatch.setattr(shutter, "_compare", counted)
+    decision = decided(clip(blurred, noise=0.005))
+    assert (decision["needed"], decision["observable"]) == (blurred > 0, True)
+    assert len(compared) == 2 * pairs
+
+
+@pytest.mark.parametrize("open_for", [0.3, 0.6, 0.9])
+def test_the_shutter_is_measured(open_for: float) -> None:
+    evidence = measured(clip(open_for, noise=0.005))
+    assert evidence["shutter"] == pytest.approx(open_for, abs=0.06)
     assert blur_rules.decide_motion_blur(evidence, "auto", None)["needed"]
 
 

@@ -24,6 +24,9 @@ SIGNIFICANT, CERTAIN = 2.0, 3.0
 from how much the tiles differ. This is too much: a distortion that is there saves most of its cost near the corners."""
 MAX_SIGMA = 0.01
 """From this predicted error of the shift of a corner on, a distortion is not observable."""
+HIDDEN = 3.0
+"""At this many times MAX_SIGMA, for the first cameras with a distortion, neither others nor a zoom are looked for: with
+better cameras it falls to a third (tuned scenes)."""
 SUSPECTED_GAIN, SUSPECTED_SHIFT = 0.01, 0.01
 """From this gain or shift on, cameras with a distortion are searched anew, from undistorted matches."""
 TRIED = 0.05
@@ -127,9 +130,10 @@ def _weigh(observed: Observed, density: float) -> tuple[Evidence, Fit, Unknowns]
     """
     graph = observed.graph
     straight = Unknowns(focal=True, translation=observed.statistics.camera != "rotating")
-    rivals = _compare(observed, straight, _fit(observed, _start(observed), straight))
+    rivals = _compare(observed, straight, _fit(observed, _start(observed), straight), density)
     found = _evidence(graph, rivals, density)
-    if straight.translation:
+    assert found.shift_sigma is not None
+    if straight.translation and found.shift_sigma <= HIDDEN * MAX_SIGMA:
         zooming = replace(straight, zoom=True)
         plain = _fit(observed, rivals.plain.state, zooming)
         if found.decision == "distorted" or held_out.gain(graph, (rivals.plain, plain))[0] > zoom.SUSPECTED_GAIN:
@@ -137,7 +141,7 @@ def _weigh(observed: Observed, density: float) -> tuple[Evidence, Fit, Unknowns]
             fits = [_fit(observed, rivals.bent.state, replace(of, lens=2)) for of in (straight, zooming)]
             gain, sigma = held_out.gain(graph, (fits[0], fits[1]))
             if gain >= max(ZOOM_GAIN, zoom.SIGNIFICANT * sigma):
-                rivals = _among_zooms(observed, zooming, plain)
+                rivals = _among_zooms(observed, zooming, plain, density)
                 found = _evidence(graph, rivals, density)
                 found = replace(found, reason=f"beside a focal length that changes {found.reason}")
             elif found.decision == "distorted":
@@ -150,7 +154,7 @@ def _weigh(observed: Observed, density: float) -> tuple[Evidence, Fit, Unknowns]
 
 def _evidence(graph: FlowGraph, rivals: _Rivals, density: float) -> Evidence:
     shift = _shift(rivals.bent)
-    shift_sigma = float(np.sqrt(density)) * _shift_sigma(graph, rivals.bent.state, replace(rivals.unknowns, lens=1))
+    shift_sigma = _shift_sigma(graph, rivals.bent.state, replace(rivals.unknowns, lens=1), density)
     decision, reason = judge(rivals.gain, rivals.gain_sigma, shift, shift_sigma)
     return Evidence(decision, reason, rivals.gain, rivals.gain_sigma, MIN_GAIN, shift=shift, shift_sigma=shift_sigma)
 
@@ -160,12 +164,13 @@ def _fit(observed: Observed, state: State, unknowns: Unknowns, swapped: bool = F
     return held_out.fit(parts[::-1] if swapped else parts, state, unknowns, observed.prior, "lens")
 
 
-def _compare(observed: Observed, straight: Unknowns, plain: Fit) -> _Rivals:
+def _compare(observed: Observed, straight: Unknowns, plain: Fit, density: float) -> _Rivals:
     """Cameras with a distortion beside `plain`, those without one; both searched anew where there is a suspicion."""
     graph, bent = observed.graph, replace(straight, lens=1)
     best = _fit(observed, replace(plain.state, lens=np.zeros(2)), bent)
     gain, gain_sigma = held_out.gain(graph, (plain, best))
-    if gain > SUSPECTED_GAIN or abs(_shift(best)) > SUSPECTED_SHIFT:
+    suspected = gain > SUSPECTED_GAIN or abs(_shift(best)) > SUSPECTED_SHIFT
+    if suspected and _shift_sigma(graph, best.state, bent, density) <= HIDDEN * MAX_SIGMA:
         searched = _fit(observed, _search(observed, np.copysign(TRIED, _shift(best))), bent)
         best = min((best, searched), key=lambda fit: fit.cost)
         plain = min((plain, _fit(observed, replace(best.state, lens=None), straight)), key=lambda fit: fit.cost)
@@ -174,7 +179,7 @@ def _compare(observed: Observed, straight: Unknowns, plain: Fit) -> _Rivals:
     return _Rivals(straight, plain, best, gain, gain_sigma)
 
 
-def _among_zooms(observed: Observed, zooming: Unknowns, plain: Fit) -> _Rivals:
+def _among_zooms(observed: Observed, zooming: Unknowns, plain: Fit, density: float) -> _Rivals:
     """The same among cameras with a focal length per frame, whose change is first seen in pairs of frames."""
     graph, focal_px = observed.graph, plain.state.focal_px
     threshold_px = min(observed.threshold_px / 2, MAX_PAIR_PX)
@@ -185,7 +190,7 @@ def _among_zooms(observed: Observed, zooming: Unknowns, plain: Fit) -> _Rivals:
     tried = [replace(observed, focals_px=[focal_px], curve=curve) for curve in curves]
     fits = [plain, *(_fit(observed, _start(of), zooming) for of in tried)]
     best = int(np.argmin([fit.cost for fit in fits]))
-    return _compare(tried[max(best - 1, 0)], zooming, fits[best])
+    return _compare(tried[max(best - 1, 0)], zooming, fits[best], density)
 
 
 def _start(observed: Observed) -> State:
@@ -221,7 +226,7 @@ def _shift(fit: Fit) -> float:
     return float(fit.state.lens.sum())
 
 
-def _shift_sigma(graph: FlowGraph, state: State, unknowns: Unknowns) -> float:
+def _shift_sigma(graph: FlowGraph, state: State, unknowns: Unknowns, density: float) -> float:
     covariance = solution_covariance(graph, state, unknowns)
     size = 7 * graph.T if unknowns.zoom else 6 * graph.T + 1
-    return float(np.sqrt(covariance.of(np.append(np.zeros(size), [1.0, 1.0])[None])[0, 0]))
+    return float(np.sqrt(density * covariance.of(np.append(np.zeros(size), [1.0, 1.0])[None])[0, 0]))

@@ -37,6 +37,8 @@ SIGNIFICANT = 3.0
 """The gain, and the readout, must exceed this many of their standard deviations."""
 MAX_SIGMA = 0.15
 """From this predicted error on, the readout is not observable."""
+FAR_FROM_SAVED = 0.5
+"""The search stops where the best readout would save less than this share of MIN_GAIN: no other decides otherwise."""
 
 
 @dataclass(frozen=True)
@@ -159,7 +161,7 @@ def weigh(graph: FlowGraph, state: State, unknowns: Unknowns, prior: FocalPrior,
             state = found.state
         return found
 
-    tried, curvature = _search(coarse, fit, state)
+    tried, curvature = _search(coarse, fit, state, 0.0 if assumed else FAR_FROM_SAVED * MIN_GAIN)
     readout = min(tried, key=lambda at: tried[at].cost)
     gain, gain_sigma = held_out.gain(coarse, (tried[0.0], tried[readout]))
     sigma_px = _sharp_scale(tried[readout].errors, held_out.halves(coarse)[1])
@@ -177,10 +179,24 @@ def _shakes(graph: FlowGraph, state: State) -> np.ndarray:
     return np.pad((np.diff(twists, axis=0) ** 2).sum(axis=1), 1)
 
 
-def _search(graph: FlowGraph, fit: Callable[[float, State], Fit], state: State) -> tuple[dict[float, Fit], float]:
+def _saved(tried: dict[float, Fit]) -> float:
+    """Share of the cost that the best readout saves by the parabola through those tried; all of it if there is none."""
+    readouts, costs = np.array(list(tried)), np.array([fit.cost for fit in tried.values()])
+    if len(readouts) < 3:
+        return 1.0
+    square, slope, _ = np.polyfit(readouts, costs / costs[0] - 1, 2)
+    return float(slope**2 / (4 * square)) if square > 0 else 1.0
+
+
+def _search(
+    graph: FlowGraph, fit: Callable[[float, State], Fit], state: State, least: float
+) -> tuple[dict[float, Fit], float]:
     """Fits at the readouts that were tried, 0 and at least one more, and the curvature of the cost there, px^2.
 
     The residuals of the best cameras at two readouts give their derivative by the readout, and this the next one.
+
+    Args:
+        least: share of the cost; where the best readout would save less, no more are tried.
     """
     fitted = held_out.halves(graph)[0]
     last, readout, tried = 0.0, PROBE, {0.0: fit(0.0, state)}
@@ -196,7 +212,7 @@ def _search(graph: FlowGraph, fit: Callable[[float, State], Fit], state: State) 
             (fitted.weights * squared).sum(), 1e-300
         )
         last, before, readout = readout, now, float(np.clip(readout + step, -1, 1))
-        if any(abs(readout - at) < SETTLED for at in tried):
+        if any(abs(readout - at) < SETTLED for at in tried) or _saved(tried) < least:
             break
     return tried, float((graph.weights * squared).sum())
 

@@ -89,7 +89,7 @@ def _with_zoom(observed: Observed, coarse: FlowGraph, best: Candidate) -> tuple[
         return [initialise.choose(guess(rival, coarse)).state for rival in rivals]
 
     density = len(coarse.pixels) / len(observed.graph.pixels)
-    evidence, state = zoom.weigh(coarse, best.state, search, observed.prior, density)
+    evidence, state = zoom.weigh(coarse, best.state, search, observed.prior, density, observed.assumed)
     if observed.assumed:
         evidence = replace(evidence, decision="changing", reason=f"as the options say; {evidence.reason}")
     if evidence.decision != "changing":

@@ -18,6 +18,12 @@ USUAL_SHUTTER = 0.5
 """Of cameras for film, in frames: what is used if the user wants blur where the shutter is not observable."""
 
 
+def is_ruled_out(evidence: dict[str, float]) -> bool:
+    """Whether there is clearly no blur: what it predicts is MIN_SIGMAS standard errors below the least gain."""
+    most = evidence["gain_percent"] + MIN_SIGMAS * evidence["gain_sigma_percent"]
+    return most < MIN_GAIN_PERCENT and evidence["slope_sigma"] <= MAX_SLOPE_SIGMA
+
+
 def decide_motion_blur(evidence: dict[str, float], choice: Choice, given: float | None) -> dict[str, Any]:
     """The entry of scene.json, with the shutter in frames: None where motion blur is not modelled.
 

@@ -19,6 +19,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from stages.scene.blur_rules import is_ruled_out
 from stages.scene.geometry import MIN_CONFIDENCE
 from stages.scene.observed import Observed
 from stages.scene.shutter_fit import SHUTTERS, TILES, judge
@@ -28,8 +29,8 @@ from stages.shared.images import DISPLAY_GAMMA
 from stages.shared.log import progress
 from stages.shared.warp import is_inside, matches, warp
 
-PAIRS = 12
-"""Number of pairs of frames, those between which the speeds differ most."""
+PAIRS, FIRST_PAIRS = 12, 4
+"""Number of pairs of frames, those between which the speeds differ most, and how many of them may rule out blur."""
 MOST_PAIRS = 1000
 """Of more pairs, those of clips over some 250 frames, so many spread over the clip are compared."""
 HELD_FRAMES = 48
@@ -71,8 +72,12 @@ def shutter_evidence(seen: Observed, least_px: float, given: float | None = None
         return evidence
     evidence["speed_agreement"] = _agreement(seen, motion, edges)
     grey = Computed(F, functools.partial(_grey, seen), HELD_FRAMES)
-    sums = np.sum([_compare(seen, grey, motion, edge) for edge in edges], axis=0)
-    return evidence | judge(sums, given)
+    first, rest = edges[: 2 * FIRST_PAIRS], edges[2 * FIRST_PAIRS :]
+    sums = np.sum([_compare(seen, grey, motion, edge) for edge in first], axis=0)
+    found = judge(sums, given)
+    if rest and not is_ruled_out(found):
+        found = judge(sums + np.sum([_compare(seen, grey, motion, edge) for edge in rest], axis=0), given)
+    return evidence | found
 
 
 class _Motion(NamedTuple):

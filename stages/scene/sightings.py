@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 
 from stages.scene.observed import Observed
+from stages.scene.windows import SMOOTH_PX, TAP_WEIGHTS, TAPS, WIDEST, Windows, windows
 from stages.shared import lie
 from stages.shared.cameras import pixel_grid, project, unproject
 from stages.shared.frame_store import Computed, Frames
@@ -15,11 +16,8 @@ from stages.shared.warp import bilinear
 
 DARK, BRIGHT = 0.06, 0.94
 """Colours outside this range are clipped or mostly noise: a channel there says nothing about light."""
-SMOOTH_PX, SPANS = 1.5, (1.0, 2**0.5, 2.0)
-"""A point's colour is averaged over as much of its surface in all frames: over SMOOTH_PX where it is farthest, over up
-to twice that where it is nearer. Else texture fades with distance, dark points get brighter, and that is thin fog."""
-FOOTPRINT_PX2 = 1 / 6
-"""Variance of what a pixel averages by itself, per axis: the pixel and its reduction to the flow grid."""
+SPANS = (1.0, 2**0.5, WIDEST)
+"""Widths of the smoothed images, in SMOOTH_PX, between which colours are interpolated by their variance."""
 DEPTH_TOLERANCE = 0.05
 FRAMES_PER_REFERENCE, MIN_REFERENCES = 4, 3
 """Points are taken from every so-manieth frame, and from no fewer frames than that."""
@@ -67,12 +65,14 @@ def sight(seen: Observed) -> Sightings:
     free = Computed(F, lambda k: _free_px(seen.dynamic[k] | burnt_in), most)
     points = _points(seen, smooth, free)
     placed = zip(*(_place(seen, free[k], k, points) for k in range(F)), strict=True)
-    uv, shown, size, free_px = (np.stack(part, axis=1) for part in placed)
-    spans = _spans(shown, size)
-    shown &= free_px >= MARGIN * spans
-    colours = np.stack(
-        [_colours(smooth[k], uv[:, k], spans[:, k]) for k in progress(range(F), "static points")], axis=1
-    )
+    uv, shown, front, free_px = (np.stack(part, axis=1) for part in placed)
+    squares, some, all_front = (part.reshape(-1, GROUP, *part.shape[1:]) for part in (uv, shown, front))
+    of_squares = windows(squares, some.max(axis=1) & all_front.min(axis=1))
+    over = Windows(*(np.repeat(part, GROUP, axis=0) for part in of_squares))
+    shown &= free_px >= MARGIN * over.reach
+    uv = np.where(shown[..., None], uv, 0.0)
+    frames = progress(range(F), "static points")
+    colours = np.stack([_colours(smooth[k], uv[:, k], over.of(k)) for k in frames], axis=1)
     usable = shown[..., None] & (colours > DARK) & (colours < BRIGHT)
     radius = (uv - seen.Ks[:, :2, 2]) / (0.5 * np.hypot(*seen.dynamic[0].shape))
     off_axis = np.square(radius).sum(axis=-1).astype(np.float32)
@@ -118,26 +118,15 @@ def _free_px(hidden: np.ndarray) -> np.ndarray:
 
 
 def _place(seen: Observed, free: np.ndarray, k: int, points: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Pixels [n, 2] of points in frame k; [n]: whether they are seen, what a pixel spans of them, and how far from
-    hidden pixels they are, px.
-    """
+    """Pixels [n, 2] of points in frame k; [n]: whether they are seen, and in front; how far from hidden pixels, px."""
     h, w = free.shape
     z = points @ seen.cam_from_world[k, 2, :3] + seen.cam_from_world[k, 2, 3]
     front = z > 0
     uv = np.zeros((len(points), 2))
     uv[front] = project(points[front], seen.cam_from_world[k], seen.Ks[k])[0]
     inside = front & ((uv >= 0) & (uv <= (w - 1, h - 1))).all(axis=1)
-    uv[~inside] = 0.0
     near = np.abs(bilinear(seen.depth[k], uv) / np.where(inside, z, 1.0) - 1) < DEPTH_TOLERANCE
-    return uv, inside & near, z / seen.Ks[k, 0, 0], bilinear(free, uv)
-
-
-def _spans(shown: np.ndarray, size: np.ndarray) -> np.ndarray:
-    """Standard deviation [n, F] px of the smoothing that averages as much of the surface as where it is farthest."""
-    largest = np.where(shown, size, 0.0).max(axis=1, keepdims=True)
-    ratio = np.where(shown, largest / np.where(shown, size, 1.0), 1.0)
-    variance = (SMOOTH_PX**2 + FOOTPRINT_PX2) * ratio**2 - FOOTPRINT_PX2
-    return np.asarray(np.sqrt(np.minimum(variance, (SMOOTH_PX * SPANS[-1]) ** 2)))
+    return uv, inside & near, front, bilinear(free, uv)
 
 
 def _smoothed(rgb: np.ndarray) -> list[np.ndarray]:
@@ -146,12 +135,13 @@ def _smoothed(rgb: np.ndarray) -> list[np.ndarray]:
     return [cv2.GaussianBlur(linear, (0, 0), SMOOTH_PX * span) for span in SPANS]
 
 
-def _colours(images: list[np.ndarray], uv: np.ndarray, sigma: np.ndarray) -> np.ndarray:
-    """Stored colours [n, 3] at pixels uv of a frame, smoothed by `sigma` [n] px: between two images by the variance."""
-    levels, variance = np.square(SMOOTH_PX * np.array(SPANS)), np.square(sigma)
+def _colours(images: list[np.ndarray], uv: np.ndarray, over: Windows) -> np.ndarray:
+    """Stored colours [n, 3] at pixels uv of a frame, averaged along windows, across them between two images."""
+    levels, (variance, along) = np.square(SMOOTH_PX * np.array(SPANS)), over
     below = np.clip(np.searchsorted(levels, variance, side="right") - 1, 0, len(levels) - 2)
     share = ((variance - levels[below]) / (levels[below + 1] - levels[below]))[:, None].astype(np.float32)
-    shown = np.stack([bilinear(image, uv) for image in images])
+    taps = uv[:, None] + TAPS[:, None] * along[:, None]
+    shown = np.stack([np.einsum("ntc,t->nc", bilinear(image, taps), TAP_WEIGHTS) for image in images])
     at = np.arange(len(uv))
     return stored((1 - share) * shown[below, at] + share * shown[below + 1, at])
 

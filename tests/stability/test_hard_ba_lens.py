@@ -7,9 +7,11 @@ import pytest
 from numpy.testing import assert_allclose
 from synthetic import PLANE, Scene, camera_path, make_scene, observe
 
+from stages.ba import distortion
 from stages.ba.distortion import Lens, find_lens
 from stages.ba.graph import FlowGraph
-from stages.ba.state import FocalPrior
+from stages.ba.guesses import Observed
+from stages.ba.state import FocalPrior, State
 from stages.shared import lie
 
 T = 8
@@ -39,6 +41,22 @@ def test_a_dolly_towards_a_plane_does_not_show_a_distortion(lens: np.ndarray | N
     """All flow is along the radius, where the depths of the pixels explain it."""
     found = decide(view(lens, path=dolly(), planes=FACING)[0])
     assert (found.coefficients, found.evidence.decision) == (None, "not observable")
+
+
+@pytest.mark.parametrize(("sigma", "is_searched"), [(0.02, True), (0.04, False)])
+def test_a_distortion_that_is_far_from_observable_is_not_searched(
+    sigma: float, is_searched: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    searched, search = [], distortion._search
+
+    def counted(observed: Observed, shift: float) -> State:
+        searched.append(shift)
+        return search(observed, shift)
+
+    monkeypatch.setattr(distortion, "_shift_sigma", lambda *_: sigma)
+    monkeypatch.setattr(distortion, "_search", counted)
+    found = decide(view()[0])
+    assert (found.evidence.decision, bool(searched)) == ("not observable", is_searched)
 
 
 def test_a_camera_that_hardly_moves_does_not_show_a_distortion() -> None:

@@ -12,7 +12,7 @@ from stages.ba.estimate import estimate
 from stages.ba.guesses import PoseGuess
 from stages.ba.options import BAOptions
 from stages.ba.problem import Estimate, Problem
-from stages.ba.state import FocalPrior
+from stages.ba.state import FocalPrior, State
 from stages.shared import lie
 
 OPTIONS = BAOptions(start_focals=(1.05,))
@@ -60,6 +60,26 @@ def test_what_a_better_path_saves_is_not_taken_for_the_saving_of_a_zoom() -> Non
     assert evidence.decision == "constant"
     assert evidence.gain is not None
     assert evidence.gain < 0.01
+
+
+@pytest.mark.parametrize(
+    ("sigma", "assumed", "is_searched"), [(0.2, False, True), (0.3, False, False), (0.3, True, True)]
+)
+def test_a_change_that_is_far_from_observable_is_not_searched(
+    sigma: float, assumed: bool, is_searched: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Though there is a suspicion; unless its cameras are wanted all the same."""
+    room = make_scene(T=T, size=(96, 160), zoom=RAMP)
+    fixed = initialise.initial_state(observe(room), room.cam_from_world, room.focal_px, 1.0)
+    monkeypatch.setattr(zoom, "_change_sigma", lambda *_: sigma)
+    searched: list[bool] = []
+
+    def search() -> list[State]:
+        searched.append(True)
+        return [fixed]
+
+    evidence, _ = zoom.weigh(observe(room), fixed, search, FocalPrior(1.1 * 160), assumed=assumed)
+    assert (evidence.decision, bool(searched)) == ("not observable", is_searched)
 
 
 def test_a_zoom_is_found_from_cameras_whose_one_focal_length_makes_up_for_it() -> None:
