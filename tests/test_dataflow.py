@@ -32,8 +32,8 @@ def test_the_picture_follows_files_within_and_between_rounds(rules: list[dry_run
     lanes = {name: lane for lane in dataflow.lanes_of(rules) for name in lane.artifacts}
     readers = {"ba", "scene", "control", "gaussians", "viewer", "colmap_masked", "evaluate", "export_sequence"}
     assert set(lanes["masks/"].readers) == readers
-    assert set(lanes["ba/poses.parquet"].before) == {"motion", "ba"}
-    assert set(lanes["ba/depth.arrow"].before) == {"motion", "ba"}
+    assert set(lanes["ba/poses.parquet"].before) == {"motion", "segment", "ba"}
+    assert set(lanes["ba/depth.arrow"].before) == {"motion", "segment", "ba"}
     assert lanes["gaussians/gaussians.ply"].readers == ()
     names = [rule.name for rule in rules]
     assert all(names.index(lane.maker.name) < names.index(name) for lane in lanes.values() for name in lane.readers)

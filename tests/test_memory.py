@@ -11,14 +11,14 @@ from stages.shared.memory import WINDOW, Held, megabytes
 
 OFFSETS = {512: ((1, 2, 3, 5), 2), 320: ((1, 2, 4), 1), 256: ((1, 2, 3), 0)}
 """Offsets and long edges of the measured runs, by the width of their flow."""
-LONG_WALK = {"flow": 609, "motion": 1603, "segment": 864, "scene": 1610, "control": 1047, "gaussians": 3004}
+LONG_WALK = {"flow": 609, "motion": 1603, "segment": 1061, "scene": 1610, "control": 1047, "gaussians": 3004}
 LONG_WALK |= {"render": 673, "viewer": 647, "evaluate": 638}
 MEASURED = [
     *[("flow", 50, (512, 218), 512, 676), ("flow", 12, (512, 218), 512, 327), ("flow", 12, (512, 218), 320, 217)],
     *[("flow", 300, (512, 218), 512, 1050), ("motion", 24, (512, 218), 512, 577)],
     *[("motion", 200, (512, 218), 320, 701), ("ba", 200, (512, 218), 320, 502)],
     *[("lens", 28, (384, 216), 320, 389), ("lens", 200, (512, 218), 320, 388)],
-    *[("segment", 50, (512, 218), 512, 578), ("segment", 300, (512, 218), 512, 999)],
+    ("segment", 24, (512, 218), 512, 502),
     *[("scene", 14, (512, 218), 320, 200), ("scene", 300, (1920, 1080), 512, 1402)],
     *[("control", 24, (512, 218), 320, 611), ("control", 50, (256, 108), 256, 639)],
     *[("gaussians", 24, (512, 218), 320, 894), ("gaussians", 24, (1920, 1080), 512, 3137)],

@@ -13,6 +13,7 @@ from stages.shared import lie
 from stages.shared.artifacts import Dense
 from stages.shared.cameras import pixel_grid, projection, static_flow
 from stages.shared.flow_pairs import FlowPairs
+from stages.shared.static_flow import Z_MIN, dense_static_flow, resample
 
 
 def observed(scene: Scene) -> FlowPairs:
@@ -169,7 +170,7 @@ def brute_force(
         cost, total = np.zeros(scene.depth.shape), np.zeros(scene.depth.shape)
         for e, i in enumerate(pairs.source):
             there = homogeneous @ A[e].T + d[i][..., None] * b[e]
-            behind = there[..., 2] < resweep.Z_MIN
+            behind = there[..., 2] < Z_MIN
             z = np.where(behind, 1.0, there[..., 2])
             q = ((pixels + flow[e] - there[..., :2] / z[..., None]) ** 2).sum(axis=-1) / sigma_px**2
             cost[i] += pairs.weights(e) * np.where(behind, 1.0, q / (1 + q))
@@ -188,14 +189,14 @@ def test_the_kernel_of_static_flow_equals_the_formula() -> None:
     A, b = projection((np.eye(4), K), (moved, K))
     inverse_depth = rng.uniform(0, 0.8, (64, 96)).astype(np.float32)
     expected, ratio = static_flow(pixel_grid(64, 96), inverse_depth, A, b)
-    assert ratio.min() > resweep.Z_MIN
-    np.testing.assert_allclose(resweep.dense_static_flow(A, b, inverse_depth), expected, atol=2e-4)
+    assert ratio.min() > Z_MIN
+    np.testing.assert_allclose(dense_static_flow(A, b, inverse_depth), expected, atol=2e-4)
 
 
 def test_depth_is_resampled_where_its_cells_lie() -> None:
     """A ramp stays that ramp: cell k of s px is centred at s k + (s - 1) / 2."""
     ramp = np.broadcast_to(8 * np.arange(12) + 3.5, (1, 6, 12)).astype(np.float32)
-    fine = resweep.resample(ramp, 8.0, 48, 96)
+    fine = resample(ramp, 8.0, 48, 96)
     np.testing.assert_allclose(fine[0, 20, 4:90], np.arange(4, 90), atol=0.2)
 
 

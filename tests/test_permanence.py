@@ -92,6 +92,13 @@ def test_the_system_is_that_of_the_energy() -> None:
     np.testing.assert_allclose(found, expected, atol=3e-3)
 
 
+def test_what_pictures_show_pulls_both_ways() -> None:
+    """Superpixels without links, whose flow says little: pictures call the first moving, the second at rest."""
+    prior, confidence = np.full(3, 0.5), np.full(3, 1e-2)
+    found = solve(sparse.csr_matrix((3, 3)), np.full(3, 60.0), prior, confidence, shown=np.array([0.25, -0.1, 0.0]))
+    np.testing.assert_allclose(found, [1, 0, 0.5], atol=0.05)
+
+
 def test_the_level_is_that_of_the_mover_near_by() -> None:
     """On a chain of superpixels with one high value, the level falls with the distance from it, from that value."""
     N = 41

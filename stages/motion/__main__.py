@@ -20,6 +20,7 @@ from stages.shared.images import read_reduced, write_figure
 from stages.shared.log import logger
 from stages.shared.masks import read_scene_on_grid
 from stages.shared.sequences import read_sequence
+from stages.shared.static_flow import resample
 
 FLOW_CURVE = (0.17, 0.04)
 CAMERA_CURVE = (0.37, 0.1)
@@ -112,7 +113,7 @@ def _from_cameras(
     unobserved = cameras.status == "unobserved"  # their poses are interpolated, so their flow is no evidence
     pairs = pairs.counting(~(unobserved[pairs.source] | unobserved[pairs.target]))
     evidence, inverse_depth, sigma_px = resweep.camera_evidence(
-        pairs, *seen, resweep.resample(depth["inverse_depth"], stride_px * scale, h, w)
+        pairs, *seen, resample(depth["inverse_depth"], stride_px * scale, h, w)
     )
     drifting = drift.drifting(StaticScene(pairs, rgb, seen, inverse_depth, evidence.residual), rgb)
     lines = resweep.projections(pairs, *seen)

@@ -13,10 +13,11 @@ import numpy as np
 
 from stages.motion.epipolar import Evidence
 from stages.motion.pooling import PRIOR_WEIGHT
-from stages.motion.resweep import dense_static_flow
 from stages.motion.shadows import at_rest, log_detail, surrounding_plane
 from stages.shared import flow_pairs
 from stages.shared.flow_pairs import FlowPairs
+from stages.shared.picture_difference import difference, exposed, tolerance
+from stages.shared.static_flow import dense_static_flow
 from stages.shared.threads import threaded
 from stages.shared.warp import is_inside, warp
 
@@ -28,14 +29,11 @@ FLOW_SHARE = 0.75
 """Share of the flow's photometric residual subtracted from the static one: noise and blur affect both."""
 EXCESS = 0.5
 """Excess residual, in units of the tolerance, at which the contradiction is one half."""
-TOLERANCE = 1.0, 0.5
-"""Residual expected of a static pixel: colour levels, and the position error of the best static match in pixels."""
 EXPLAINED = 0.35
 """Residual below which the depth of a pixel is a candidate for its neighbours."""
 STATIC_POWER = 4
 """The larger, the less the depth of a pixel with a residual counts for the plane around it."""
 WINDOW_PX, NEIGHBOURS_PX = 5, 15
-MEAN_OF_COLOURS = np.full((1, 3), 1 / 3, np.float32)
 NEVER = np.float32(1e30)
 """Beyond every inverse depth."""
 
@@ -125,28 +123,13 @@ def _contradicted(
     for j, flow, A, b in zip(targets, flows, *projections, strict=True):
         ways = [flow.astype(np.float32, copy=False), *(dense_static_flow(A, b, depth) for depth in depths)]
         warped = [warp(frames[int(j)], way) for way in ways]
-        expected = _exposed(here, warped[0])
+        expected = exposed(here, warped[0])
         for k, (way, found) in enumerate(zip(ways, warped, strict=True)):
             inside = is_inside(way)
-            residual = cv2.transform(cv2.absdiff(found, expected), MEAN_OF_COLOURS)
-            total[int(j > i), k] += inside * cv2.boxFilter(residual, cv2.CV_32F, (WINDOW_PX, WINDOW_PX))
+            total[int(j > i), k] += inside * difference(found, expected, WINDOW_PX)
             seen[int(j > i), k] += inside
     mean = np.where(seen > 0, total / np.maximum(seen, 1), np.inf).min(axis=0)
     in_view = np.isfinite(mean[0]) & np.isfinite(mean[1:]).any(axis=0)
     excess = np.where(in_view, mean[1:].min(axis=0), 0) - FLOW_SHARE * np.where(in_view, mean[0], 0)
-    squared = (np.maximum(excess, 0) / (EXCESS * _tolerance(here))) ** 2
+    squared = (np.maximum(excess, 0) / (EXCESS * tolerance(here))) ** 2
     return np.asarray(squared / (1 + squared))
-
-
-def _exposed(frame: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """A frame [h, w, 3] uint8 corrected to the exposure of the other, by the median difference per colour."""
-    change = np.median(other[::2, ::2].astype(np.int16) - frame[::2, ::2], axis=(0, 1))
-    return np.asarray(cv2.add(frame, (*change.tolist(), 0.0)))
-
-
-def _tolerance(frame: np.ndarray) -> np.ndarray:
-    """Expected residual [h, w], in colour levels, of the best static match of each pixel of a frame [h, w, 3]."""
-    grey = cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY)
-    slope = np.hypot(cv2.Sobel(grey, cv2.CV_32F, 1, 0, scale=1 / 8), cv2.Sobel(grey, cv2.CV_32F, 0, 1, scale=1 / 8))
-    levels, pixels = TOLERANCE
-    return np.asarray(levels + pixels * cv2.blur(slope, (WINDOW_PX, WINDOW_PX)))

@@ -11,17 +11,16 @@ import numba
 import numpy as np
 
 from stages.motion.epipolar import Evidence
-from stages.shared.cameras import grid_from_frame, pixel_grid, projection, static_flow
+from stages.shared.cameras import pixel_grid, projection, static_flow
 from stages.shared.finite import require_finite
 from stages.shared.flow_pairs import REACH, FlowPairs
+from stages.shared.static_flow import Z_MIN
 from stages.shared.threads import spread, threaded
-from stages.shared.warp import bilinear
 
 D_MAX = 50.0
 """Largest inverse depth, in units of the scene's median."""
 RIDGE_PX2 = 0.01
 """Parallax below a tenth of a pixel does not determine depth: the initial depth is kept."""
-Z_MIN = 0.05
 REFINEMENTS = 2
 NOISE_SCALE = 5.0
 SIGMA_RANGE_PX = (0.35, 3.0)
@@ -79,33 +78,6 @@ def projections(pairs: FlowPairs, cam_from_world: np.ndarray, Ks: np.ndarray) ->
     """A [E, 3, 3] and b [E, 3] of every edge, as above."""
     i, j = pairs.source, pairs.target
     return projection((cam_from_world[i], Ks[i]), (cam_from_world[j], Ks[j]))
-
-
-def dense_static_flow(A: np.ndarray, b: np.ndarray, inverse_depth: np.ndarray) -> np.ndarray:
-    """`cameras.static_flow` of every pixel of an inverse depth [h, w], as a kernel in float32, [h, w, 2].
-
-    In a sixtieth of the time; a test compares both. What comes nearer to the target than Z_MIN times its depth is held
-    there.
-    """
-    return np.asarray(_dense_static_flow(A.astype(np.float32), b.astype(np.float32), inverse_depth.astype(np.float32)))
-
-
-@numba.njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
-def _dense_static_flow(A, b, inverse_depth):  # type: ignore[no-untyped-def]
-    flow = np.empty((*inverse_depth.shape, 2), np.float32)
-    for y in range(inverse_depth.shape[0]):
-        for x in range(inverse_depth.shape[1]):
-            u, v, d = np.float32(x), np.float32(y), inverse_depth[y, x]
-            Z = max(A[2, 0] * u + A[2, 1] * v + A[2, 2] + d * b[2], np.float32(Z_MIN))
-            flow[y, x, 0] = (A[0, 0] * u + A[0, 1] * v + A[0, 2] + d * b[0]) / Z - u
-            flow[y, x, 1] = (A[1, 0] * u + A[1, 1] * v + A[1, 2] + d * b[1]) / Z - v
-    return flow
-
-
-def resample(inverse_depth: np.ndarray, cell_px: float, h: int, w: int) -> np.ndarray:
-    """Inverse depth [T, rows, columns] of cells of `cell_px` flow pixels on the flow grid, [T, h, w] float32."""
-    cells = grid_from_frame(pixel_grid(h, w), cell_px)
-    return np.stack([bilinear(d, cells) for d in inverse_depth])
 
 
 def _median_residual(A: np.ndarray, b: np.ndarray, pairs: FlowPairs, inverse_depth: np.ndarray) -> float:

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from stages.motion.pooling import spread
-from stages.motion.resweep import dense_static_flow
+from stages.shared.static_flow import dense_static_flow
 from stages.shared.warp import is_inside, warp
 
 DARKEST = 4.0

@@ -10,22 +10,23 @@ import numpy as np
 from stages.given import masks as given_masks
 from stages.given.files import of_sequence
 from stages.given.masks import GivenMasks
+from stages.segment.layers import StaticWorld, belonging
 from stages.segment.options import SegmentOptions
-from stages.segment.permanence import confidence_of, persistent
+from stages.segment.permanence import DYNAMIC, confidence_of, persistent
 from stages.segment.refinement import guarded_threshold, smooth_along_edges, to_instances, to_mask
 from stages.segment.superpixels import AT_ONCE, superpixels
 from stages.shared import cli, drawing
-from stages.shared.artifacts import Dense, read_dense, write_json
+from stages.shared.artifacts import Dense, read_dense, read_metadata, write_json
 from stages.shared.atomic import atomic_folder
+from stages.shared.cameras import read_cameras, scale_intrinsics
 from stages.shared.cli import In, Out
 from stages.shared.errors import InputError
+from stages.shared.flow_pairs import FlowPairs
 from stages.shared.images import enlarge, read_mask, read_rgb, reduce, write_figure, write_image
 from stages.shared.log import logger, progress
 from stages.shared.masks import instances_path, mask_path, read_burnt_in
 from stages.shared.sequences import Sequence, read_sequence
-
-DYNAMIC = 0.5
-"""Probability, or sureness, above which a pixel is dynamic."""
+from stages.shared.static_flow import resample
 
 
 class Mask(NamedTuple):
@@ -38,6 +39,8 @@ class Mask(NamedTuple):
 
 Masks = Callable[[int, np.ndarray], Mask]
 """From a frame's index and picture [H, W, 3] to its mask."""
+Previous = tuple[Path | None, Path | None]
+"""Poses and depth of the round before."""
 
 
 def main(
@@ -47,20 +50,23 @@ def main(
     options: SegmentOptions,
     flow: Annotated[Path | None, In("flow/pairs.arrow, for refined masks")] = None,
     prior: Annotated[Path | None, In("motion/prior.arrow, for refined masks and the prior as mask")] = None,
+    previous_poses: Annotated[Path | None, In("poses.parquet of the round before, for refined masks")] = None,
+    previous_depth: Annotated[Path | None, In("depth.arrow of the round before")] = None,
 ) -> str:
     """Refine the motion prior to binary dynamic masks, or take over masks that are given.
 
-    One system over the superpixels of all frames decides what belongs to something that moves in the clip; its borders
-    then follow the colour edges of each frame. A mask may be empty. A frame that would be masked beyond --max-share
-    keeps its surest part; masks.json and the log name it. What is connected over space and time has one number through
-    the clip, in instances/frame_0001.png (16 bit, 0 = static). Other sources write the masks that refinement is
-    compared with, as one instance, or those of the user as they are.
+    One system over the superpixels of all frames decides what belongs to something that moves in the clip. With the
+    cameras of the round before it is solved again, with what the pictures give to movers and to the static scene. Its
+    borders then follow the colour edges of each frame. A mask may be empty. A frame that would be masked beyond
+    --max-share keeps its surest part; masks.json and the log name it. What is connected over space and time has one
+    number through the clip, in instances/frame_0001.png (16 bit, 0 = static). Other sources write the masks that
+    refinement is compared with, as one instance, or those of the user as they are.
     """
     frames = read_sequence(sequence)
     handed, burnt_in = _handed_in(options.given, frames), read_burnt_in(frames)
     if options.evidence and options.source != "refined":
         logger.warning("%s: masks as evidence are not used by `source: %s`", frames.name, options.source)
-    masks = _given(handed) if handed else _masks(options, frames, flow, prior)
+    masks = _given(handed) if handed else _masks(options, frames, flow, prior, (previous_poses, previous_depth))
     found, shown, overlays = _Facts(), set(drawing.spread(len(frames.numbers), 6).tolist()), []
     with atomic_folder(output, ("frame_*.png", "instances/frame_*.png", "masks.json")) as folder:
         for k, number in progress(list(enumerate(frames.numbers)), "masks"):
@@ -103,7 +109,9 @@ class _Facts:
         return {"dynamic_share": self.shares, "guarded": self.guarded, "instances": seen}
 
 
-def _masks(options: SegmentOptions, frames: Sequence, flow: Path | None, prior: Path | None) -> Masks:
+def _masks(
+    options: SegmentOptions, frames: Sequence, flow: Path | None, prior: Path | None, previous: Previous
+) -> Masks:
     """The function that computes the mask of a frame, for the chosen source."""
     size = frames.width, frames.height
     if options.source == "truth":
@@ -113,7 +121,7 @@ def _masks(options: SegmentOptions, frames: Sequence, flow: Path | None, prior: 
     if prior is None or flow is None:
         raise InputError("--flow, --prior", f"both for `source: {options.source}`", "not both", "give both")
     if options.source == "refined":
-        return _refined(options, frames, flow, prior)
+        return _refined(options, frames, flow, prior, previous)
     probability = read_dense(prior)["probability"]
     return lambda k, _: _as_one(enlarge(probability[k].astype(np.float32), size) > DYNAMIC)
 
@@ -136,21 +144,29 @@ def _given(handed: GivenMasks) -> Masks:
     return mask
 
 
-def _refined(options: SegmentOptions, frames: Sequence, flow: Path, prior: Path) -> Masks:
+def _refined(options: SegmentOptions, frames: Sequence, flow: Path, prior: Path, previous: Previous) -> Masks:
     evidence = read_dense(prior)
     if "weight" not in evidence or len(evidence["weight"]) != len(frames.frames):
         expected = f"columns 'probability' and 'weight' of {len(frames.frames)} frames"
         raise InputError(prior, expected, f"columns {sorted(evidence)}", "run the motion stage again")
     size = evidence["probability"].shape[:0:-1]
-    pixels = superpixels(len(frames.frames), lambda k: reduce(read_rgb(frames.frames[k]), size))
+
+    def picture(k: int) -> np.ndarray:
+        return reduce(read_rgb(frames.frames[k]), size)
+
+    pixels = superpixels(len(frames.frames), picture)
     handed = _handed_in(options.evidence, frames, "segment.evidence")
     stated = None
     if handed:
         marked = (reduce((handed.labels(k) > 0).astype(np.float32), size) for k in range(len(frames.frames)))
         stated = pixels.means(marked)
     probability, weight = (pixels.means(_one_by_one(evidence, name)) for name in ("probability", "weight"))
-    choice = options.permanence, options.threshold
-    sure, instance = persistent(pixels, read_dense(flow), probability, confidence_of(weight), *choice, stated)
+    matched = read_dense(flow)
+    given = pixels, matched, probability, confidence_of(weight), options.permanence, options.threshold, stated
+    sure, instance = persistent(*given)
+    world = _static_world(*previous, flow, size)
+    if world is not None and instance.any():
+        sure, instance = persistent(*given, belonging(pixels, FlowPairs(matched), picture, world, sure))
 
     def mask(k: int, rgb: np.ndarray) -> Mask:
         sureness = smooth_along_edges(pixels.paint(sure, k), rgb, options.smoothness, options.colour_sigma)
@@ -159,6 +175,17 @@ def _refined(options: SegmentOptions, frames: Sequence, flow: Path, prior: Path)
         return Mask(dynamic, to_instances(dynamic, pixels.paint(instance, k)), threshold > DYNAMIC)
 
     return mask
+
+
+def _static_world(poses: Path | None, depth: Path | None, flow: Path, size: tuple[int, int]) -> StaticWorld | None:
+    """The cameras and the depth of the round before on the flow grid of this size (w, h); None if there are none."""
+    cameras = read_cameras(poses) if poses else None
+    if cameras is None or depth is None or "failed" in cameras.status:
+        return None
+    scale = float(read_metadata(flow)["scale"])
+    cells, cell_px = read_dense(depth)["inverse_depth"], float(read_metadata(depth)["stride_px"]) * scale
+    Ks = scale_intrinsics(cameras.Ks, scale)
+    return StaticWorld(cameras, Ks, lambda k: resample(cells[k : k + 1], cell_px, size[1], size[0])[0])
 
 
 def _one_by_one(columns: Dense, name: str) -> Iterator[np.ndarray]:

@@ -7,8 +7,8 @@ Unknown x_a in 0..1: how much superpixel a belongs to something that moves in th
 with the prior p, its weight c and links W along the flow and across borders, all smaller where colours differ. Evidence
 of motion is one-sided: a residual to the static world says "moves", none says little (at rest just now, along the
 epipolar line, blurred). Hence c is large where p is high. Masks m that the user gives as evidence add another term,
-s_a (x_a - m_a)^2. The idea of labels by consensus over a clip is that of Faktor
-and Irani (Video segmentation by non-local consensus voting, BMVC 2014).
+s_a (x_a - m_a)^2, and so does what the pictures show (`layers`). The idea of labels by consensus over a clip is that of
+Faktor and Irani (Video segmentation by non-local consensus voting, BMVC 2014).
 """
 
 from collections.abc import Iterator, Mapping
@@ -22,6 +22,8 @@ from stages.segment.refinement import REFERENCE_WIDTH
 from stages.segment.superpixels import Superpixels, borders, matches
 from stages.shared.log import logger
 
+DYNAMIC = 0.5
+"""Sureness from which on a superpixel, or a pixel, is dynamic."""
 LOW_WEIGHT, LEAST_WEIGHT = 0.2, 1e-3
 """Weight of evidence that nothing moves, relative to that of certain motion; weight of a pixel without any evidence."""
 STATED_MOVING, STATED_STATIC = 1.0, 0.3
@@ -72,10 +74,12 @@ def solve(
     prior: np.ndarray,
     confidence: np.ndarray,
     stated: np.ndarray | None = None,
+    shown: np.ndarray | None = None,
 ) -> np.ndarray:
     """x [N] of superpixels with links W [N, N], areas [N] px, priors [N] 0..1 and their confidence [N] 0..1.
 
     `stated` is the share [N] of each that masks of the user's mark: another term s_a (x_a - m_a)^2 beside the prior's.
+    `shown` [N] is the weight with which pictures say that each moves, or, negative, rests: such a term with m_a = 1, 0.
     Conjugate gradients with the diagonal as preconditioner; the system is positive definite, as every area is positive.
     """
     weight = areas * ((LOW_WEIGHT + (1 - LOW_WEIGHT) * prior) * confidence + LEAST_WEIGHT)
@@ -83,6 +87,8 @@ def solve(
     if stated is not None:
         said = areas * (STATED_STATIC + (STATED_MOVING - STATED_STATIC) * stated)
         weight, pull = weight + said, pull + said * stated
+    if shown is not None:
+        weight, pull = weight + areas * np.abs(shown), pull + areas * np.maximum(shown, 0)
     degrees = np.asarray(W.sum(axis=1)).ravel()
     system, inverse = sparse.diags(weight + degrees) - W, sparse.diags(1 / (weight + degrees))
     x, unsolved = cg(system, pull, x0=prior, rtol=TOLERANCE, maxiter=MAX_ITERATIONS, M=inverse)
@@ -112,16 +118,17 @@ def persistent(
     permanence: float,
     threshold: float,
     stated: np.ndarray | None = None,
+    shown: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """How surely each superpixel is dynamic [N], and its instance [N].
 
     Args:
         pairs: source, target [E], flow [E, h, w, 2] px, confidence [E, h, w].
         prior: [N] probability of motion; confidence: [N] share by which it counts.
-        threshold: least x of a dynamic superpixel. stated: [N] as in `solve`.
+        threshold: least x of a dynamic superpixel. stated, shown: [N] as in `solve`.
 
     Returns:
-        x over twice its threshold, at most 1: from 0.5 on dynamic, 0 for what is no part of an instance that is kept.
+        x over twice its threshold, at most 1: from DYNAMIC on dynamic, 0 for what is no part of a kept instance.
         Instances 1, 2, ... from the largest to the smallest, 0 where static. An instance is what is connected in space
         and time.
     """
@@ -130,7 +137,8 @@ def persistent(
     for start, stop, taper in windows(len(pixels.labels)):
         nodes, part = slice(pixels.first[start], pixels.first[stop]), pixels.part(start, stop)
         W = links(part, pairs, start, permanence)
-        found = solve(W, part.areas, prior[nodes], confidence[nodes], None if stated is None else stated[nodes])
+        more = (None if of is None else of[nodes] for of in (stated, shown))
+        found = solve(W, part.areas, prior[nodes], confidence[nodes], *more)
         share = np.repeat(taper, np.diff(part.first))
         x[nodes] += share * found
         levels[nodes] += share * level(W, part.areas, found)
@@ -140,8 +148,8 @@ def persistent(
     sure = x / (2 * np.maximum(threshold, RELATIVE * levels))
     least = min(MIN_STRENGTH * threshold, (1 + threshold) / 2)
     evidence = x / least, x * (confidence if stated is None else np.maximum(confidence, stated))
-    instance = instances(sure >= 0.5, np.concatenate(joined, axis=1), *evidence, pixels.areas)
-    return np.where((sure >= 0.5) & (instance == 0), 0, np.minimum(sure, 1)), instance
+    instance = instances(sure >= DYNAMIC, np.concatenate(joined, axis=1), *evidence, pixels.areas)
+    return np.where((sure >= DYNAMIC) & (instance == 0), 0, np.minimum(sure, 1)), instance
 
 
 def instances(

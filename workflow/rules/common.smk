@@ -233,14 +233,17 @@ def optional(stage, name, before=0):
     return of_round
 
 
-def for_estimated_masks(stage, name):
-    """The input function of what a stage makes; empty where masks are not estimated from it."""
+def for_estimated_masks(stage, name, before=0):
+    """The input function of a stage's results, now or rounds ago; empty where masks are not estimated from them."""
 
     @of_job
     def of_setting(wildcards):
-        if not setting_of(wildcards).config.segment.estimates:
+        setting, number = setting_of(wildcards), round_number(wildcards)
+        if not setting.config.segment.estimates:
             return []
-        return artifact_path(wildcards, stage, name, round_number(wildcards))
+        if before:
+            number = plan.round_to_read(setting, stage, number - before)
+        return [] if number is None else artifact_path(wildcards, stage, name, number)
 
     return of_setting
 

@@ -3,6 +3,8 @@ rule segment:
         sequence=artifact("lens", "lens/sequence.json"),
         flow=for_estimated_masks("lens", "lens/pairs.arrow"),
         prior=for_estimated_masks("motion", "motion/prior.arrow"),
+        previous_poses=for_estimated_masks("ba", "ba/poses.parquet", before=1),
+        previous_depth=for_estimated_masks("ba", "ba/depth.arrow", before=1),
     output:
         masks=directory("<results>/{dataset}/{seq}/{setting}{round}masks"),
         figure="<results>/{dataset}/{seq}/{setting}{round}figures/segment.png",
@@ -20,7 +22,7 @@ rule segment:
     params:
         code=code_digest("stages.segment"),
         flags=flags("segment"),
-        estimated=optional_flags("flow", "prior"),
+        estimated=optional_flags("flow", "prior", "previous_poses", "previous_depth"),
         given=given_files("segment"),
     shell:
         "{{ python -m stages.segment --sequence {input.sequence:q} {params.estimated}"

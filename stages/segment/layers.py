@@ -1,0 +1,167 @@
+"""Evidence from the pictures of what belongs to a mover: its own motion against that of the static scene.
+
+Masks from the flow alone are precise but not whole: flow is lost on arms, thin parts and in front of texture that
+wins. What is found of a mover gives its motion, extended to what is around. Where the pictures match better when they
+are moved with it than at the depth of the static scene, the pixel belongs to it. The reverse is evidence against, but
+not of what is known to move: the parts of a mover do not all move alike.
+"""
+
+import itertools
+from collections.abc import Callable
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from stages.segment.permanence import DYNAMIC
+from stages.segment.refinement import REFERENCE_WIDTH
+from stages.segment.superpixels import Superpixels
+from stages.shared.cameras import Cameras, projection
+from stages.shared.flow_pairs import FlowPairs
+from stages.shared.picture_difference import difference, exposed, tolerance
+from stages.shared.static_flow import dense_static_flow
+from stages.shared.threads import threaded
+from stages.shared.warp import is_inside, warp
+
+REACH = 5
+"""Largest distance in frames between compared pictures: farther ones show other sides of a mover."""
+MOTION_PX = 4.0, 10.0, 22.0
+"""Standard deviations, in frames of REFERENCE_WIDTH, over which the flow of a mover is averaged and extended: near its
+parts move apart, far its whole moves on."""
+DEPTH_PX = 6.0, 19.0
+"""The same for the depth of what is behind it."""
+AROUND_PX = 24.0
+"""Width of the square, in frames of REFERENCE_WIDTH, whose nearest and farthest depth a static pixel may have too."""
+MEDIAN_PX, PATCH_PX = 5, 3
+UNSURE_FLOW = 0.02
+"""Weight of the flow of a mover where it has no confidence."""
+STATIC = 0.3
+"""Sureness from which on a pixel says nothing of the depth behind a mover."""
+MOVING, RESTING = 0.25, 0.1
+"""Weight of a pixel that the pictures give to a mover, relative to that of certain motion by the flow, and of one that
+they give to the static scene."""
+CLEAR = 0.1, 0.4
+"""Difference of the residuals, in tolerances, from which on it counts, and from which on fully."""
+MATCHED = 1.0
+"""Residual of the mover, in tolerances, up to which it explains the pictures; from twice as much on it does not."""
+NEAR_ENOUGH = 0.15
+"""Share of a mover among the pixels around, from which on its extended motion counts fully."""
+
+
+class StaticWorld(NamedTuple):
+    """Cameras of the round before, with intrinsics [T, 3, 3] of the flow grid, and what gives inverse depth [h, w]."""
+
+    cameras: Cameras
+    Ks: np.ndarray
+    inverse_depth: Callable[[int], np.ndarray]
+
+
+def belonging(
+    pixels: Superpixels, pairs: FlowPairs, picture: Callable[[int], np.ndarray], world: StaticWorld, sure: np.ndarray
+) -> np.ndarray:
+    """Weight [N] with which the pictures say that a superpixel belongs to a mover, negative if to the static scene.
+
+    Args:
+        picture: gives frame k [h, w, 3] uint8 on the flow grid.
+        sure: [N] of `permanence.persistent`, from DYNAMIC on what is known to move.
+    """
+    T, found = len(pixels.labels), []
+
+    def of_frame(k: int, frames: dict[int, np.ndarray]) -> np.ndarray:
+        part, seen = pixels.part(k, k + 1), pixels.paint(sure, k).astype(np.float32)
+        images = _compared(k, seen, pairs, frames, world) if (seen >= DYNAMIC).any() else np.zeros((3, *seen.shape))
+        return np.stack([part.means([image]) for image in images])
+
+    for first, last in pairs.blocks(T, "movers against the static scene"):
+        near = range(max(first - REACH, 0), min(last + REACH, T))
+        frames = dict(zip(near, threaded(picture, near), strict=True))
+        found += threaded(of_frame, range(first, last), itertools.repeat(frames))
+    excess, residual, share = np.concatenate(found, axis=1)
+    near, (low, high) = np.clip(share / NEAR_ENOUGH, 0, 1), CLEAR
+    moving, resting = (np.clip((of - low) / (high - low), 0, 1) for of in (excess, -excess))
+    moving *= np.clip(2 - residual / MATCHED, 0, 1)
+    return np.asarray(near * (MOVING * moving - RESTING * resting * (sure < DYNAMIC)))
+
+
+def _compared(
+    i: int, sure: np.ndarray, pairs: FlowPairs, frames: dict[int, np.ndarray], world: StaticWorld
+) -> np.ndarray:
+    """Static residual minus that of the mover, in -1..1, that of the mover, both in tolerances, and the share of movers
+    around, [3, h, w].
+
+    The better of earlier and later frames counts: what is hidden on one side is usually seen on the other.
+    """
+    mover = np.where(sure >= DYNAMIC, sure, 0)
+    depths = _static_depths(world.inverse_depth(i), np.maximum(1 - sure / STATIC, 0) ** 2)
+    mean = _residuals(i, mover, depths, pairs, frames, world)
+    both = np.stack([mean[:, : len(depths)].min(axis=1), mean[:, len(depths) :].min(axis=1)], axis=1)
+    side = both.min(axis=1).argmin(axis=0)
+    static, moved = np.take_along_axis(both, side[None, None], axis=0)[0] / tolerance(frames[i])
+    known = np.isfinite(static) & np.isfinite(moved)
+    static, moved = np.where(known, static, 0), np.where(known, moved, 0)
+    around = _extended(mover[..., None], mover, _on_grid(MOTION_PX[-1], sure))[1]
+    return np.stack([np.clip(static - moved, -1, 1), np.minimum(moved, 2 * MATCHED), around])
+
+
+def _residuals(
+    i: int,
+    mover: np.ndarray,
+    depths: list[np.ndarray],
+    pairs: FlowPairs,
+    frames: dict[int, np.ndarray],
+    world: StaticWorld,
+) -> np.ndarray:
+    """Mean difference to earlier and to later frames, of pixels at each depth and with each motion of the mover,
+    [2, len(depths) + len(MOTION_PX), h, w] in colour levels; infinite where none shows the pixel.
+
+    Args:
+        mover: [h, w] weight of a pixel for the motion of the mover.
+    """
+    total, seen = np.zeros((2, 2, len(depths) + len(MOTION_PX), *mover.shape), np.float32)
+    for e in pairs.leaving(i, i + 1):
+        j = int(pairs.target[e])
+        if abs(j - i) > REACH or "unobserved" in world.cameras.status[[i, j]]:
+            continue
+        A, b = projection(*((world.cameras.cam_from_world[k], world.Ks[k]) for k in (i, j)))
+        flow = pairs.flow[e].astype(np.float32)
+        weight = mover * (pairs.confidence[e].astype(np.float32) + UNSURE_FLOW)
+        ways = [dense_static_flow(A, b, depth) for depth in depths]
+        ways += [_extended(flow, weight, _on_grid(px, mover))[0] for px in MOTION_PX]
+        expected = exposed(frames[i], warp(frames[j], flow))
+        for k, way in enumerate(ways):
+            inside = is_inside(way)
+            total[int(j > i), k] += inside * difference(warp(frames[j], way), expected, PATCH_PX)
+            seen[int(j > i), k] += inside
+    return np.asarray(np.where(seen > 0, total / np.maximum(seen, 1), np.inf))
+
+
+def _static_depths(inverse_depth: np.ndarray, static: np.ndarray) -> list[np.ndarray]:
+    """Inverse depths [h, w] that a static pixel may have: its own, the farthest and nearest around, and behind movers.
+
+    Args:
+        static: [h, w] weight of a pixel for what is behind a mover.
+    """
+    own = cv2.medianBlur(inverse_depth, MEDIAN_PX)
+    square = np.ones((round(_on_grid(AROUND_PX, own)),) * 2, np.uint8)
+    behind = [_extended(inverse_depth[..., None], static, _on_grid(px, own)) for px in DEPTH_PX]
+    known = [np.where(share > 1e-3, depth[..., 0], own) for depth, share in behind]
+    return [own, cv2.erode(own, square), cv2.dilate(own, square), *known]
+
+
+def _extended(values: np.ndarray, weight: np.ndarray, sigma_px: float) -> tuple[np.ndarray, np.ndarray]:
+    """Weighted mean [h, w, c] of values [h, w, c] over a Gaussian around each pixel, and the weight [h, w] there.
+
+    A normalised convolution (Knutsson and Westin, CVPR 1993), on as coarse a grid as the Gaussian allows.
+    """
+    h, w = weight.shape
+    step = max(1, int(sigma_px / 2))
+    image = np.dstack([values * weight[..., None], weight])
+    coarse = cv2.resize(image, (max(1, w // step), max(1, h // step)), interpolation=cv2.INTER_AREA)
+    blurred = cv2.GaussianBlur(coarse, (0, 0), sigma_px / step, borderType=cv2.BORDER_CONSTANT)
+    blurred = cv2.resize(blurred, (w, h), interpolation=cv2.INTER_LINEAR)
+    return blurred[..., :-1] / np.maximum(blurred[..., -1:], 1e-6), blurred[..., -1]
+
+
+def _on_grid(px: float, image: np.ndarray) -> float:
+    """Pixels of frames of REFERENCE_WIDTH as pixels of an image [h, w]."""
+    return px * image.shape[1] / REFERENCE_WIDTH

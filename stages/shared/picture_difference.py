@@ -1,0 +1,30 @@
+"""What two pictures of one thing may differ by: exposure, and what a small error of position makes of an edge."""
+
+import cv2
+import numpy as np
+
+TOLERANCE = 1.0, 0.5
+"""Residual expected of a pixel that is matched right: colour levels, and the position error in pixels."""
+SLOPE_PX = 5
+"""Each way, the pixels over which the slope of the colours is averaged."""
+MEAN_OF_COLOURS = np.full((1, 3), 1 / 3, np.float32)
+
+
+def difference(found: np.ndarray, expected: np.ndarray, window_px: int) -> np.ndarray:
+    """Mean difference [h, w] in colour levels between two pictures [h, w, 3] uint8 over a square around each pixel."""
+    colours = cv2.transform(cv2.absdiff(found, expected), MEAN_OF_COLOURS)
+    return np.asarray(cv2.boxFilter(colours, cv2.CV_32F, (window_px, window_px)))
+
+
+def exposed(frame: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """A frame [h, w, 3] uint8 corrected to the exposure of the other, by the median difference per colour."""
+    change = np.median(other[::2, ::2].astype(np.int16) - frame[::2, ::2], axis=(0, 1))
+    return np.asarray(cv2.add(frame, (*change.tolist(), 0.0)))
+
+
+def tolerance(frame: np.ndarray) -> np.ndarray:
+    """Expected residual [h, w], in colour levels, of the right match of each pixel of a frame [h, w, 3]."""
+    grey = cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY)
+    slope = np.hypot(cv2.Sobel(grey, cv2.CV_32F, 1, 0, scale=1 / 8), cv2.Sobel(grey, cv2.CV_32F, 0, 1, scale=1 / 8))
+    levels, pixels = TOLERANCE
+    return np.asarray(levels + pixels * cv2.blur(slope, (SLOPE_PX, SLOPE_PX)))
