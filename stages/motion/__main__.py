@@ -12,9 +12,8 @@ from stages.motion.pooling import pool
 from stages.motion.static_paths import StaticScene
 from stages.shared import cli, drawing
 from stages.shared.artifacts import read_dense, read_metadata, write_dense
-from stages.shared.cameras import Cameras, read_cameras, scale_intrinsics
+from stages.shared.cameras import Cameras, scale_intrinsics, usable_cameras
 from stages.shared.cli import In, Out
-from stages.shared.errors import InputError
 from stages.shared.flow_pairs import FlowPairs
 from stages.shared.images import read_reduced, write_figure
 from stages.shared.log import logger
@@ -53,7 +52,7 @@ def main(
     scene = read_scene_on_grid(frames, matched["confidence"].shape[:0:-1])
     pairs = FlowPairs(matched, scene=scene)
     rgb = read_reduced(frames.frames, pairs.confidence.shape[:0:-1])
-    cameras = _usable_cameras(previous_poses, previous_depth)
+    cameras = usable_cameras(previous_poses, previous_depth, "the prior comes from flow alone")
     if cameras is None or previous_depth is None:
         evidence, facts = _from_flow(pairs, len(frames.numbers), options.seed)
     else:
@@ -77,17 +76,6 @@ def main(
 def to_probability(residual: np.ndarray, midway: float, spread: float) -> np.ndarray:
     """Probability of motion of a pooled residual [...] in 0..1: a logistic curve."""
     return np.asarray(1 / (1 + np.exp((midway - residual) / spread)))
-
-
-def _usable_cameras(poses: Path | None, depth: Path | None) -> Cameras | None:
-    """Cameras of the previous round; None in the first round or if it failed."""
-    if (poses is None) != (depth is None):
-        raise InputError("--previous-poses", "together with --previous-depth", "only one of them", "give both or none")
-    cameras = read_cameras(poses) if poses else None
-    if cameras is not None and "failed" in cameras.status:
-        logger.warning("motion: the cameras of the round before failed; the prior comes from flow alone")
-        return None
-    return cameras
 
 
 def _from_flow(pairs: FlowPairs, T: int, seed: int) -> tuple[Evidence, dict[str, Any]]:

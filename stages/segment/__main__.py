@@ -3,14 +3,13 @@
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import numpy as np
 
 from stages.given import masks as given_masks
 from stages.given.files import of_sequence
 from stages.given.masks import GivenMasks
-from stages.segment.layers import StaticWorld, belonging
 from stages.segment.options import SegmentOptions
 from stages.segment.permanence import DYNAMIC, confidence_of, persistent
 from stages.segment.refinement import guarded_threshold, smooth_along_edges, to_instances, to_mask
@@ -18,15 +17,17 @@ from stages.segment.superpixels import AT_ONCE, superpixels
 from stages.shared import cli, drawing
 from stages.shared.artifacts import Dense, read_dense, read_metadata, write_json
 from stages.shared.atomic import atomic_folder
-from stages.shared.cameras import read_cameras, scale_intrinsics
+from stages.shared.cameras import scale_intrinsics, usable_cameras
 from stages.shared.cli import In, Out
 from stages.shared.errors import InputError
 from stages.shared.flow_pairs import FlowPairs
 from stages.shared.images import enlarge, read_mask, read_rgb, reduce, write_figure, write_image
 from stages.shared.log import logger, progress
-from stages.shared.masks import instances_path, mask_path, read_burnt_in
+from stages.shared.masks import instances_path, mask_path, read_burnt_in, read_scene_on_grid
 from stages.shared.sequences import Sequence, read_sequence
-from stages.shared.static_flow import resample
+
+if TYPE_CHECKING:
+    from stages.segment.layers import StaticWorld
 
 
 class Mask(NamedTuple):
@@ -166,7 +167,10 @@ def _refined(options: SegmentOptions, frames: Sequence, flow: Path, prior: Path,
     sure, instance = persistent(*given)
     world = _static_world(*previous, flow, size)
     if world is not None and instance.any():
-        sure, instance = persistent(*given, belonging(pixels, FlowPairs(matched), picture, world, sure))
+        from stages.segment.layers import belonging
+
+        pairs = FlowPairs(matched, scene=read_scene_on_grid(frames, size))
+        sure, instance = persistent(*given, belonging(pixels, pairs, picture, world, sure))
 
     def mask(k: int, rgb: np.ndarray) -> Mask:
         sureness = smooth_along_edges(pixels.paint(sure, k), rgb, options.smoothness, options.colour_sigma)
@@ -177,11 +181,14 @@ def _refined(options: SegmentOptions, frames: Sequence, flow: Path, prior: Path,
     return mask
 
 
-def _static_world(poses: Path | None, depth: Path | None, flow: Path, size: tuple[int, int]) -> StaticWorld | None:
+def _static_world(poses: Path | None, depth: Path | None, flow: Path, size: tuple[int, int]) -> "StaticWorld | None":
     """The cameras and the depth of the round before on the flow grid of this size (w, h); None if there are none."""
-    cameras = read_cameras(poses) if poses else None
-    if cameras is None or depth is None or "failed" in cameras.status:
+    cameras = usable_cameras(poses, depth, "masks come from the prior alone")
+    if cameras is None or depth is None:
         return None
+    from stages.segment.layers import StaticWorld  # compiled code, which the first round spares
+    from stages.shared.static_flow import resample
+
     scale = float(read_metadata(flow)["scale"])
     cells, cell_px = read_dense(depth)["inverse_depth"], float(read_metadata(depth)["stride_px"]) * scale
     Ks = scale_intrinsics(cameras.Ks, scale)

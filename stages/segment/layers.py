@@ -18,6 +18,7 @@ from stages.segment.refinement import REFERENCE_WIDTH
 from stages.segment.superpixels import Superpixels
 from stages.shared.cameras import Cameras, projection
 from stages.shared.flow_pairs import FlowPairs
+from stages.shared.masks import within
 from stages.shared.picture_difference import difference, exposed, tolerance
 from stages.shared.static_flow import dense_static_flow
 from stages.shared.threads import threaded
@@ -44,6 +45,8 @@ CLEAR = 0.1, 0.4
 """Difference of the residuals, in tolerances, from which on it counts, and from which on fully."""
 MATCHED = 1.0
 """Residual of the mover, in tolerances, up to which it explains the pictures; from twice as much on it does not."""
+LEAST_SHARE = 1e-3
+"""Share of what is extended among the pixels around, below which nothing is known of it: the Gaussian is cut off."""
 NEAR_ENOUGH = 0.15
 """Share of a mover among the pixels around, from which on its extended motion counts fully."""
 
@@ -126,10 +129,12 @@ def _residuals(
         flow = pairs.flow[e].astype(np.float32)
         weight = mover * (pairs.confidence[e].astype(np.float32) + UNSURE_FLOW)
         ways = [dense_static_flow(A, b, depth) for depth in depths]
-        ways += [_extended(flow, weight, _on_grid(px, mover))[0] for px in MOTION_PX]
+        extended = [_extended(flow, weight, _on_grid(px, mover)) for px in MOTION_PX]
+        ways += [motion for motion, _ in extended]
+        known = [True] * len(depths) + [share > LEAST_SHARE for _, share in extended]
         expected = exposed(frames[i], warp(frames[j], flow))
         for k, way in enumerate(ways):
-            inside = is_inside(way)
+            inside = (is_inside(way) if pairs.scene is None else within(pairs.scene, way)) & known[k]
             total[int(j > i), k] += inside * difference(warp(frames[j], way), expected, PATCH_PX)
             seen[int(j > i), k] += inside
     return np.asarray(np.where(seen > 0, total / np.maximum(seen, 1), np.inf))
@@ -144,7 +149,7 @@ def _static_depths(inverse_depth: np.ndarray, static: np.ndarray) -> list[np.nda
     own = cv2.medianBlur(inverse_depth, MEDIAN_PX)
     square = np.ones((round(_on_grid(AROUND_PX, own)),) * 2, np.uint8)
     behind = [_extended(inverse_depth[..., None], static, _on_grid(px, own)) for px in DEPTH_PX]
-    known = [np.where(share > 1e-3, depth[..., 0], own) for depth, share in behind]
+    known = [np.where(share > LEAST_SHARE, depth[..., 0], own) for depth, share in behind]
     return [own, cv2.erode(own, square), cv2.dilate(own, square), *known]
 
 

@@ -147,7 +147,9 @@ def persistent(
         joined.append(pixels.first[start] + np.stack([W.row[near], W.col[near]]))
     sure = x / (2 * np.maximum(threshold, RELATIVE * levels))
     least = min(MIN_STRENGTH * threshold, (1 + threshold) / 2)
-    evidence = x / least, x * (confidence if stated is None else np.maximum(confidence, stated))
+    for told in (stated, shown):  # where the flow is unsure, both may say what moves
+        confidence = confidence if told is None else np.maximum(confidence, told)
+    evidence = x / least, x * confidence
     instance = instances(sure >= DYNAMIC, np.concatenate(joined, axis=1), *evidence, pixels.areas)
     return np.where((sure >= DYNAMIC) & (instance == 0), 0, np.minimum(sure, 1)), instance
 

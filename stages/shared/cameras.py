@@ -10,7 +10,8 @@ import numpy as np
 from stages.shared import lie
 from stages.shared.artifacts import read_table, refuse_infinite, write_table
 from stages.shared.atomic import atomic
-from stages.shared.errors import complete
+from stages.shared.errors import InputError, complete
+from stages.shared.log import logger
 
 WITHOUT_POSE = ("failed", "unobserved")
 """Status of frames whose pose was not estimated from matches."""
@@ -89,6 +90,24 @@ def write_cameras(path: Path, cameras: Cameras, metadata: dict[str, Any] | None 
     columns["masks_trusted"] = cameras.masks_trusted
     units = {"units": "pixels; scene units; covariance of the left twist [translation, rotation rad]"}
     write_table(path, columns, units | (metadata or {}))
+
+
+def usable_cameras(poses: Path | None, depth: Path | None, instead: str) -> Cameras | None:
+    """Cameras of the round before; None in the first round, and, with a warning, if they failed.
+
+    Args:
+        depth: that of the same round. instead: what is done without cameras, for the warning.
+
+    Raises:
+        InputError: if one of both files is given without the other.
+    """
+    if (poses is None) != (depth is None):
+        raise InputError("--previous-poses", "together with --previous-depth", "only one of them", "give both or none")
+    cameras = read_cameras(poses) if poses else None
+    if cameras is not None and "failed" in cameras.status:
+        logger.warning("the cameras of the round before failed; %s", instead)
+        return None
+    return cameras
 
 
 def read_cameras(path: Path) -> Cameras:
