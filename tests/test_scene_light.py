@@ -9,13 +9,13 @@ import pytest
 from square_inputs import observe
 from synthetic import PLANE, flow_arrays, make_scene
 
-from stages.scene import light, photometry, rules
+from stages.scene import light, photometry, rules, sightings
 from stages.scene.light_model import Light, Model, cleared, no_light
 from stages.scene.observed import Observed
 from stages.scene.photometry import LightEvidence, ViewEvidence, light_evidence, view_evidence
 from stages.scene.sightings import sight
 from stages.scene.weigh import NOTHING, Bought
-from stages.scene.windows import FOOTPRINT_PX2, SMOOTH_PX, WIDEST, windows
+from stages.scene.windows import FOOTPRINT_PX2, SMOOTH_PX, WIDEST, Windows, windows
 from stages.shared.cameras import pixel_grid, unproject
 from stages.shared.images import DISPLAY_GAMMA
 
@@ -195,6 +195,25 @@ def test_a_square_that_is_seen_edge_on_has_the_longest_windows() -> None:
     found = windows(np.swapaxes(corners, 0, 1).reshape(1, 4, 2, 2), np.ones((1, 2), bool))
     assert found.reach.max() == pytest.approx(WIDEST * SMOOTH_PX)
     assert found.variance.min() >= SMOOTH_PX**2 - 1e-9
+
+
+@pytest.mark.parametrize("shape", [np.zeros((2, 2)), np.array([[1.0, 0], [0, 0]])], ids=["point", "line"])
+def test_a_square_that_collapses_in_a_frame_leaves_the_windows_of_the_others(shape: np.ndarray) -> None:
+    square = np.array([[0.0, 0], [5, 0], [0, 5], [5, 5]])
+    corners = np.stack([square, square * (0.8, 0.6), square @ shape.T], axis=1)[None]
+    collapsed = windows(corners, np.ones((1, 3), bool))
+    without = windows(corners[:, :, :2], np.ones((1, 2), bool))
+    assert collapsed.variance[:, :2] == pytest.approx(without.variance)
+    assert np.abs(collapsed.along[:, :2]) == pytest.approx(np.abs(without.along))
+    assert np.isfinite(collapsed.reach).all()
+
+
+def test_a_window_that_reaches_beyond_the_picture_is_not_seen() -> None:
+    """There it would repeat the border."""
+    uv = np.array([[[10.0, 10.0], [3.0, 10.0], [10.0, 0.0], [36.0, 10.0]]])
+    along = np.broadcast_to([2.0, 0.0], uv.shape)
+    found = sightings._is_within(uv, Windows(np.ones((1, 4)), along), (20, 40))
+    assert found.tolist() == [[True, False, True, False]]
 
 
 def test_texture_that_fades_with_distance_is_no_fog() -> None:
