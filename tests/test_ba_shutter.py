@@ -128,14 +128,17 @@ def test_without_one_the_solution_is_that_of_a_global_shutter_to_the_bit() -> No
 
 
 def test_a_shutter_that_is_asked_for_of_a_camera_that_hardly_moves_is_not_followed_and_said() -> None:
-    """Its readout would be that of the noise: 0.2 of the frame interval here."""
+    """Its readout would be that of the noise: 0.2 of the frame interval here.
+
+    The search for it stops early, where its predicted error, 0.25, is still beyond what is observable.
+    """
     graph, _ = observe_rolled(hand(0.0005, 0.0005, steady=(0.0,) * 6), 0.0)
     off, asked = (
         estimate(Problem(graph, masked=True), OPTIONS.model_copy(update={"rolling_shutter": word}))
         for word in ("no", "yes")
     )
     assert off.camera == "near-still"
-    assert asked.rolling.decision in ("global", "not observable")
+    assert asked.rolling.decision == "not observable"
     assert_allclose(asked.state.cam_from_world, off.state.cam_from_world, rtol=0, atol=0)
     assert any("`rolling_shutter: yes` is not followed: the camera hardly moves" in flag for flag in asked.flags)
     assert not any("not followed" in flag for flag in off.flags)

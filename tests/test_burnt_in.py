@@ -12,7 +12,8 @@ from encoded_video import moving
 from gaussian_training import OPTIONS, TRAIN, new_scene
 
 from benchmarks.burnt_in import OVERLAYS, find, overlap
-from stages.evaluate.score_images import score_frame
+from stages.evaluate.options import EvaluateOptions
+from stages.evaluate.score_images import score_frame, score_images
 from stages.flow import __main__ as flow_stage
 from stages.flow.options import FlowOptions
 from stages.gaussians.inputs import without
@@ -24,11 +25,11 @@ from stages.motion import __main__ as motion_stage
 from stages.motion.options import MotionOptions
 from stages.segment import __main__ as segment_stage
 from stages.segment.options import SegmentOptions
-from stages.shared.artifacts import read_dense, read_json, write_dense
+from stages.shared.artifacts import Dense, read_dense, read_json, write_dense
 from stages.shared.errors import InputError
 from stages.shared.images import read_mask, write_image
 from stages.shared.masks import read_burnt_in, read_scene_on_grid
-from stages.shared.sequences import read_sequence
+from stages.shared.sequences import Sequence, read_sequence
 
 SIZE = 320, 192
 
@@ -212,6 +213,24 @@ def test_scores_leave_it_out() -> None:
     scores = score_frame(covered, image, mask, left_out)
     assert {region: of.psnr_db for region, of in scores.items()} == {region: of.psnr_db for region, of in exact.items()}
     assert score_frame(covered, image, mask)["whole"][0] < 20
+
+
+@pytest.mark.parametrize(("kind", "is_left_out"), [("final_right", True), ("clean_right", False)])
+def test_scores_of_the_right_eye_leave_it_out_in_its_own_pass(tmp_path: Path, kind: str, is_left_out: bool) -> None:
+    image = np.random.default_rng(0).integers(0, 200, (40, 60, 3), np.uint8)
+    bars = np.zeros((40, 60), bool)
+    bars[:6] = bars[-6:] = True
+    paths = [tmp_path / f"frame_{number:04d}.png" for number in (1, 2, 3)]
+    for path in paths:
+        write_image(path, np.where(bars[..., None], 0, image).astype(np.uint8))
+    write_image(tmp_path / "bars.png", bars)
+    write_image(tmp_path / "renders/right/frame_0001.png", image)
+    flow = Dense({"source": np.zeros(0, int), "target": np.zeros(0, int), "flow": np.zeros((0, 40, 60, 2))})
+    sequence = Sequence("bars", paths, [1, 2, 3], 60, 40, {kind: {1: paths[0]}}, burnt_in=tmp_path / "bars.png")
+    rows, _ = score_images(sequence, tmp_path / "renders", flow, ({}, "none"), EvaluateOptions())
+    scores = next(row for row in rows if row["split"] == "right")
+    exact = score_frame(image, image, None)["whole"].psnr_db
+    assert (scores["psnr_db"] == exact) == is_left_out
 
 
 def test_a_pixel_of_the_grid_shows_the_scene_alone_or_not_at_all(marked: tuple[Path, np.ndarray]) -> None:

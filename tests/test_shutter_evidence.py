@@ -90,6 +90,19 @@ def test_few_pairs_rule_out_blur_and_never_find_it(blurred: float, pairs: int, m
     assert len(compared) == 2 * pairs
 
 
+def test_pairs_without_pixels_to_compare_rule_out_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    compared: list[int] = []
+
+    def none_at_first(*args: Any) -> np.ndarray:
+        compared.append(args[-1])
+        return compare(*args) * (len(compared) > 2 * FIRST_PAIRS)
+
+    compare = shutter._compare
+    monkeypatch.setattr(shutter, "_compare", none_at_first)
+    assert decided(clip(0.5, noise=0.005))["needed"]
+    assert len(compared) == 2 * PAIRS
+
+
 @pytest.mark.parametrize("open_for", [0.3, 0.6, 0.9])
 def test_the_shutter_is_measured(open_for: float) -> None:
     evidence = measured(clip(open_for, noise=0.005))

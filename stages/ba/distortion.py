@@ -78,7 +78,8 @@ def find_lens(graph: FlowGraph, prior: FocalPrior, seed: int, assumed: bool = Fa
     """Decide about radial distortion from matches without masks, and estimate its coefficients where it is found.
 
     Args:
-        assumed: whether it is taken without a test, if it can be estimated.
+        assumed: whether it is taken without a test, if it can be estimated; cameras with one are then searched even
+            where the first ones tell nothing about it.
     """
     began = time.process_time()
     shared = shared_matches(graph.source, graph.target, graph.weights, graph.T)
@@ -91,7 +92,7 @@ def find_lens(graph: FlowGraph, prior: FocalPrior, seed: int, assumed: bool = Fa
         seconds = time.process_time() - began
         return Lens(None, Evidence("not observable", "the camera hardly moves", seconds=seconds))
     observed = Observed(coarse, coarse, None, [START_FOCAL * coarse.width], statistics, prior, seed)
-    evidence, best, straight = _weigh(observed, len(coarse.pixels) / len(graph.pixels))
+    evidence, best, straight = _weigh(observed, len(coarse.pixels) / len(graph.pixels), assumed)
     if assumed and evidence.decision != "not observable":
         evidence = replace(evidence, decision="distorted", reason=f"as the options say; {evidence.reason}")
     coefficients = None
@@ -122,7 +123,7 @@ class _Rivals:
     gain_sigma: float
 
 
-def _weigh(observed: Observed, density: float) -> tuple[Evidence, Fit, Unknowns]:
+def _weigh(observed: Observed, density: float, assumed: bool) -> tuple[Evidence, Fit, Unknowns]:
     """Evidence for a distortion, the best cameras with one, fitted to half of the tiles, and their other unknowns.
 
     Beside a zoom, cameras at one focal length tell nothing about the lens: it hides in what they leave, or stands in
@@ -130,10 +131,10 @@ def _weigh(observed: Observed, density: float) -> tuple[Evidence, Fit, Unknowns]
     """
     graph = observed.graph
     straight = Unknowns(focal=True, translation=observed.statistics.camera != "rotating")
-    rivals = _compare(observed, straight, _fit(observed, _start(observed), straight), density)
+    rivals = _compare(observed, straight, _fit(observed, _start(observed), straight), density, assumed)
     found = _evidence(graph, rivals, density)
     assert found.shift_sigma is not None
-    if straight.translation and found.shift_sigma <= HIDDEN * MAX_SIGMA:
+    if straight.translation and (assumed or found.shift_sigma <= HIDDEN * MAX_SIGMA):
         zooming = replace(straight, zoom=True)
         plain = _fit(observed, rivals.plain.state, zooming)
         if found.decision == "distorted" or held_out.gain(graph, (rivals.plain, plain))[0] > zoom.SUSPECTED_GAIN:
@@ -141,7 +142,7 @@ def _weigh(observed: Observed, density: float) -> tuple[Evidence, Fit, Unknowns]
             fits = [_fit(observed, rivals.bent.state, replace(of, lens=2)) for of in (straight, zooming)]
             gain, sigma = held_out.gain(graph, (fits[0], fits[1]))
             if gain >= max(ZOOM_GAIN, zoom.SIGNIFICANT * sigma):
-                rivals = _among_zooms(observed, zooming, plain, density)
+                rivals = _among_zooms(observed, zooming, plain, density, assumed)
                 found = _evidence(graph, rivals, density)
                 found = replace(found, reason=f"beside a focal length that changes {found.reason}")
             elif found.decision == "distorted":
@@ -164,13 +165,13 @@ def _fit(observed: Observed, state: State, unknowns: Unknowns, swapped: bool = F
     return held_out.fit(parts[::-1] if swapped else parts, state, unknowns, observed.prior, "lens")
 
 
-def _compare(observed: Observed, straight: Unknowns, plain: Fit, density: float) -> _Rivals:
+def _compare(observed: Observed, straight: Unknowns, plain: Fit, density: float, assumed: bool) -> _Rivals:
     """Cameras with a distortion beside `plain`, those without one; both searched anew where there is a suspicion."""
     graph, bent = observed.graph, replace(straight, lens=1)
     best = _fit(observed, replace(plain.state, lens=np.zeros(2)), bent)
     gain, gain_sigma = held_out.gain(graph, (plain, best))
     suspected = gain > SUSPECTED_GAIN or abs(_shift(best)) > SUSPECTED_SHIFT
-    if suspected and _shift_sigma(graph, best.state, bent, density) <= HIDDEN * MAX_SIGMA:
+    if suspected and (assumed or _shift_sigma(graph, best.state, bent, density) <= HIDDEN * MAX_SIGMA):
         searched = _fit(observed, _search(observed, np.copysign(TRIED, _shift(best))), bent)
         best = min((best, searched), key=lambda fit: fit.cost)
         plain = min((plain, _fit(observed, replace(best.state, lens=None), straight)), key=lambda fit: fit.cost)
@@ -179,7 +180,7 @@ def _compare(observed: Observed, straight: Unknowns, plain: Fit, density: float)
     return _Rivals(straight, plain, best, gain, gain_sigma)
 
 
-def _among_zooms(observed: Observed, zooming: Unknowns, plain: Fit, density: float) -> _Rivals:
+def _among_zooms(observed: Observed, zooming: Unknowns, plain: Fit, density: float, assumed: bool) -> _Rivals:
     """The same among cameras with a focal length per frame, whose change is first seen in pairs of frames."""
     graph, focal_px = observed.graph, plain.state.focal_px
     threshold_px = min(observed.threshold_px / 2, MAX_PAIR_PX)
@@ -190,7 +191,7 @@ def _among_zooms(observed: Observed, zooming: Unknowns, plain: Fit, density: flo
     tried = [replace(observed, focals_px=[focal_px], curve=curve) for curve in curves]
     fits = [plain, *(_fit(observed, _start(of), zooming) for of in tried)]
     best = int(np.argmin([fit.cost for fit in fits]))
-    return _compare(tried[max(best - 1, 0)], zooming, fits[best], density)
+    return _compare(tried[max(best - 1, 0)], zooming, fits[best], density, assumed)
 
 
 def _start(observed: Observed) -> State:

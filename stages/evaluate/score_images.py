@@ -83,7 +83,8 @@ def score_images(
     for split, protocol in SPLITS.items():
         ours = _Method({"sequence": sequence.name, "method": "ours", "split": split, "protocol": protocol})
         masks = regions[0] if split != "right" else {}  # the masks belong to the left eye
-        left_out = burnt_in if split != "right" else None
+        # The right eye shows what is burnt in if it is of the frames' own pass with effects; a clean one may not.
+        left_out = burnt_in if split != "right" or sequence.right_kind == "final_right" else None
         found, true = numbered_frames(renders / split), true_images(sequence, split)
         for number in progress(sorted(set(found) & set(true)), f"renders: {split}"):
             image, truth = read_rgb(found[number]), read_rgb(true[number])

@@ -29,9 +29,8 @@ def main(
     """Render every frame at its estimated pose and time, a fly-through, and the right eye if its true camera is known.
 
     Frames, and the right eye of the final pass, have the motion blur that the model was trained with; other views are
-    sharp. In the fly-through the camera
-    circles around the estimated path while time runs from 0 to 1. It lasts as long as the video, within what is
-    bearable.
+    sharp. In the fly-through the camera circles around the estimated path while time runs from 0 to 1. It lasts as long
+    as the video, within what is bearable.
     """
     from stages.render.shots import load_scene, planned_shots, take
     from stages.render.video import write_gif

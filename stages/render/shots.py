@@ -28,8 +28,8 @@ class Shot:
     Attributes:
         split: its folder, "train", "test", "novel" or "right". number: the number in its file name. time: 0..1.
         cam_from_world: [4, 4]. K: [3, 3] px.
-        frame: 0-based index of the frame whose time it is; None: it is none's.
         shutter: that of its motion blur, with the cameras of all frames; None: it is sharp.
+        frame: 0-based index of the frame that the shutter is open for; unused without one.
     """
 
     split: str
@@ -37,8 +37,8 @@ class Shot:
     time: float
     cam_from_world: np.ndarray
     K: np.ndarray
-    frame: int | None = None
     shutter: Shutter | None = None
+    frame: int = 0
 
 
 def planned_shots(
@@ -54,7 +54,7 @@ def planned_shots(
     times, is_test = frame_times(T), held_out(T, options)
     shutter = None if open_for is None else Shutter(open_for, poses, cameras.Ks)
     shots = [
-        Shot("test" if is_test[k] else "train", content.numbers[k], times[k], poses[k], cameras.Ks[k], k, shutter)
+        Shot("test" if is_test[k] else "train", content.numbers[k], times[k], poses[k], cameras.Ks[k], shutter, k)
         for k in range(T)
     ]
     moments = even_moments(content.times_s, options.novel_views)
@@ -65,14 +65,18 @@ def planned_shots(
 
 
 def _right_shots(content: Sequence, cameras: Cameras, times: np.ndarray, open_for: float | None) -> list[Shot]:
-    """The right eye of the frames that have one on disk, blurred as they are if it is of the final pass."""
+    """The right eye of the frames that have one on disk, blurred as they are if it is of the final pass.
+
+    The path of the right eye while the shutter is open needs its camera at every frame: where one is missing, all views
+    are sharp.
+    """
     rows, eyes = right_cameras(content, cameras.cam_from_world)
     shutter = None
     if open_for is not None and content.right_kind == "final_right" and len(rows) == len(times):
         shutter = Shutter(open_for, eyes, cameras.Ks)
     on_disk = content.truth.get(content.right_kind, {})
     return [
-        Shot("right", content.numbers[k], times[k], eye, cameras.Ks[k], k, shutter)
+        Shot("right", content.numbers[k], times[k], eye, cameras.Ks[k], shutter, k)
         for k, eye in zip(rows.tolist(), eyes, strict=True)
         if content.numbers[k] in on_disk
     ]
@@ -119,6 +123,6 @@ def load_scene(model: Path, device: str) -> GaussianScene:
 def take(scene: GaussianScene, shot: Shot, width: int, height: int) -> np.ndarray:
     """The rendered view, [height, width, 3] uint8, with the motion blur of its shutter, if any."""
     picture = instant(shot.time, shot.cam_from_world, shot.K)
-    if shot.frame is not None and shot.shutter is not None:
+    if shot.shutter is not None:
         picture = open_moments(scene, shot.shutter, shot.frame, (width, height))
     return to_uint8(expose(scene, picture, width, height)[0].cpu().numpy())

@@ -19,7 +19,13 @@ USUAL_SHUTTER = 0.5
 
 
 def is_ruled_out(evidence: dict[str, float]) -> bool:
-    """Whether there is clearly no blur: what it predicts is MIN_SIGMAS standard errors below the least gain."""
+    """Whether there is clearly no blur: what it predicts is MIN_SIGMAS standard errors below the least gain.
+
+    Where the fitted shutter is 0, gain and standard error are 0: then `slope_sigma` alone says how sure that is.
+
+    Args:
+        evidence: of pixels that were compared: without any, all of it is 0.
+    """
     most = evidence["gain_percent"] + MIN_SIGMAS * evidence["gain_sigma_percent"]
     return most < MIN_GAIN_PERCENT and evidence["slope_sigma"] <= MAX_SLOPE_SIGMA
 

@@ -75,7 +75,8 @@ def shutter_evidence(seen: Observed, least_px: float, given: float | None = None
     first, rest = edges[: 2 * FIRST_PAIRS], edges[2 * FIRST_PAIRS :]
     sums = np.sum([_compare(seen, grey, motion, edge) for edge in first], axis=0)
     found = judge(sums, given)
-    if rest and not is_ruled_out(found):
+    speeds_differ = bool(sums[2].any())  # not where too few pixels could be compared
+    if rest and not (speeds_differ and is_ruled_out(found)):
         found = judge(sums + np.sum([_compare(seen, grey, motion, edge) for edge in rest], axis=0), given)
     return evidence | found
 

@@ -69,7 +69,7 @@ def sight(seen: Observed) -> Sightings:
     squares, some, all_front = (part.reshape(-1, GROUP, *part.shape[1:]) for part in (uv, shown, front))
     of_squares = windows(squares, some.max(axis=1) & all_front.min(axis=1))
     over = Windows(*(np.repeat(part, GROUP, axis=0) for part in of_squares))
-    shown &= free_px >= MARGIN * over.reach
+    shown &= (free_px >= MARGIN * over.reach) & _is_within(uv, over, seen.dynamic.shape[1:])
     uv = np.where(shown[..., None], uv, 0.0)
     frames = progress(range(F), "static points")
     colours = np.stack([_colours(smooth[k], uv[:, k], over.of(k)) for k in frames], axis=1)
@@ -129,6 +129,17 @@ def _place(seen: Observed, free: np.ndarray, k: int, points: np.ndarray) -> tupl
     return uv, inside & near, front, bilinear(free, uv)
 
 
+def _taps(uv: np.ndarray, along: np.ndarray) -> np.ndarray:
+    """Pixels [..., 3, 2] that windows about uv [..., 2] are averaged over, from tip to tip."""
+    return np.asarray(uv[..., None, :] + TAPS[:, None] * along[..., None, :])
+
+
+def _is_within(uv: np.ndarray, over: Windows, size: tuple[int, ...]) -> np.ndarray:
+    """Whether [n, F] the tips of windows about uv [n, F, 2] are in the image of this height and width."""
+    taps = _taps(uv, over.along)
+    return np.asarray(((taps >= 0) & (taps <= (size[1] - 1, size[0] - 1))).all(axis=(-2, -1)))
+
+
 def _smoothed(rgb: np.ndarray) -> list[np.ndarray]:
     """Linear radiance [h, w, 3] of a frame, smoothed as widely as SPANS say."""
     linear = cv2.pow(rgb, DISPLAY_GAMMA)
@@ -140,8 +151,7 @@ def _colours(images: list[np.ndarray], uv: np.ndarray, over: Windows) -> np.ndar
     levels, (variance, along) = np.square(SMOOTH_PX * np.array(SPANS)), over
     below = np.clip(np.searchsorted(levels, variance, side="right") - 1, 0, len(levels) - 2)
     share = ((variance - levels[below]) / (levels[below + 1] - levels[below]))[:, None].astype(np.float32)
-    taps = uv[:, None] + TAPS[:, None] * along[:, None]
-    shown = np.stack([np.einsum("ntc,t->nc", bilinear(image, taps), TAP_WEIGHTS) for image in images])
+    shown = np.stack([np.einsum("ntc,t->nc", bilinear(image, _taps(uv, along)), TAP_WEIGHTS) for image in images])
     at = np.arange(len(uv))
     return stored((1 - share) * shown[below, at] + share * shown[below + 1, at])
 

@@ -42,11 +42,13 @@ def windows(corners: np.ndarray, shown: np.ndarray) -> Windows:
     """The windows of squares on surfaces.
 
     Args:
-        corners: [g, 4, F, 2] px of the corners of each square, row by row. shown: [g, F] where the square is seen.
+        corners: [g, 4, F, 2] px of the corners of each square, row by row. shown: [g, F] where the square is seen;
+            where it has collapsed to a line or a point it counts as not seen.
     """
     a, b, c, d = np.moveaxis(corners, 1, 0)
     J = np.stack([b - a + d - c, c - a + d - b], axis=-1)  # of pixels by places on the surface, in a unit of its own
-    J = np.where((shown & (np.abs(np.linalg.det(J)) > 1e-6))[..., None, None], J, np.eye(2))
+    shown = shown & (np.abs(np.linalg.det(J)) > 1e-6)
+    J = np.where(shown[..., None, None], J, np.eye(2))
     inverse = np.linalg.inv(J)
     pixel = inverse @ np.swapaxes(inverse, -1, -2)  # what a pixel averages of the surface: a covariance
     usual = (pixel * shown[..., None, None]).sum(axis=1) / np.maximum(shown.sum(axis=1), 1)[:, None, None]

@@ -24,8 +24,10 @@ edges), and on 40 of the former (335 MiB).
 `lens` was measured on 28 frames of 384 x 216 px and 200 of 512 x 218 with a distortion, which takes more than none.
 `flow`, `motion`, `segment` and the stages after the adjustment, but `export`, were measured on the 1,000 frames of
 long_walk too, of 512 x 218 px with flow of 320 x 136.
-`flow` and `segment` were measured on 12, 50 and 300 frames of 512 x 218 px, `flow` on those of long_walk, with its
-loops; `segment` again on 24 of them and on the 1,000 since it compares pictures, which takes 140 to 210 MB more.
+`flow` was measured on 12, 50 and 300 frames of 512 x 218 px, and on those of long_walk with its loops.
+`segment` was measured on 24 frames of 512 x 218 px and on those of long_walk since it compares pictures, which takes
+140 to 210 MB more than before. Before that it was measured on 12, 50 and 300 frames of 512 x 218 px, which were not
+measured again.
 `video` was measured on 20 and 90 frames of 1920 x 1080, whose peaks are alike, and on 40 of 3840 x 2160, on 4 threads;
 its pixels are those of a frame not yet reduced.
 """

@@ -135,8 +135,8 @@ def truth_folders(folder: Path) -> dict[str, Path]:
     """The existing folders of ground truth, `<training>/<kind>/<sequence>`, for `<training>/<pass>/<sequence>`."""
     if folder.parent.name not in ("clean", "final"):
         return {}
-    other = {"clean": "final_right", "final": None}[folder.parent.name]  # of a pass with effects that these lack
-    beside = {kind: folder.parent.parent / kind / folder.name for kind in TRUTH_KINDS if kind != other}
+    foreign = {"clean": "final_right", "final": None}[folder.parent.name]  # of a pass with effects that these lack
+    beside = {kind: folder.parent.parent / kind / folder.name for kind in TRUTH_KINDS if kind != foreign}
     return {kind: path for kind, path in beside.items() if path.is_dir()}
 
 

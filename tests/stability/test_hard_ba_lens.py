@@ -20,8 +20,8 @@ FACING = (((0.0, 0.0, 1.0), 4.0),)
 """A plane across the optical axis."""
 
 
-def decide(graph: FlowGraph) -> Lens:
-    return find_lens(graph, FocalPrior(1.1 * graph.width), seed=0)
+def decide(graph: FlowGraph, assumed: bool = False) -> Lens:
+    return find_lens(graph, FocalPrior(1.1 * graph.width), seed=0, assumed=assumed)
 
 
 def view(lens: np.ndarray | None = K, **scene: object) -> tuple[FlowGraph, float]:
@@ -43,10 +43,13 @@ def test_a_dolly_towards_a_plane_does_not_show_a_distortion(lens: np.ndarray | N
     assert (found.coefficients, found.evidence.decision) == (None, "not observable")
 
 
-@pytest.mark.parametrize(("sigma", "is_searched"), [(0.02, True), (0.04, False)])
+@pytest.mark.parametrize(
+    ("sigma", "assumed", "is_searched"), [(0.02, False, True), (0.04, False, False), (0.04, True, True)]
+)
 def test_a_distortion_that_is_far_from_observable_is_not_searched(
-    sigma: float, is_searched: bool, monkeypatch: pytest.MonkeyPatch
+    sigma: float, assumed: bool, is_searched: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Unless it is asked for: better cameras may show it."""
     searched, search = [], distortion._search
 
     def counted(observed: Observed, shift: float) -> State:
@@ -55,7 +58,7 @@ def test_a_distortion_that_is_far_from_observable_is_not_searched(
 
     monkeypatch.setattr(distortion, "_shift_sigma", lambda *_: sigma)
     monkeypatch.setattr(distortion, "_search", counted)
-    found = decide(view()[0])
+    found = decide(view()[0], assumed)
     assert (found.evidence.decision, bool(searched)) == ("not observable", is_searched)
 
 

@@ -63,7 +63,7 @@ def test_what_a_better_path_saves_is_not_taken_for_the_saving_of_a_zoom() -> Non
 
 
 @pytest.mark.parametrize(
-    ("sigma", "assumed", "is_searched"), [(0.2, False, True), (0.3, False, False), (0.3, True, True)]
+    ("sigma", "assumed", "is_searched"), [(0.3, False, True), (0.4, False, False), (0.4, True, True)]
 )
 def test_a_change_that_is_far_from_observable_is_not_searched(
     sigma: float, assumed: bool, is_searched: bool, monkeypatch: pytest.MonkeyPatch

@@ -5,8 +5,10 @@ from dataclasses import replace
 import finished_run as clip
 import numpy as np
 import pytest
+from lit_room import drift, lit_room, tint
 from square_inputs import observe
-from test_scene_light import decided, drift, lit_room, smooth_pictures, tint
+from test_scene_light import decided
+from test_view_dependence import smooth_pictures
 
 from stages.scene import rules
 from stages.scene.light_model import no_light
