@@ -64,18 +64,6 @@ def test_densify_splits_what_is_pulled_and_prunes_what_is_transparent() -> None:
     assert torch.allclose((grown.means[halves[0]] - grown.means[halves[1]]).norm(), longest, rtol=1e-5)
 
 
-def test_densify_prunes_what_covers_a_mover() -> None:
-    """Large in two directions, opaque and dynamic: neither a sky, nor haze, nor a long edge."""
-    cloud = small_cloud()
-    cloud.log_scales[:], cloud.logits[:] = -4.0, 2.0
-    large = torch.tensor([0.3, 0.3, 0.01]).log()
-    cloud.log_scales[[3, 160, 170]] = large  # footprints are 0.05
-    cloud.logits[170] = -1.0
-    cloud.log_scales[180] = torch.tensor([0.3, 0.1, 0.01]).log()
-    _, parents = densify(cloud, torch.zeros(200), 1000, interval=0.1)
-    assert sorted(set(range(200)) - set(parents.tolist())) == [160]
-
-
 def test_densify_keeps_the_cap() -> None:
     gradient = torch.rand(200, generator=torch.manual_seed(1)) ** 4
     assert len(densify(small_cloud(), gradient, 203, interval=0.1)[0].means) == 203

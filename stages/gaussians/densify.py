@@ -1,5 +1,4 @@
-"""Density control: Gaussians with a large image gradient are split, up to a hard cap; transparent ones are pruned, and
-large opaque ones of movers."""
+"""Density control: Gaussians with a large image gradient are split, transparent ones pruned, up to a hard cap."""
 
 import math
 from dataclasses import dataclass
@@ -12,9 +11,6 @@ from stages.splatting.cloud import Cloud
 
 MIN_OPACITY = 0.01
 """Gaussians below this opacity are pruned: they change no pixel visibly."""
-OPAQUE, LARGEST = 0.5, 4.0
-"""From this opacity on, Gaussians of movers are pruned whose second longest axis exceeds so many footprints: one that
-came before a surface covers it for good, since what is behind it is no longer trained."""
 GROWTH = 0.05
 """At most this share of the Gaussians is split at a time."""
 MIN_GRADIENT = 1.5
@@ -55,8 +51,7 @@ class GradientRecord:
 
 
 def densify(cloud: Cloud, gradient: Tensor, max_gaussians: int, interval: float) -> tuple[Cloud, Tensor]:
-    """Prune transparent Gaussians and those that cover movers, then split those with the largest gradients along their
-    longest axis.
+    """Prune transparent Gaussians, then split those with the largest gradients along their longest axis.
 
     The halves are half a standard deviation of the parent to either side of its centre. Their longest axis is 0.5 times
     that of the parent, the other axes 0.85 times and the opacity 0.8 times; life spans are the parent's. No random
@@ -69,7 +64,7 @@ def densify(cloud: Cloud, gradient: Tensor, max_gaussians: int, interval: float)
     Returns:
         The new cloud of M Gaussians, static first, and the row [M] of each in the old cloud, -1 for halves.
     """
-    alive = torch.nonzero((strength(cloud, interval) > MIN_OPACITY) & ~covers(cloud))[:, 0]
+    alive = torch.nonzero(strength(cloud, interval) > MIN_OPACITY)[:, 0]
     room = max(0, min(int(GROWTH * len(alive)), max_gaussians - len(alive)))
     pulled = gradient[alive]
     wanted = int((pulled > MIN_GRADIENT * float(pulled.cpu().numpy().mean())).sum()) if len(alive) else 0
@@ -96,12 +91,6 @@ def strength(cloud: Cloud, interval: float) -> Tensor:
     """
     lasting = cloud.log_spans.exp() * (math.sqrt(2 * math.pi) / interval)
     return cloud.logits.sigmoid() * lasting.clamp_max(1)
-
-
-def covers(cloud: Cloud) -> Tensor:
-    """Whether a Gaussian [N] is a large opaque one of a mover."""
-    second = cloud.log_scales.sort(dim=-1).values[:, 1].exp()
-    return cloud.dynamic & (second > LARGEST * cloud.footprints) & (cloud.logits.sigmoid() > OPAQUE)
 
 
 def select(cloud: Cloud, rows: Tensor) -> Cloud:

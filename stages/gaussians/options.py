@@ -27,7 +27,7 @@ class GaussiansOptions(SplitOptions):
     max_gaussians: int = Field(
         80_000, ge=1, description="largest number of Gaussians, initially and after densification"
     )
-    densify: bool = Field(True, description="split Gaussians where the image gradient is high, prune others")
+    densify: bool = Field(True, description="split Gaussians where the image gradient is high, prune transparent ones")
     neighbours: int = Field(4, ge=1, le=16, description="control points that move one Gaussian")
     colour_table: bool = Field(True, description="let control points change their colour over time, as shading does")
     refine_poses: bool = Field(False, description="optimise small corrections of the estimated poses with the scene")
