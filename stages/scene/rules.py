@@ -25,8 +25,8 @@ from stages.scene.weigh import NOTHING, SIGNIFICANT, Bought
 MIN_MASK_SHARE = 5e-4
 """A mask of less than this share of the pixels is noise of the refinement: 56 px of a 512 x 218 frame."""
 MIN_MOTION_PX, MIN_MOTION_SHARE = 0.15, 0.4
-"""Masked pixels that fit the static scene about as well as a motion of their own are false positives. A rigid plane saves
-least of what bends and fills the view: .45 in all_moving, .59 in breathing_wall, .85 and more in all other scenes."""
+"""Masked pixels that fit the static scene about as well as a motion of their own are false positives. A rigid plane
+saves least of what bends and fills the view: .45 in all_moving, .59 in breathing_wall, .85 and more in all others."""
 MIN_TRAVEL_PX, MIN_TRAVEL_SHARE = 0.05, 0.2
 """Travel that explains less than the errors of the flow does not separate depths from infinity."""
 MIN_VIEW_GREY, MIN_VIEW_SHARE = 1.2, 0.4
