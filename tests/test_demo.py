@@ -72,8 +72,8 @@ def test_masks_keep_their_floors(demo: dict[str, Any]) -> None:
 
 
 def test_held_out_views_keep_their_floors(demo: dict[str, Any]) -> None:
-    """Measured: 32.0 dB whole, 34.0 static, 24.2 moving; 25.9 from the right eye."""
+    """Measured: 32.5 dB whole, 34.2 static, 25.2 moving; 32.9 from the right eye."""
     assert demo["psnr_whole"] > 31
     assert demo["psnr_static"] > 33
     assert demo["psnr_dynamic"] > 23
-    assert demo["right_db"] > 24.5
+    assert demo["right_db"] > 31.5

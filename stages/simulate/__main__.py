@@ -114,11 +114,11 @@ def draw_frame(stage: Stage, frame: int, now: Moment, other: Moment, folders: di
         moved = motion(seen.hits, uv, stage.world, other.snapshot, other.view, now.view.K[0, 0])
     passes = {"clean": clean, "final": frames.final(stage, frame, now, seen, clean)}
     with watch.measure("right eye"):
-        stage, now_right = frames.right_eye(stage, now)
-        seen_right = frames.see(stage, now_right)
-        passes["clean_right"] = frames.develop(stage, now_right, seen_right, with_effects=False)
+        right, now_right = frames.right_eye(stage, now)
+        seen_right = frames.see(right, now_right)
+        passes["clean_right"] = frames.develop(right, now_right, seen_right, with_effects=False)
         if frame % RIGHT_EVERY == FIRST_RIGHT:
-            passes["final_right"] = frames.final(stage, frame, now_right, seen_right, passes["clean_right"])
+            passes["final_right"] = frames.final(right, frame, now_right, seen_right, passes["clean_right"])
     with watch.measure("writing"):
         stem = f"frame_{frame + 1:04d}"
         for kind, image in passes.items():

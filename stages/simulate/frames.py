@@ -33,8 +33,8 @@ class Stage(NamedTuple):
     """The inputs of every image of a scene.
 
     Attributes:
-        scene: the scene file. world: its triangles. view: frame index -> camera. watch: measures the seconds.
-        eye: 0 left, 1 right.
+        scene: the scene file. world: its triangles. view: frame index -> camera of this eye. watch: measures the
+            seconds. eye: 0 left, 1 right.
     """
 
     scene: Scene
@@ -45,7 +45,7 @@ class Stage(NamedTuple):
     eye: int = 0
 
     def moment(self, frame: float) -> Moment:
-        """The scene and the left camera at a frame index, which may be fractional."""
+        """The scene and the camera at a frame index, which may be fractional."""
         with self.watch.measure("geometry"):
             return Moment(self.world.at(frame), self.view(frame))
 

@@ -235,15 +235,12 @@ def optional(stage, name, before=0):
 
 def for_estimated_masks(stage, name, before=0):
     """The input function of a stage's results, now or rounds ago; empty where masks are not estimated from them."""
+    read = optional(stage, name, before) if before else artifact(stage, name)
 
     @of_job
     def of_setting(wildcards):
-        setting, number = setting_of(wildcards), round_number(wildcards)
-        if not setting.config.segment.estimates:
-            return []
-        if before:
-            number = plan.round_to_read(setting, stage, number - before)
-        return [] if number is None else artifact_path(wildcards, stage, name, number)
+        estimates = setting_of(wildcards).config.segment.estimates
+        return read(wildcards) if estimates else []
 
     return of_setting
 
