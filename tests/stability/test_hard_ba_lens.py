@@ -44,7 +44,7 @@ def test_a_dolly_towards_a_plane_does_not_show_a_distortion(lens: np.ndarray | N
 
 
 @pytest.mark.parametrize(
-    ("sigma", "assumed", "is_searched"), [(0.02, False, True), (0.04, False, False), (0.04, True, True)]
+    ("sigma", "assumed", "is_searched"), [(0.035, False, True), (0.05, False, False), (0.05, True, True)]
 )
 def test_a_distortion_that_is_far_from_observable_is_not_searched(
     sigma: float, assumed: bool, is_searched: bool, monkeypatch: pytest.MonkeyPatch
