@@ -1,13 +1,16 @@
 """Decode one shot of a video into a folder of frames, with their time stamps and what was found about the video."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from pydantic import Field
 
 from stages.shared import cli
 from stages.shared.cli import In, Out
 from stages.video.options import VideoOptions
+
+if TYPE_CHECKING:
+    from stages.video.shots import Shot
 
 
 class DecodeOptions(VideoOptions):
@@ -28,11 +31,8 @@ def main(
 ) -> str:
     """Write the frames of one shot upright, with square pixels, and without those that repeat others."""
     from stages.shared.artifacts import write_json
-    from stages.shared.atomic import atomic_folder
     from stages.shared.errors import InputError
-    from stages.shared.images import write_image
-    from stages.shared.log import logger, progress
-    from stages.video import decode
+    from stages.shared.log import logger
     from stages.video.index import load_index
     from stages.video.shots import cut_out
 
@@ -45,16 +45,7 @@ def main(
         shot = cut_out(shot, options.first, options.last)
     for warning in index.warnings:
         logger.info("%s: %s", video, warning)  # `inspect` warns of them
-    header, wanted, number = decode.read_header(video), set(shot.pts), 0
-    with atomic_folder(output, ["frame_*.png"]) as folder:
-        frames = decode.read_frames(video, shot.times_s[0], shot.times_s[-1])
-        used = (frame for frame in frames if frame.pts in wanted)
-        for number, frame in enumerate(progress(used, name, len(wanted)), start=1):
-            path = folder / f"frame_{shot.first + number - 1:04d}.png"
-            write_image(path, decode.upright(frame, header, index.bars_px, options.max_width))
-        if number != len(wanted):
-            advice = "the file has changed since it was indexed: run again"
-            raise InputError(video, f"{len(wanted)} frames", f"{number}", advice)
+    _write_frames(video, shot, index.bars_px, options.max_width, output)
     write_json(
         findings,
         {
@@ -66,9 +57,28 @@ def main(
         | index.findings
         | {"bars_px": index.bars_px},
     )
-    return (
-        f"{len(wanted)} frames of {index.width} x {index.height} px, {shot.times_s[0]:.2f} to {shot.times_s[-1]:.2f} s"
-    )
+    size, (first_s, *_, last_s) = f"{index.width} x {index.height} px", shot.times_s
+    return f"{len(set(shot.pts))} frames of {size}, {first_s:.2f} to {last_s:.2f} s"
+
+
+def _write_frames(video: Path, shot: "Shot", bars_px: tuple[int, int], max_width: int, output: Path) -> None:
+    """Write the frames of a shot, cut to the picture inside of its bars, into the folder `output`, all or none."""
+    from stages.shared.atomic import atomic_folder
+    from stages.shared.errors import InputError
+    from stages.shared.images import write_image
+    from stages.shared.log import progress
+    from stages.video import decode
+
+    header, wanted, number = decode.read_header(video), set(shot.pts), 0
+    with atomic_folder(output, ["frame_*.png"]) as folder:
+        frames = decode.read_frames(video, shot.times_s[0], shot.times_s[-1])
+        used = (frame for frame in frames if frame.pts in wanted)
+        for number, frame in enumerate(progress(used, output.name, len(wanted)), start=1):
+            path = folder / f"frame_{shot.first + number - 1:04d}.png"
+            write_image(path, decode.upright(frame, header, bars_px, max_width))
+        if number != len(wanted):
+            advice = "the file has changed since it was indexed: run again"
+            raise InputError(video, f"{len(wanted)} frames", f"{number}", advice)
 
 
 if __name__ == "__main__":
