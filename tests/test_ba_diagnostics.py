@@ -48,6 +48,20 @@ def test_a_solution_fails_the_checks_that_its_statistics_contradict(
     assert all(said in warning for warning in found)
 
 
+@pytest.mark.parametrize(("length", "said"), [(0.0, ""), (0.005, ""), (0.1, "error 10 % of its length"), (0.3, "")])
+@pytest.mark.parametrize("turn", [0.0, 2.0])
+def test_a_path_is_weakly_observed_if_its_predicted_error_is_large(length: float, said: str, turn: float) -> None:
+    """The error of the centres is 0.01, of rotations it is large; the camera turns on, far from the origin."""
+    covariance = np.tile(np.diag([1e-4 / 3] * 3 + [1.0] * 3), (8, 1, 1))
+    centres = [5.0, 0, 0] + np.linspace(0, length, 8)[:, None] * [1, 0, 0]
+    rotations = lie.exp_se3(np.arange(8)[:, None] * np.array([0, 0, 0, 0, turn / 8, 0]))
+    shifts = np.tile(np.eye(4), (8, 1, 1))
+    shifts[:, :3, 3] = -centres
+    found = diagnostics.of_path(rotations @ shifts, covariance)
+    assert len(found) == bool(said)
+    assert all(said in warning for warning in found)
+
+
 @pytest.mark.parametrize("turning", [0.0, 1.0])
 @pytest.mark.parametrize(("shake", "said"), [(1e-9, 0), (1e-5, 0), (1e-2, 1)])
 def test_paths_below_the_noise_are_no_rivals(turning: float, shake: float, said: int) -> None:

@@ -20,6 +20,9 @@ SAME_COST, SAME_PATH, SAME_ROUGHNESS = 0.05, 0.05, 2.0
 limit, and its path differs by more than the second (share of the path length)."""
 SHRINKING = 0.7
 """A static area below this share of that of the previous round suggests that masks grow without bound."""
+WEAK_PATH = 0.05
+"""Predicted error of the camera centres, as a share of the path, from which on the path is weakly observed. It is
+0.028 and less in all scenes that limits are chosen on but dark_fog, whose path is wrong: there it is 0.097."""
 MOVED = 3.0
 """Converged rounds change the focal length by less than this many predicted errors (measured: by at most 0.4)."""
 
@@ -67,6 +70,22 @@ def of_focal(camera: str, focal: Mapping[str, Any]) -> list[str]:
     if focal["decision"] == "held at prior" and camera == "moving":
         return [f"focal length held at prior: {focal['reason']}"]
     return []
+
+
+def of_path(cam_from_world: np.ndarray, covariance: np.ndarray) -> list[str]:
+    """A warning if the path [T, 4, 4] is short against its predicted error, as where a camera hardly moves.
+
+    There is none if it is shorter than the error: a camera at rest, as it seems, has no path to be wrong about.
+
+    Args:
+        covariance: [T, 6, 6] of the left twists, translation first: of the camera centres too, but for a rotation.
+    """
+    centres = lie.inverse(cam_from_world)[:, :3, 3]
+    length = np.linalg.norm(np.diff(centres, axis=0), axis=1).sum()
+    sigma = np.sqrt(np.trace(covariance[:, :3, :3], axis1=1, axis2=2).mean())
+    if not WEAK_PATH * length < sigma < length:
+        return []
+    return [f"camera path weakly observed: predicted error {100 * sigma / length:.0f} % of its length"]
 
 
 def of_zoom(evidence: zoom.Evidence) -> list[str]:
