@@ -135,6 +135,26 @@ def test_static_scene_fits_its_depth_exactly() -> None:
     assert evidence.residual[evidence.weight > 1].max() < 1e-3
 
 
+@pytest.mark.parametrize(("share", "found"), [(0.6, False), (-0.5, False), (-1.6, True)])
+def test_a_mover_parallel_to_the_camera_fits_a_static_depth(share: float, found: bool) -> None:
+    """It moves by -share of the camera's motion: at its depth over 1 + share it fits exactly, if that is positive."""
+    velocity = make_scene(T=1, disc_radius=0.5).velocity
+    time = np.arange(6)[:, None]
+    path = lie.exp_se3(time * np.array([0, 0, 0, 0.003, -0.012, 0.002]))
+    centres = -time * velocity / share
+    path[:, :3, 3] = (path[:, :3, :3] @ -centres[..., None])[..., 0]
+    scene = make_scene(T=6, disc_radius=0.5, path=path)
+    start = np.full(scene.depth.shape, 0.3, np.float32)
+    Ks = np.broadcast_to(scene.K, (scene.T, 3, 3))
+    evidence, inverse_depth, _ = resweep.camera_evidence(observed(scene), path, Ks, start)
+    mover = scene.dynamic & (evidence.weight > 1)
+    if found:
+        assert np.median(evidence.residual[mover]) > 0.5
+    else:
+        assert evidence.residual[mover].max() < 1e-3
+        np.testing.assert_allclose((inverse_depth * scene.depth)[mover], 1 + share, rtol=1e-2)
+
+
 def test_sweep_is_as_good_as_trying_every_depth() -> None:
     """Brute force in numpy over 4000 inverse depths, on noisy flow with a mover, finds nothing much better."""
     scene = make_scene(T=4, size=(16, 24), disc_radius=0.6)
