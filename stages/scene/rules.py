@@ -119,6 +119,14 @@ def decide_white_balance(evidence: LightEvidence, choice: Choice, exposure: Choi
     return decision | {"needed": False, "why": why, "source": "user"}
 
 
+def about_followed(decision: Decision, followed: Bought) -> Decision:
+    """Changes to a decision about gains if they do not act on the whole picture: `followed` is what they save there."""
+    if not decision["needed"] or decision["source"] != "evidence" or followed.interval[0] > 0:
+        return {}
+    why = f"where the flow follows the whole picture, movers too, it {_saves(followed, 'grey levels')}"
+    return {"needed": False, "why": f"{decision['why']}; {why}: not beyond chance"}
+
+
 def decide_atmosphere(evidence: LightEvidence, choice: Choice) -> Decision:
     """Fog: distance predicts how static points change; with its extinction per scene unit and airlight, linear.
 
