@@ -7,6 +7,7 @@ import pytest
 from lit_room import drift, lit_room, tint
 
 from stages.scene import light, photometry, rules
+from stages.scene.followed import followed_evidence
 from stages.scene.light_model import Light, Model, cleared, no_light
 from stages.scene.observed import Observed
 from stages.scene.photometry import LightEvidence, light_evidence
@@ -41,6 +42,24 @@ def test_fog_is_told_from_exposure(extinction: float, level: float, drift_percen
         brighter = np.exp(DISPLAY_GAMMA * np.log(drift(drift_percent)).mean())  # fitted gains are 1 on average
         expected = level * brighter * np.array([1, 1, 1.2])
         assert evidence.fitted.airlight == pytest.approx(expected, abs=0.03)
+
+
+@pytest.mark.parametrize("everywhere", [True, False])
+def test_a_gain_acts_on_the_whole_picture(everywhere: bool) -> None:
+    """A surface that turns from the light darkens as by a gain: where all else moves, nothing static says otherwise."""
+    changing = lit_room(gains=drift(15.0))
+    moves = np.arange(changing.dynamic.shape[2]) >= 60
+    rgb = changing.rgb if everywhere else np.where(moves[:, None], lit_room().rgb, changing.rgb)
+    seen = replace(changing, rgb=rgb, dynamic=np.broadcast_to(moves, changing.dynamic.shape))
+    evidence = light_evidence(sight(seen))
+    found = rules.decide_exposure(evidence, "auto")
+    assert found["needed"]
+    gain, tint = followed_evidence(seen, evidence.fitted.log_gains)
+    found |= rules.about_followed(found, gain)
+    assert found["needed"] == everywhere
+    assert ("whole picture" in found["why"]) != everywhere
+    assert tint.size == pytest.approx(0, abs=0.1)
+    assert not rules.about_followed(rules.decide_exposure(evidence, "yes"), gain)  # the user knows better
 
 
 def test_a_sky_behind_black_fog_has_errors_all_the_same() -> None:

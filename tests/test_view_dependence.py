@@ -1,5 +1,7 @@
 """Colours that depend on the view, told from errors of poses and from noise."""
 
+from dataclasses import replace
+
 import finished_run as clip
 import numpy as np
 import pytest
@@ -10,6 +12,7 @@ from stages.scene.light_model import no_light
 from stages.scene.photometry import ViewEvidence, view_evidence
 from stages.scene.sightings import sight
 from stages.scene.weigh import NOTHING, Bought
+from stages.shared.cameras import project
 
 
 def smooth_pictures(shine: float = 0.0) -> np.ndarray:
@@ -25,7 +28,7 @@ def smooth_pictures(shine: float = 0.0) -> np.ndarray:
 
 
 def view_decision(images: np.ndarray, choice: rules.Choice = "auto") -> rules.Decision:
-    return rules.decide_view_dependent(view_evidence(sight(observe(images)), no_light(clip.T)), choice)
+    return rules.decide_view_dependent(view_evidence(sight(observe(images), textured=True), no_light(clip.T)), choice)
 
 
 def test_view_dependence_is_predicted_at_other_times_and_places() -> None:
@@ -73,3 +76,20 @@ def test_a_texture_that_slides_over_the_depth_is_no_gloss() -> None:
     decision = view_decision(np.repeat(np.stack(images)[..., None], 3, axis=-1))
     assert decision["sh_degree"] == 0
     assert decision["statistic"] < 0.7 * rules.MIN_VIEW_GREY
+
+
+def test_points_of_any_contrast_keep_away_from_wrong_depth() -> None:
+    """A depth that the flow to the nearest frames contradicts, as at the edges of thin things."""
+    seen = observe(smooth_pictures())
+    depth, misplaced = np.array(seen.depth), np.zeros(np.shape(seen.depth), bool)
+    misplaced[:, 20:60, 30:70] = True
+    depth[misplaced] *= 1.3
+    for textured in (True, False):
+        points, hit = sight(replace(seen, depth=depth), textured), False
+        for k, shown in enumerate(points.usable.all(axis=2).T):
+            uv = project(points.points[shown], clip.CAM_FROM_WORLD[k], clip.K)[0]
+            u, v = np.rint(uv).astype(int).T
+            hit |= bool(misplaced[k, v, u].any())
+        assert hit != textured
+    unsure = replace(seen, confidence=np.zeros_like(np.array(seen.confidence)))
+    assert not len(sight(unsure, textured=True).cell)

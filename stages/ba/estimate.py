@@ -7,12 +7,13 @@ import numpy as np
 from stages.ba import checkpoint, classify, dba, diagnostics, initialise, loops, rotation, shutter, zoom
 from stages.ba.classify import Statistics
 from stages.ba.first_focal import focals_of_part
-from stages.ba.graph import MIN_MATCHES, FlowGraph, shared_matches
+from stages.ba.graph import MIN_MATCHES, FlowGraph, shared_matches, thin_graph, without_loops
 from stages.ba.guesses import Observed
+from stages.ba.initialise import Candidate
 from stages.ba.options import BAOptions
 from stages.ba.problem import Estimate, Focal, Problem
 from stages.ba.refinement import BLIND_FOCAL, FINE_PX, WEAK_FOCAL, refine
-from stages.ba.start import Start, find_start
+from stages.ba.start import COARSE_PIXELS, Start, find_start
 from stages.ba.state import FocalPrior, State, Step, Unknowns
 from stages.ba.uncertainty import focal_sigma, median_residual, solution_covariance
 from stages.ba.zoom import NOT_TESTED, Evidence
@@ -79,6 +80,11 @@ def _estimate(problem: Problem, options: BAOptions) -> Estimate:
     refined, focal = refine(problem, statistics, replace(found, state=closed.state), prior)
     near_still = statistics.camera == "near-still"
     rolling = _rolling(graph, refined.state, focal, prior, options, may_assume=not near_still)
+    evidence = start.zoom or NOT_TESTED
+    if rolling.decision == "rolling" and evidence.decision == "changing" and options.zoom == "auto":
+        beside, with_one = _with_one_focal(problem, statistics, refined, prior, options)
+        if beside.decision != "changing":
+            evidence, (refined, focal, rolling) = beside, with_one
     if rolling.decision == "rolling":
         turned = classify.measure(
             shutter.correct(graph, refined.state, rolling.readout), problem.known_focal_px, options.seed
@@ -97,11 +103,28 @@ def _estimate(problem: Problem, options: BAOptions) -> Estimate:
     solution = _finish(problem, statistics, refined.state, focal, against, steps)
     numbers = solution.statistics | {"roughness": found.roughness} | closed.facts
     solution = replace(solution, static=start.static, statistics=numbers, flags=start.flags + solution.flags)
-    evidence = start.zoom or NOT_TESTED
     if turning and turning.zoom.decision == "not observable" and refined.state.zoom is None:
         evidence = turning.zoom
     flags = solution.flags + diagnostics.of_zoom(evidence) + diagnostics.of_shutter(rolling)
     return replace(solution, zoom=evidence, rolling=rolling, flags=flags)
+
+
+def _with_one_focal(
+    problem: Problem, statistics: Statistics, changing: Candidate, prior: FocalPrior, options: BAOptions
+) -> tuple[Evidence, tuple[Candidate, Focal, shutter.Evidence]]:
+    """The decision about a changing focal length again, beside a rolling shutter, which imitates one.
+
+    A camera that tilts while the rows are exposed shows a picture that is taller or less tall. Also the cameras with
+    one focal length, without the shutter, and their own evidence for it.
+    """
+    graph, one = problem.graph, replace(changing, state=replace(changing.state, zoom=None))
+    one, focal = refine(problem, statistics, one, prior)
+    rolling = _rolling(graph, one.state, focal, prior, options)
+    factor = max(1, int(np.sqrt(len(graph.pixels) / COARSE_PIXELS)))
+    coarse = thin_graph(without_loops(shutter.correct(graph, one.state, rolling.readout)), factor)
+    fixed, other = (shutter.resampled(found.state, graph, coarse) for found in (one, changing))
+    density = len(coarse.pixels) / len(graph.pixels)
+    return zoom.weigh(coarse, fixed, lambda: [other], prior, density)[0], (one, focal, rolling)
 
 
 def _rolling(

@@ -10,10 +10,12 @@ import numpy as np
 from stages.scene import bending, blur_rules, geometry, photometry, rules, shutter
 from stages.scene.camera_effects import camera_decisions
 from stages.scene.figure import decision_table
+from stages.scene.followed import followed_evidence
 from stages.scene.observed import Observed, depth_on_grid, read_edges
 from stages.scene.options import SceneOptions
 from stages.scene.sightings import sight
 from stages.scene.travel import travel_evidence
+from stages.scene.weigh import NOTHING
 from stages.shared import cli, images
 from stages.shared.artifacts import read_dense, read_json, read_metadata, write_json
 from stages.shared.cameras import read_cameras, scale_intrinsics
@@ -74,12 +76,14 @@ def _decide(seen: Observed, rotation_only_share: float, options: SceneOptions) -
     dynamic = timed(rules.decide_dynamic(geometry.dynamic_evidence(seen), options.dynamic))
     travel = travel_evidence(seen)
     turning = timed(rules.decide_rotation_only(travel, rotation_only_share, options.rotation_only))
-    points = sight(seen)
-    light = photometry.light_evidence(points, options.atmosphere == "yes")
-    exposure = timed(rules.decide_exposure(light, options.exposure))
-    white_balance = timed(rules.decide_white_balance(light, options.white_balance, options.exposure))
+    light = photometry.light_evidence(sight(seen), options.atmosphere == "yes")
+    gain, tint = followed_evidence(seen, light.fitted.log_gains) if light.model.gains else (NOTHING, NOTHING)
+    exposure = rules.decide_exposure(light, options.exposure)
+    exposure = timed(exposure | rules.about_followed(exposure, gain))
+    white_balance = rules.decide_white_balance(light, options.white_balance, options.exposure)
+    white_balance = timed(white_balance | rules.about_followed(white_balance, tint))
     atmosphere = timed(rules.decide_atmosphere(light, options.atmosphere))
-    view = photometry.view_evidence(points, light.fitted)
+    view = photometry.view_evidence(sight(seen, textured=True), light.fitted)
     view_dependent = timed(rules.decide_view_dependent(view, options.view_dependent))
     non_rigid = timed(rules.decide_non_rigid(bending.bending_evidence(seen), options.non_rigid))
     given = None if options.shutter == "auto" else options.shutter

@@ -30,9 +30,9 @@ saves least of what bends and fills the view: .45 in all_moving, .59 in breathin
 MIN_TRAVEL_PX, MIN_TRAVEL_SHARE = 0.05, 0.2
 """Travel that explains less than the errors of the flow does not separate depths from infinity."""
 MIN_VIEW_GREY, MIN_VIEW_SHARE = 1.2, 0.4
-"""Harmonics make the model two or three times as large; a degree more must save another tenth of the change. Errors of
-pose and depth that neighbours share save up to 1.0 (tuned scenes); highlights over 10 degrees save 1.4 on quay, and
-less on grove, where they are missed."""
+"""Harmonics make the model two or three times as large; a degree more must save another tenth of the change. Of tuned
+scenes without highlights, the shade of all_moving saves 1.0, errors of pose and depth up to 0.8; highlights over 10
+degrees save 1.3 on grove."""
 MIN_SECOND_DEGREE_SHARE = 0.1
 MIN_VIEW_DEG = 0.5
 """Median range of the views. The direction to a highlight's middle turns by half of it, less than the sun is wide: what
@@ -117,6 +117,14 @@ def decide_white_balance(evidence: LightEvidence, choice: Choice, exposure: Choi
         return decision
     why = f"gains per channel hold the exposure, which the user rules out; {decision['why']}"
     return decision | {"needed": False, "why": why, "source": "user"}
+
+
+def about_followed(decision: Decision, followed: Bought) -> Decision:
+    """Changes to a decision about gains if they do not act on the whole picture: `followed` is what they save there."""
+    if not decision["needed"] or decision["source"] != "evidence" or followed.interval[0] > 0:
+        return {}
+    why = f"where the flow follows the whole picture, movers too, it {_saves(followed, 'grey levels')}"
+    return {"needed": False, "why": f"{decision['why']}; {why}: not beyond chance"}
 
 
 def decide_atmosphere(evidence: LightEvidence, choice: Choice) -> Decision:

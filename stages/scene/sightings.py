@@ -5,7 +5,8 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from stages.scene.observed import Observed
+from stages.scene.geometry import MIN_CONFIDENCE
+from stages.scene.observed import Observed, static_motion
 from stages.scene.windows import SMOOTH_PX, TAP_WEIGHTS, TAPS, WIDEST, Windows, windows
 from stages.shared import lie
 from stages.shared.cameras import pixel_grid, project, unproject
@@ -23,9 +24,11 @@ FRAMES_PER_REFERENCE, MIN_REFERENCES = 4, 3
 """Points are taken from every so-manieth frame, and from no fewer frames than that."""
 SAMPLES, MAX_SIGHTINGS, LEAST_SAMPLES = 2400, 150_000, 700
 """Points, and the product of points and frames, at most; a long clip may exceed it for at most LEAST_SAMPLES points."""
-GROUP_PX = 5
-"""Side of the square of four points: mostly on the same surface."""
+GROUP_PX, TEXTURED_GROUP_PX = 5, 3
+"""Side of the square of four points, mostly on the same surface: of flat ones; of those of any contrast."""
 GROUP = 4
+MISFIT_PX, LOOKED_AT = 0.5, 2
+"""Pose and depth explain the flow to its nearest frames, two of them, to so many px, or are wrong there."""
 MARGIN = 2.0
 """Standard deviations of the smoothing: nearer to movers, and to what is burnt in, it mixes their colours in."""
 HELD_BYTES = 400_000_000
@@ -56,14 +59,20 @@ class Sightings(NamedTuple):
     centres: np.ndarray
 
 
-def sight(seen: Observed) -> Sightings:
-    """Static points of low contrast, where a misplaced sample changes little, looked up by pose and depth."""
+def sight(seen: Observed, textured: bool = False) -> Sightings:
+    """Static points of low contrast, where a misplaced sample changes little, looked up by pose and depth.
+
+    Args:
+        textured: points of any contrast instead, close to one another, where pose and depth are seen to be right.
+    """
     F = len(seen.rgb)
     most = HELD_BYTES // (13 * seen.dynamic[0].size)
     smooth = Computed(F, lambda k: _smoothed(seen.rgb[k]), most // len(SPANS))
     burnt_in = False if seen.scene is None else ~seen.scene  # rests in the image, not in the world
-    free = Computed(F, lambda k: _free_px(seen.dynamic[k] | burnt_in), most)
-    points = _points(seen, smooth, free)
+    free = Computed(
+        F, lambda k: _free_px(seen.dynamic[k] | burnt_in | (_is_misplaced(seen, k) if textured else False)), most
+    )
+    points = _points(seen, smooth, free, textured)
     placed = zip(*(_place(seen, free[k], k, points) for k in range(F)), strict=True)
     uv, shown, front, free_px = (np.stack(part, axis=1) for part in placed)
     squares, some, all_front = (part.reshape(-1, GROUP, *part.shape[1:]) for part in (uv, shown, front))
@@ -84,18 +93,28 @@ def sight(seen: Observed) -> Sightings:
     return Sightings(colours, usable, distance, off_axis, *_cells(seen, points, centres), points, centres)
 
 
-def _points(seen: Observed, smooth: Frames[list[np.ndarray]], free: Frames[np.ndarray]) -> np.ndarray:
-    """World points [n, 3] of groups of four flat static pixels of frames spread over the clip."""
+def _is_misplaced(seen: Observed, k: int) -> np.ndarray:
+    """Pixels [h, w] of a frame whose flow is unsure, or not that of pose and depth, as where depth has an edge."""
+    wrong, rows = np.zeros(seen.dynamic.shape[1:], bool), np.flatnonzero(seen.edges[:, 0] == k)
+    for edge in rows[np.argsort(np.abs(seen.offsets[rows]), kind="stable")[:LOOKED_AT]]:
+        misfit = seen.flow[edge] - static_motion(seen, *seen.edges[edge])[0]
+        wrong |= (np.hypot(misfit[..., 0], misfit[..., 1]) > MISFIT_PX) | (seen.confidence[edge] < MIN_CONFIDENCE)
+    return wrong
+
+
+def _points(seen: Observed, smooth: Frames[list[np.ndarray]], free: Frames[np.ndarray], textured: bool) -> np.ndarray:
+    """World points [n, 3] of groups of four static pixels, flat or of any contrast, of frames spread over the clip."""
     F, h, w = seen.dynamic.shape
     groups = min(SAMPLES, max(MAX_SIGHTINGS // F, LEAST_SAMPLES)) // GROUP
     count = max(MIN_REFERENCES, min(F // FRAMES_PER_REFERENCE, groups))
     references = np.unique(np.linspace(0, F - 1, count).astype(int))
     groups //= len(references)
-    corners = np.array([[0, 0], [0, GROUP_PX], [GROUP_PX, 0], [GROUP_PX, GROUP_PX]])
+    side = TEXTURED_GROUP_PX if textured else GROUP_PX
+    corners = side * np.array([[0, 0], [0, 1], [1, 0], [1, 1]])
     found = [np.zeros((0, 3))]
     for k in references:
-        flat = _is_flat(stored(smooth[k][0]), free[k] < MARGIN * SMOOTH_PX)
-        whole = np.all([flat[v : h - GROUP_PX + v, u : w - GROUP_PX + u] for v, u in corners], axis=0)
+        chosen = _is_usable(stored(smooth[k][0]), free[k] < MARGIN * SMOOTH_PX, textured)
+        whole = np.all([chosen[v : h - side + v, u : w - side + u] for v, u in corners], axis=0)
         at = np.argwhere(whole)
         at = at[np.unique(np.linspace(0, len(at) - 1, min(groups, len(at))).astype(int))]
         v, u = np.moveaxis(at[:, None] + corners, -1, 0).reshape(2, -1)
@@ -104,12 +123,14 @@ def _points(seen: Observed, smooth: Frames[list[np.ndarray]], free: Frames[np.nd
     return np.concatenate(found)
 
 
-def _is_flat(image: np.ndarray, hidden: np.ndarray) -> np.ndarray:
-    """Static, well exposed pixels [h, w] of no more than the median contrast."""
+def _is_usable(image: np.ndarray, hidden: np.ndarray, textured: bool) -> np.ndarray:
+    """Static, well exposed pixels [h, w], of no more than the median contrast or of any."""
     grey = image.mean(axis=-1)
-    contrast = np.hypot(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1))
     usable = ~hidden & (grey > DARK) & (grey < BRIGHT)
-    return np.asarray(usable & (contrast <= np.median(contrast[usable])) if usable.any() else usable)
+    if textured or not usable.any():
+        return np.asarray(usable)
+    contrast = np.hypot(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1))
+    return np.asarray(usable & (contrast <= np.median(contrast[usable])))
 
 
 def _free_px(hidden: np.ndarray) -> np.ndarray:

@@ -87,7 +87,7 @@ def test_fog_that_hides_everything_is_no_gain_and_no_gloss() -> None:
 
 def test_a_highlight_that_is_seen_from_one_place_is_not_observable() -> None:
     """A camera that only trembles, under light that goes with it: time and view cannot be told apart."""
-    points = sight(observe(smooth_pictures(shine=0.5)))
+    points = sight(observe(smooth_pictures(shine=0.5)), textured=True)
     middle = points.centres.mean(axis=0)
     trembling = points._replace(centres=middle + 0.01 * (points.centres - middle))
     one_frame = points._replace(usable=points.usable & (np.arange(clip.T) == 0)[:, None])
