@@ -10,7 +10,8 @@ import pytest
 
 from benchmarks.bench_ba_growth import FOCAL_PX, clip, path_error, walk
 from stages.ba import classify, first_focal, proposal, shutter, zoom
-from stages.ba import estimate as estimation
+from stages.ba import path as path_estimate
+from stages.ba.estimate import estimate
 from stages.ba.graph import FlowGraph
 from stages.ba.guesses import Observed
 from stages.ba.options import BAOptions
@@ -45,7 +46,7 @@ def test_a_long_path_takes_few_passes_and_its_loops_wait(
     """
     graph, truth = clip(T, STRIDE)
     graph, visited, before_loops = joined(graph), [], []
-    add, find = proposal.normal_equations, estimation.find_start
+    add, find = proposal.normal_equations, path_estimate.find_start
 
     def adding(data: Any, *args: Any, **kwargs: Any) -> Any:
         visited.append((len(data.source), int(np.abs(data.target - data.source).max())))
@@ -57,10 +58,10 @@ def test_a_long_path_takes_few_passes_and_its_loops_wait(
         return found
 
     monkeypatch.setattr(proposal, "normal_equations", adding)
-    monkeypatch.setattr(estimation, "find_start", finding)
+    monkeypatch.setattr(path_estimate, "find_start", finding)
     options = BAOptions.model_validate({"start_focals": (1.2,), "rolling_shutter": "no"})
     caplog.set_level("INFO", logger="motionsplat")
-    found = estimation.estimate(Problem(graph, masked=False), options)
+    found = estimate(Problem(graph, masked=False), options)
     told = [(int(k), int(n)) for k, n in re.findall(r"adjusting, [^:\n]+: (\d+) of (\d+)$", caplog.text, re.MULTILINE)]
     assert len(told) > 10
     assert all(k <= n for k, n in told)
