@@ -1,6 +1,8 @@
 """Round trips of every file kind, metadata, and what a failed write leaves behind."""
 
+import errno
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -135,6 +137,19 @@ def test_a_failed_write_keeps_the_old_file_and_leaves_nothing_else(tmp_path: Pat
         write_half()
     assert artifacts.read_json(path)["value"] == 1
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_model_that_finds_no_room_fails_like_any_other_file(tmp_path: Path) -> None:
+    """The command line tells an OSError by its number; safetensors has it in the text of an error of its own."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, before[1]))
+    try:
+        with pytest.raises(OSError, match="too large") as failed:
+            artifacts.write_model(tmp_path / "model.safetensors", {"means": np.zeros(2000)})
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert failed.value.errno == errno.EFBIG
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_killed_write_leaves_no_final_name(tmp_path: Path) -> None:

@@ -21,6 +21,7 @@ from stages.flow.options import FlowOptions
 from stages.flow.parts import ROWS, Parts, Window
 from stages.shared import costs, digest
 from stages.shared.artifacts import read_dense, read_metadata, write_json
+from stages.shared.errors import InputError
 from stages.shared.packing import Packed, pack
 from stages.shared.sequences import check_sequence, sequence_to_json
 
@@ -112,6 +113,22 @@ def test_a_block_that_a_power_cut_has_damaged_is_matched_again(tmp_path: Path, k
     assert again.resume("near", range(8)) is None
     again.add("near", range(8), flow, packed)
     assert Parts(tmp_path / "pairs.arrow", "here").resume("near", range(8)) == 2
+
+
+def test_blocks_that_another_run_removes_are_missed(tmp_path: Path) -> None:
+    """A killed workflow leaves its stage running: that one ends while the next run works on the same blocks."""
+    flow = {(0, 1): np.ones((8, 12, 2), np.float32)}
+    packed = {name: Packed([pack(flow[0, 1])], (8, 12, 2)) for name in ("flow", "confidence")}
+    left = Parts(tmp_path / "pairs.arrow", "here")
+    left.add("near", range(8), flow, packed)
+    parts = Parts(tmp_path / "pairs.arrow", "here")
+    assert parts.resume("near", range(8)) == 1
+    left.remove()
+    parts.add("near", range(8, 16), flow, packed)
+    for reads in (parts.totals, lambda: parts.kept("near"), lambda: parts.join(tmp_path / "pairs.arrow", {})):
+        with pytest.raises(InputError, match="2 blocks that are done, found 1 of them removed"):
+            reads()
+    assert not (tmp_path / "pairs.arrow").exists()
 
 
 def test_a_killed_averaging_resumes_with_the_same_frames(tmp_path: Path) -> None:

@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 
 from stages.segment import __main__ as segment_stage
+from stages.segment import layers
 from stages.segment.layers import MOVING, StaticWorld, belonging
 from stages.segment.options import SegmentOptions
 from stages.segment.permanence import persistent
 from stages.segment.superpixels import Superpixels
+from stages.shared import flow_pairs
 from stages.shared.artifacts import Dense, write_dense, write_json
 from stages.shared.cameras import Cameras, intrinsics, make_cameras, scale_intrinsics, write_cameras
 from stages.shared.errors import InputError
@@ -115,6 +117,24 @@ def test_ground_beside_a_mover_is_given_to_the_static_scene(ground_px: int) -> N
 def test_without_texture_nothing_is_given_to_either() -> None:
     _, weight = evidence(contrast=0)
     assert (weight == 0).all()
+
+
+def test_pictures_of_a_long_clip_are_held_a_block_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of five frames in blocks of one, each seen with its neighbours: those of edges over at most one frame."""
+    frames, pixels, known = clip(60), tiles(), flow_columns()
+    near = np.abs(known["source"] - known["target"]) == 1
+    pairs = FlowPairs(Dense({name: values[near] for name, values in known.items()}))
+    sure = pixels.means(np.stack([left_part(k) for k in range(T)]).astype(float)).round()
+
+    def found(asked: list[int]) -> np.ndarray:
+        return belonging(pixels, pairs, lambda k: asked.append(k) or frames[k], static_world(), sure)
+
+    asked: list[int] = []
+    whole = found([])
+    monkeypatch.setattr(flow_pairs, "BLOCK", 1)
+    monkeypatch.setattr(layers, "REACH", 1)
+    np.testing.assert_array_equal(found(asked), whole)
+    assert sorted(asked) == sorted(j for k in range(T) for j in (k - 1, k, k + 1) if 0 <= j < T)
 
 
 def test_where_nothing_is_known_to_move_there_is_no_evidence() -> None:

@@ -21,6 +21,7 @@ from stages.shared.artifacts import (
     unless_damaged,
     write_dense,
 )
+from stages.shared.errors import InputError
 from stages.shared.packing import Packed
 from stages.shared.rows import Rows
 
@@ -87,6 +88,7 @@ class Parts:
         costs.goes_on(self.folder, origin)
         costs.begin(self.folder, origin)
         self.windows = {kind: Window() for kind in ("near", "far")}
+        self._done: dict[str, set[Path]] = {kind: set() for kind in KINDS}
 
     def resume(self, kind: str, run: range) -> int | None:
         """Take over a block of edges that an earlier run has finished; their number, None if there is none."""
@@ -98,6 +100,7 @@ class Parts:
             edges = int(read_metadata(done)["edges"])
             if exact.exists():
                 self.windows[kind].add(run, exact)
+            self._done[kind].add(done)
             return edges
 
         return unless_damaged(take)
@@ -111,6 +114,7 @@ class Parts:
             self.windows[kind].add(run, self._exact(kind, run))
         columns = {**_ends(list(edges)), **packed} if edges else {"source": np.zeros(0, np.int64)}
         write_dense(self._file(kind, run), columns, {"edges": len(edges), **facts})
+        self._done[kind].add(self._file(kind, run))
         costs.keep(self.folder)
 
     def kept(self, kind: str) -> Window:
@@ -149,7 +153,16 @@ class Parts:
         shutil.rmtree(self.folder)
 
     def _finished(self, kinds: Iterable[str] = KINDS) -> list[Path]:
-        return [path for kind in kinds for path in sorted(self.folder.glob(f"{kind}_*.arrow"))]
+        """The files of all blocks, in order.
+
+        Raises:
+            InputError: if some are gone: a run whose workflow was killed may have lived on, ended, and removed them.
+        """
+        found = [path for kind in kinds for path in sorted(self._done[kind])]
+        if gone := sum(not path.exists() for path in found):
+            kept, advice = f"the {len(found)} blocks that are done", "end any other run of this stage, and run it again"
+            raise InputError(self.folder, kept, f"{gone} of them removed", advice)
+        return found
 
     def _file(self, kind: str, run: range) -> Path:
         return self.folder / f"{kind}_{run.start:06d}.arrow"

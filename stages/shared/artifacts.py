@@ -8,6 +8,8 @@ writers add `format_version` and the digest of the code that wrote the file.
 import contextlib
 import json
 import mmap
+import os
+import re
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
@@ -30,6 +32,7 @@ ReadT = TypeVar("ReadT")
 FORMAT_VERSION = 1
 ROWS_AT_ONCE = 64
 """Rows of a mapped file that are held while it is checked."""
+OS_ERROR = re.compile(r"\(os error (\d+)\)")
 
 
 def write_table(path: Path, columns: Mapping[str, Any], metadata: Mapping[str, Any] | None = None) -> None:
@@ -168,12 +171,21 @@ def unless_damaged(read: Callable[[], ReadT]) -> ReadT | None:
 
 
 def write_model(path: Path, tensors: Mapping[str, np.ndarray], metadata: Mapping[str, Any] | None = None) -> None:
-    """Write arrays of any shape, by name, as safetensors."""
+    """Write arrays of any shape, by name, as safetensors.
+
+    Raises:
+        OSError: if the disk is full, for example, which safetensors tells in words alone.
+    """
+    from safetensors import SafetensorError
     from safetensors.numpy import save_file
 
     text = {key.decode(): value.decode() for key, value in _encode(metadata).items()}
     with atomic(path) as partial:
-        save_file({name: np.ascontiguousarray(value) for name, value in tensors.items()}, partial, metadata=text)
+        try:
+            save_file({name: np.ascontiguousarray(value) for name, value in tensors.items()}, partial, metadata=text)
+        except SafetensorError as error:
+            number = OS_ERROR.search(str(error))
+            raise (OSError(int(number[1]), os.strerror(int(number[1]))) if number else error) from error
 
 
 def read_model(path: Path) -> dict[str, np.ndarray]:

@@ -26,8 +26,8 @@ edges), and on 40 of the former (335 MiB).
 long_walk too, of 512 x 218 px with flow of 320 x 136.
 `flow` was measured on 12, 50 and 300 frames of 512 x 218 px, and on those of long_walk with its loops.
 `segment` was measured on 24 frames of 512 x 218 px and on those of long_walk since it compares pictures, which takes
-140 to 210 MB more than before. Before that it was measured on 12, 50 and 300 frames of 512 x 218 px, which were not
-measured again.
+240, 280 and 400 MB more than the flow alone on 100, 400 and 1,000 frames of the latter. Before that it was measured on
+12, 50 and 300 frames of 512 x 218 px, which were not measured again.
 `video` was measured on 20 and 90 frames of 1920 x 1080, whose peaks are alike, and on 40 of 3840 x 2160, on 4 threads;
 its pixels are those of a frame not yet reduced.
 """
