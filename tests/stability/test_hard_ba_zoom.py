@@ -7,12 +7,13 @@ import pytest
 from numpy.testing import assert_allclose
 from synthetic import PLANE, camera_path, make_scene, observe, rotation_error_deg, trajectory_error
 
-from stages.ba import cuts, initialise, zoom
+from stages.ba import classify, cuts, initialise, zoom
 from stages.ba.estimate import estimate
 from stages.ba.guesses import PoseGuess
 from stages.ba.options import BAOptions
 from stages.ba.problem import Estimate, Problem
 from stages.ba.state import FocalPrior, State
+from stages.ba.turning import estimate_turning_zoom
 from stages.shared import lie
 
 OPTIONS = BAOptions(start_focals=(1.05,))
@@ -124,6 +125,18 @@ def test_a_camera_that_turns_and_zooms_has_its_turns_and_focal_curve() -> None:
     assert (solution.camera, solution.zoom.decision) == ("rotating", "changing")
     assert_allclose(solution.state.focals_px, focals_px, rtol=0.02)
     assert rotation_error_deg(solution.state.cam_from_world, path) < 0.05
+
+
+def test_a_camera_that_follows_something_before_a_wall_does_not_zoom() -> None:
+    """Turns and focal lengths leave .27 px of the flow, little enough for a camera that turns; a path leaves .01."""
+    path = lie.exp_se3(np.arange(T)[:, None] * np.array([0.08, 0, 0, 0, 0.03, 0]))
+    room = make_scene(T=T, size=(96, 160), path=path, planes=(((0.5, -0.05, 1.0), 6.0),))
+    problem = Problem(observe(room, noise_px=0.02), masked=True)
+    solution = estimate(problem, OPTIONS)
+    assert solution.camera == "moving"
+    assert solution.state.zoom is None
+    turning = estimate_turning_zoom(problem, classify.measure(problem.graph, None, 0), FocalPrior(1.1 * 160))
+    assert turning.zoom.decision == "changing"  # what the flow alone would say
 
 
 @pytest.mark.parametrize("motion", ["rotate", "still", "drift"])
