@@ -3,7 +3,7 @@
 Failed flow fits no depth, and neither does the flow of a mover: fog, blur and repeated texture look like motion. The
 images tell them apart. Warped with a static depth (the pixel's own or that of its neighbours) they match as well as
 warped with the flow, unless the pixel moved. Where the light changes they match the flow better; there the texture
-tells (`shadows`).
+tells (`shadows`), and the colour of the change (`shading`).
 """
 
 import itertools
@@ -13,6 +13,7 @@ import numpy as np
 
 from stages.motion.epipolar import Evidence
 from stages.motion.pooling import PRIOR_WEIGHT
+from stages.motion.shading import View, changes, in_shadow, log_colours, shadow_of_clip
 from stages.motion.shadows import at_rest, log_detail, surrounding_plane
 from stages.shared import flow_pairs
 from stages.shared.flow_pairs import FlowPairs
@@ -58,37 +59,57 @@ def corroborate(
         projections: A [E, 3, 3] and b [E, 3] of `resweep`; inverse_depth: [T, h, w] in the units of b.
         drifting: [T, h, w] of `drift`, which pictures have confirmed already; a residual below it is raised to it.
     """
-    T = len(rgb)
+
+    def view(i: int) -> View:
+        return _view(i, evidence, pairs, projections, inverse_depth[i])
+
+    shadow = shadow_of_clip(rgb, evidence.residual, view)
 
     def of_frame(
-        i: int, frames: dict[int, np.ndarray], details: dict[int, np.ndarray]
+        i: int, frames: dict[int, np.ndarray], details: dict[int, np.ndarray], colours: dict[int, np.ndarray]
     ) -> tuple[np.ndarray, np.ndarray]:
-        edges = np.array(pairs.leaving(i, i + 1), int)
-        edges = edges[np.abs(i - pairs.target[edges]) <= flow_pairs.REACH]
+        edges = _edges(pairs, i, flow_pairs.REACH)
         confidence = pairs.confidence[edges].astype(np.float32)
         reliability = confidence.sum(axis=0) / (RELIABLE * max(len(edges), 1))
         depths = static_depths(inverse_depth[i].astype(np.float32), evidence.residual[i])
-        near = edges[np.abs(i - pairs.target[edges]) <= REACH]
-        cameras = projections[0][near], projections[1][near]
-        targets, flows = pairs.target[near], pairs.flow[near]
-        contradicted = _contradicted(frames, i, targets, flows, cameras, depths)
+        static, flows = view(i), pairs.flow[_edges(pairs, i, REACH)]
+        ways = static.targets, flows, (static.A, static.b)
+        contradicted = _contradicted(frames, i, *ways, depths)
         residual = evidence.residual[i] * np.maximum(np.minimum(reliability, 1), contradicted)
         if drifting is not None:
             residual = np.maximum(residual, drifting[i])
-        plane = surrounding_plane(inverse_depth[i], (1 - evidence.residual[i]) ** STATIC_POWER * evidence.weight[i])
-        residual *= 1 - at_rest(details, i, rgb[i], targets, flows, cameras, plane)
+        residual *= 1 - at_rest(details, i, rgb[i], *ways, static.inverse_depth)
+        if shadow is not None:
+            residual *= 1 - in_shadow(changes(colours, i, static), shadow)
         weight = max((confidence > 0.5).mean(), PRIOR_WEIGHT) if len(edges) else 0
         return residual, np.maximum(evidence.weight[i], weight)
 
     residual, weight = (np.empty(evidence.residual.shape, np.float32) for _ in range(2))
-    for first, last in pairs.blocks(T, "check by the pictures"):
-        near = range(max(first - REACH, 0), min(last + REACH, T))
+    for first, last in pairs.blocks(len(rgb), "check by the pictures"):
+        near = range(max(first - REACH, 0), min(last + REACH, len(rgb)))
         frames = {k: cv2.GaussianBlur(rgb[k], (0, 0), 0.7) for k in near}
         details = {k: log_detail(rgb[k]) for k in near}
-        both = itertools.repeat(frames), itertools.repeat(details)
-        for k, found in enumerate(threaded(of_frame, range(first, last), *both), first):
+        colours = {k: log_colours(rgb[k]) for k in near} if shadow is not None else {}
+        shared = (itertools.repeat(of) for of in (frames, details, colours))
+        for k, found in enumerate(threaded(of_frame, range(first, last), *shared), first):
             residual[k], weight[k] = found
     return Evidence(residual, weight)
+
+
+def _edges(pairs: FlowPairs, i: int, reach: int) -> np.ndarray:
+    """Indices of the edges that leave frame i to frames at most `reach` away."""
+    edges = np.array(pairs.leaving(i, i + 1), int)
+    return edges[np.abs(i - pairs.target[edges]) <= reach]
+
+
+def _view(
+    i: int, evidence: Evidence, pairs: FlowPairs, projections: tuple[np.ndarray, np.ndarray], inverse_depth: np.ndarray
+) -> View:
+    """Frame i in those at most REACH away, at the depth [h, w] of the planes around its pixels."""
+    near = _edges(pairs, i, REACH)
+    trust = (1 - evidence.residual[i]) ** STATIC_POWER * evidence.weight[i]
+    plane = surrounding_plane(inverse_depth, trust)
+    return View(pairs.target[near], projections[0][near], projections[1][near], plane)
 
 
 def static_depths(inverse_depth: np.ndarray, residual: np.ndarray) -> list[np.ndarray]:

@@ -99,14 +99,14 @@ def at_rest(
         squared = ((ways[0] - ways[1]) ** 2).sum(axis=-1)
         telling = squared / (squared + TELLING_PX**2) * (is_inside(ways[0]) & is_inside(ways[1]))
         for k, way in enumerate(ways):
-            weight, share = _compared(here, warp(details[int(j)], way))
+            weight, share = compared(here, warp(details[int(j)], way))
             counted[int(j > i), k] += telling * weight
             alike[int(j > i), k] += telling * weight * share
     static, along_flow = (_best_share(alike[:, k], counted[:, k], rgb) for k in range(2))
     return np.asarray(np.clip((static - np.maximum(along_flow, LEAST)) / RANGE + 0.5, 0, 1))
 
 
-def _compared(here: np.ndarray, there: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def compared(here: np.ndarray, there: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Weight [h, w] of the texture of two aligned `log_detail`, and how alike [h, w] it is, both 0..1."""
     difference = here[..., 0] - there[..., 0]
     detail = np.abs(difference - cv2.medianBlur(difference, DETAIL_PX))
