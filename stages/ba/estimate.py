@@ -18,8 +18,9 @@ PRIOR_FOCAL = 1.1
 
 PARALLAX = 0.6
 """A camera that seems to turn and zoom moves if a path leaves less than this share of the residual. Noise, fitted by a
-depth per pixel, falls to .86 and .92 of it (pure_rotation with a zoom of 1.3, two rounds). Where a camera follows fast
-cars before a far wall, whose blur hides the parallax of what is near, .42 is left."""
+depth per pixel, falls to .86 and .92 of it (pure_rotation with a zoom of 1.3, two rounds), and to .75 in three
+synthetic frames. Where a camera follows fast cars before a far wall, whose blur hides the parallax of what is near, .42
+is left."""
 
 
 def estimate(problem: Problem, options: BAOptions) -> Estimate:
