@@ -6,21 +6,23 @@ import numpy as np
 
 from stages.ba import classify, diagnostics
 from stages.ba.classify import Statistics
-from stages.ba.graph import MIN_MATCHES, FlowGraph, shared_matches
+from stages.ba.graph import MIN_MATCHES, FlowGraph, mask_graph, shared_matches
 from stages.ba.options import BAOptions
 from stages.ba.path import estimate_path
 from stages.ba.problem import Estimate, Problem
 from stages.ba.solution import failure
 from stages.ba.state import FocalPrior
 from stages.ba.turning import estimate_rotations, estimate_turning_zoom
+from stages.ba.uncertainty import median_residual
 
 PRIOR_FOCAL = 1.1
 """Centre of the focal length prior, in image widths (a horizontal field of view of 49 degrees)."""
 
 PARALLAX = 0.6
 """A camera that seems to turn moves if a path leaves less than this share of the residual. Noise, fitted by a depth per
-pixel, falls to .86 to .92 of it (pure_rotation, with and without a zoom of 1.3, rotation_static; two rounds). Where a
-camera follows fast cars before a far wall, whose blur hides the parallax of what is near, .32 to .46 are left."""
+pixel, falls to .86 to .92 of it (pure_rotation, with and without a zoom of 1.3, rotation_static; two rounds), and to
+.75 in three synthetic frames. Where a camera follows fast cars before a far wall, whose blur hides the parallax of what
+is near, .32 to .46 are left."""
 
 
 def estimate(problem: Problem, options: BAOptions) -> Estimate:
@@ -66,7 +68,7 @@ def _estimate(problem: Problem, options: BAOptions) -> Estimate:
     path = estimate_path(problem, statistics, prior, options, turning.zoom)
     if turning.zoom.decision != "changing":
         return path
-    return path if _shows_parallax(path, turning) else turning
+    return path if _shows_parallax(path, turning, graph) else turning
 
 
 def _unless_parallax(
@@ -76,11 +78,14 @@ def _unless_parallax(
     if not statistics.doubtful:
         return rotations
     path = estimate_path(problem, replace(statistics, parallax=True), prior, options, None)
-    return path if _shows_parallax(path, rotations) else rotations
+    return path if _shows_parallax(path, rotations, problem.graph) else rotations
 
 
-def _shows_parallax(path: Estimate, turning: Estimate) -> bool:
-    return not path.failed_checks and path.residual_px < PARALLAX * turning.residual_px
+def _shows_parallax(path: Estimate, turning: Estimate, graph: FlowGraph) -> bool:
+    """Whether a path explains far more of the matches than turns do, also of those alone that it takes for static."""
+    kept = graph if path.static is None else mask_graph(graph, path.static)
+    turning_px = min(turning.residual_px, median_residual(kept, turning.state))
+    return not path.failed_checks and path.residual_px < PARALLAX * turning_px
 
 
 def _observed(graph: FlowGraph) -> bool:
