@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from synthetic import make_scene, observe
 
 from stages.ba import diagnostics, rounds
 from stages.ba.classify import Statistics
@@ -46,6 +47,15 @@ def test_a_solution_fails_the_checks_that_its_statistics_contradict(
     found = diagnostics.of_solution(chosen, [rival] if rival else [], statistics, residual_px)
     assert len(found) == bool(said)
     assert all(said in warning for warning in found)
+
+
+@pytest.mark.parametrize(("growth", "warned"), [(1.0, 0), (2.5, 0), (3.5, 1)])
+def test_residuals_of_rotations_that_grow_with_the_distance_of_frames_are_named(growth: float, warned: int) -> None:
+    graph = observe(make_scene(motion="rotate"), offsets=(1, 5))
+    far = (np.abs(graph.target - graph.source) == 5)[:, None]
+    found = diagnostics.of_rotations(graph, np.where(far, growth, 1.0) * np.full(graph.weights.shape, 0.1))
+    assert len(found) == warned
+    assert all("the camera may translate" in warning for warning in found)
 
 
 @pytest.mark.parametrize(("length", "said"), [(0.0, ""), (0.005, ""), (0.1, "error 10 % of its length"), (0.3, "")])

@@ -68,15 +68,31 @@ def test_the_light_is_learnt_on_texture_and_holds_without(exposure: float) -> No
     assert np.median(plain[:, stripe(3, 82, 8)]) < 0.1
 
 
+def test_nothing_is_learnt_where_the_flow_is_explained_or_texture_is_missing() -> None:
+    rgb = clip()
+    assert shadow_of_clip(rgb, 0 * RESIDUAL, at_rest) is None
+    assert shadow_of_clip(np.concatenate([rgb[:, H // 2 :], rgb[:, H // 2 :]], axis=1), RESIDUAL, at_rest) is None
+
+
+def test_what_leaves_the_picture_does_not_change() -> None:
+    view = at_rest(3)
+    A = view.A.copy()
+    A[:, 0, 2] = W // 2
+    colours = {k: log_colours(frame) for k, frame in enumerate(clip())}
+    changed = changes(colours, 3, view._replace(A=A))
+    assert np.abs(changed[:, :, : W // 2 - 2]).max() > 0.1
+    assert not changed[:, :, W // 2 :].any()
+
+
 def test_grey_light_few_pixels_and_pixels_that_disagree_tell_nothing() -> None:
     random = np.random.default_rng(0)
 
     def scattered(direction: list[float], sigma: float, n: int = 300) -> np.ndarray:
-        return np.column_stack([random.normal(direction, sigma, (n, 3)), np.full(n, 0.4)])
+        return np.column_stack([random.normal(direction, sigma, (n, 3)), np.linspace(0, 0.4, n)])
 
     found = learnt(scattered([1.2, 1.0, 0.8], 0.02))
     assert found is not None
-    assert found.depth == pytest.approx(0.4)
+    assert found.depth == pytest.approx(0.38)
     assert learnt(scattered([1.2, 1.0, 0.8], 0.02, 50)) is None
     assert learnt(scattered([1.0, 1.0, 1.0], 0.02)) is None
     assert learnt(scattered([1.2, 1.0, 0.8], 0.3)) is None

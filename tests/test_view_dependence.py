@@ -78,6 +78,18 @@ def test_a_texture_that_slides_over_the_depth_is_no_gloss() -> None:
     assert decision["statistic"] < 0.7 * rules.MIN_VIEW_GREY
 
 
+def test_points_of_any_contrast_lie_on_texture_too() -> None:
+    """Half of each picture is a checkerboard, more than the median contrast; the other half is smooth."""
+    images = smooth_pictures()
+    v, u = np.indices(images.shape[1:3])
+    images[:, :, : u.shape[1] // 2] += 0.1 * ((u // 4 + v // 4) % 2)[None, :, : u.shape[1] // 2, None]
+    for textured in (True, False):
+        points = sight(observe(images), textured)
+        shown = points.usable.all(axis=2)[:, 0]
+        seen_u = project(points.points[shown], clip.CAM_FROM_WORLD[0], clip.K)[0][:, 0]
+        assert ((seen_u < u.shape[1] // 2 - 8).mean() > 0.2) == textured
+
+
 def test_points_of_any_contrast_keep_away_from_wrong_depth() -> None:
     """A depth that the flow to the nearest frames contradicts, as at the edges of thin things."""
     seen = observe(smooth_pictures())

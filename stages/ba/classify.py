@@ -20,6 +20,8 @@ s sqrt(2 ln 2) = 1.177 s. Depth absorbs the component along the epipolar line. T
 between both ends of the match: its standard deviation is s / sqrt(2), the median of its size 0.477 s. (Measured on
 pans of 8 to 58 px a frame: 2.5 to 3.3; on blurred ones up to 4.2.)
 """
+DOUBT = 1.4
+"""From this many times what noise leaves a rotation is doubtful: pans leave up to 1.3 times, blurred ones up to 1.7."""
 TWO_VIEW_PX = 0.5
 """Inlier threshold of a two-view fit."""
 FOCAL_TOLERANCE = 0.003
@@ -51,6 +53,7 @@ class Statistics:
         sampson_1_px, sampson_px: the same of epipolar geometry (Sampson distance).
         homography_px: the same of a homography, over the long baseline.
         most_sampson_px, most_homography_px: their 80th percentiles, over the long baseline.
+        parallax: whether a path was found to explain the matches far better than a doubtful rotation.
     """
 
     offset: int
@@ -62,6 +65,7 @@ class Statistics:
     homography_px: float
     most_sampson_px: float
     most_homography_px: float
+    parallax: bool = False
 
     @property
     def camera(self) -> str:
@@ -72,10 +76,19 @@ class Statistics:
         neighbours and the long baseline can decide: near points that a fast camera passes are matched between
         neighbours alone; over several frames only far points are matched, whose flow is nearly a rotation.
         """
-        pairs = (self.rotation_1_px, self.sampson_1_px), (self.rotation_px, self.sampson_px)
-        if any(turned >= RESIDUAL_RATIO * NOISE_RATIO * max(noise, FLOOR_PX) for turned, noise in pairs):
+        if self.parallax or self._exceeds(RESIDUAL_RATIO, FLOOR_PX):
             return "moving"
         return "rotating" if self.flow_px > STILL_PX else "near-still"
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether the residual of a rotation is more than most noise leaves, small as it may be against FLOOR_PX."""
+        return max(self.rotation_1_px, self.rotation_px) > FLOOR_PX and self._exceeds(DOUBT, 0.0)
+
+    def _exceeds(self, ratio: float, floor_px: float) -> bool:
+        """Whether a rotation leaves `ratio` times what noise does, which is taken to be at least `floor_px`."""
+        pairs = (self.rotation_1_px, self.sampson_1_px), (self.rotation_px, self.sampson_px)
+        return any(turned >= ratio * NOISE_RATIO * max(noise, floor_px) for turned, noise in pairs)
 
     @property
     def dominant_plane(self) -> bool:

@@ -75,7 +75,8 @@ def of_focal(camera: str, focal: Mapping[str, Any]) -> list[str]:
 def of_path(cam_from_world: np.ndarray, covariance: np.ndarray) -> list[str]:
     """A warning if the path [T, 4, 4] is short against its predicted error, as where a camera hardly moves.
 
-    There is none if it is shorter than the error: a camera at rest, as it seems, has no path to be wrong about.
+    There is none if it is shorter than the error: then nothing of it is known. The path of a camera at rest is that of
+    its noise, frame by frame, which is longer: of such a camera it is said, too.
 
     Args:
         covariance: [T, 6, 6] of the left twists, translation first: of the camera centres too, but for a rotation.

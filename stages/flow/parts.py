@@ -51,7 +51,7 @@ class Window(Mapping[Edge, np.ndarray]):
     def drop(self, before: int) -> None:
         """Delete the files of the blocks that end before this frame."""
         for stop in [stop for stop in self._blocks if stop <= before]:
-            self._blocks.pop(stop)[0].unlink()
+            self._blocks.pop(stop)[0].unlink(missing_ok=True)  # another run may have removed it
         self._rows = {edge: place for edge, place in self._rows.items() if place[0] > before}
 
     def release(self) -> None:
@@ -149,8 +149,8 @@ class Parts:
                     files[k].release()
 
     def remove(self) -> None:
-        """Delete the files: the run is done."""
-        shutil.rmtree(self.folder)
+        """Delete the files, unless another run has: this run is done."""
+        shutil.rmtree(self.folder, ignore_errors=True)
 
     def _finished(self, kinds: Iterable[str] = KINDS) -> list[Path]:
         """The files of all blocks, in order.

@@ -57,7 +57,7 @@ def main(
         | index.findings
         | {"bars_px": index.bars_px},
     )
-    size, (first_s, *_, last_s) = f"{index.width} x {index.height} px", shot.times_s
+    size, (first_s, last_s) = f"{index.width} x {index.height} px", (shot.times_s[0], shot.times_s[-1])
     return f"{len(set(shot.pts))} frames of {size}, {first_s:.2f} to {last_s:.2f} s"
 
 

@@ -100,6 +100,17 @@ def test_zero_parallax_is_a_camera_at_rest_and_not_a_division_by_zero() -> None:
     assert rotation_error_deg(solution.state.cam_from_world, np.tile(np.eye(4), (5, 1, 1))) < 0.01
 
 
+def test_a_path_with_little_parallax_is_no_rotation() -> None:
+    """A camera follows something before a wall at an angle: two-view residuals alone would call it a rotation."""
+    path = lie.exp_se3(np.arange(10)[:, None] * np.array([0.04, 0, 0, 0, 0.03, 0]))
+    scene = make_scene(T=10, size=(96, 160), path=path, planes=(((0.5, -0.05, 1.0), 6.0),))
+    problem = Problem(observe(scene, noise_px=0.02), masked=True, known_focal_px=scene.focal_px)
+    assert classify.measure(problem.graph, scene.focal_px, 0).camera == "rotating"
+    solution = estimate(problem, OPTIONS)
+    assert solution.camera == "moving"
+    assert trajectory_error(solution.state.cam_from_world, path) < 0.01
+
+
 @pytest.mark.parametrize("noise_px", [0.0, 0.1])
 def test_pure_rotation_takes_no_translation_from_noise(noise_px: float) -> None:
     scene = make_scene(motion="rotate")
@@ -110,14 +121,18 @@ def test_pure_rotation_takes_no_translation_from_noise(noise_px: float) -> None:
     assert np.all(solution.state.cam_from_world[:, :3, 3] == 0)
 
 
-@pytest.mark.parametrize(("slowness", "camera"), [(1.0, "moving"), (0.25, "rotating"), (0.0, "rotating")])
+@pytest.mark.parametrize(
+    ("slowness", "camera"), [(1.0, "moving"), (0.25, "moving"), (0.12, "rotating"), (0.0, "rotating")]
+)
 def test_a_slow_dolly_while_panning_is_no_rotation(slowness: float, camera: str) -> None:
-    """Over five frames a rotation explains all but the noise; taken for one, the focal length absorbs the travel."""
+    """Over five frames a rotation explains all but the noise; taken for one, the focal length absorbs the travel.
+
+    At a quarter of the speed only the residuals of a path beside it tell; at an eighth noise hides the travel.
+    """
     scene = make_scene(T=16, motion="drift", travel=slowness)
     graph = observe(scene, offsets=(1, 4, 15), stride=6, noise_px=0.03)
     solution = estimate(Problem(graph, masked=False), OPTIONS)
     assert solution.camera == camera
-    assert any("camera may translate" in flag for flag in solution.flags) == (slowness == 0.25)
     assert solution.state.focal_px == pytest.approx(scene.focal_px, rel=0.01)
     if camera == "moving":
         assert trajectory_error(solution.state.cam_from_world, scene.cam_from_world) < 5e-3
