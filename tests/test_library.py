@@ -38,60 +38,57 @@ class Floor:
 
 
 FLOORS = {
-    "balloon_field": Floor(ate_percent=0.16, iou=0.76, moving_db=29.6, psnr_db=32.2, static_db=33.3),
-    "breathing_wall": Floor(ate_percent=1.5, iou=0.59, moving_db=36.3, psnr_db=36.5, static_db=36.2),
-    "crowd_thin": Floor(rotation_deg=0.013, iou=0.48, moving_db=17.9, psnr_db=23.5, static_db=25.6),
-    "demo": Floor(ate_percent=0.069, iou=0.8, moving_db=23.5, psnr_db=31.2, static_db=32.9),
-    "dolly_walker": Floor(rotation_deg=0.0051, iou=0.84, moving_db=26.7, psnr_db=32.1, static_db=32.7),
-    "evening_quay": Floor(ate_percent=0.078, iou=0.43, moving_db=20.3, psnr_db=25.1, static_db=25.9),
-    "exposure_drift": Floor(ate_percent=0.14, iou=0.9, moving_db=26.4, psnr_db=29.2, static_db=29.7),
-    "fast_chase": Floor(ate_percent=0.059, iou=0.83, moving_db=21.4, psnr_db=29.9, static_db=34.2),
-    "festival_crowd": Floor(ate_percent=0.36, iou=0.75, moving_db=21.7, psnr_db=24.1, static_db=26.2),
-    "fog_harbour": Floor(ate_percent=0.97, iou=0, moving_db=31.2, psnr_db=35.9, static_db=36.9),
-    "fog_stones": Floor(ate_percent=0.18, iou=0.77, moving_db=32.8, psnr_db=38.6, static_db=39.0),
-    "following_van": Floor(ate_percent=0.039, iou=0.82, moving_db=31.1, psnr_db=31.8, static_db=32.1),
-    "foyer_glide": Floor(ate_percent=0.087, iou=0.72, moving_db=21.3, psnr_db=29.8, static_db=31.9),
-    "glossy_zoom": Floor(rotation_deg=0.11, iou=0.88, moving_db=19.9, psnr_db=28.2, static_db=35.6),
-    "heron_fence": Floor(ate_percent=0.11, iou=0.3, moving_db=20.0, psnr_db=23.1, static_db=23.3),
-    "lamplit_library": Floor(ate_percent=0.17, iou=0.91, moving_db=28.5, psnr_db=30.5, static_db=30.8),
-    "large_object": Floor(ate_percent=0.24, iou=0.91, moving_db=29.9, psnr_db=31.5, static_db=33.7),
-    "long_shadows": Floor(ate_percent=0.087, iou=0.38, moving_db=19.6, psnr_db=26.3, static_db=27.4),
-    "long_take": Floor(ate_percent=0.054, iou=0.66, moving_db=15.8, psnr_db=27.3, static_db=29.9),
-    "museum_dolly": Floor(ate_percent=0.056, iou=0.75, moving_db=21.0, psnr_db=30.3, static_db=32.0),
-    "night_alley": Floor(ate_percent=0.18, iou=0.66, moving_db=21.7, psnr_db=22.4, static_db=22.4),
-    "orbit_two": Floor(ate_percent=0.078, iou=0.66, moving_db=21.6, psnr_db=28.3, static_db=29.7),
-    "pan_canal": Floor(rotation_deg=0.0087, iou=0.87, moving_db=24.8, psnr_db=29.9, static_db=33.1),
-    "phone_yard": Floor(ate_percent=0.17, iou=0.85, moving_db=24.4, psnr_db=27.3, static_db=27.6),
-    "pure_rotation": Floor(rotation_deg=0.0065, iou=0.87, moving_db=19.2, psnr_db=29.9, static_db=33.6),
-    "rolling_lane": Floor(ate_percent=0.14, iou=0.84, moving_db=26.6, psnr_db=28.1, static_db=28.3),
-    "rotation_static": Floor(rotation_deg=0.0099, psnr_db=34.0, static_db=34.0),
-    "ruin_walk": Floor(ate_percent=0.11, psnr_db=30.4, static_db=30.4),
-    "shaky_wood": Floor(ate_percent=0.088, iou=0.73, moving_db=26.4, psnr_db=27.1, static_db=27.1),
-    "sledge_pan": Floor(ate_percent=0.058, iou=0.83, moving_db=30.0, psnr_db=33.3, static_db=33.7),
-    "soft_body": Floor(rotation_deg=0.0052, iou=0.9, moving_db=28.9, psnr_db=31.3, static_db=32.3),
-    "splitting": Floor(rotation_deg=0.0039, iou=0.9, moving_db=27.8, psnr_db=29.4, static_db=30.4),
-    "static_flight": Floor(ate_percent=0.066, psnr_db=35.4, static_db=35.4),
-    "toy_train": Floor(ate_percent=0.043, iou=0.47, moving_db=20.8, psnr_db=29.5, static_db=30.8),
-    "wide_playground": Floor(ate_percent=0.076, iou=0.85, moving_db=11.3, psnr_db=24.3, static_db=29.9),
-    "zoom_nursery": Floor(ate_percent=0.084, iou=0.84, moving_db=24.4, psnr_db=28.1, static_db=29.0),
-    "zoom_station": Floor(ate_percent=3.7, iou=0.13, moving_db=20.7, psnr_db=26.6, static_db=28.5),
+    "balloon_field": Floor(ate_percent=0.17, iou=0.7, moving_db=29.7, psnr_db=32.2, static_db=33.2),
+    "breathing_wall": Floor(ate_percent=1.7, iou=0.89, moving_db=36.7, psnr_db=36.8, static_db=36.3),
+    "crowd_thin": Floor(rotation_deg=0.013, iou=0.51, moving_db=17.8, psnr_db=23.2, static_db=25.2),
+    "demo": Floor(ate_percent=0.069, iou=0.8, moving_db=23.6, psnr_db=31.4, static_db=33.1),
+    "dolly_walker": Floor(rotation_deg=0.0051, iou=0.86, moving_db=28.4, psnr_db=32.5, static_db=32.8),
+    "evening_quay": Floor(ate_percent=0.078, iou=0.68, moving_db=22.4, psnr_db=25.0, static_db=25.2),
+    "exposure_drift": Floor(ate_percent=0.15, iou=0.9, moving_db=28.1, psnr_db=31.4, static_db=32.1),
+    "fast_chase": Floor(ate_percent=0.06, iou=0.83, moving_db=20.8, psnr_db=29.2, static_db=33.1),
+    "festival_crowd": Floor(ate_percent=0.36, iou=0.75, moving_db=20.6, psnr_db=23.3, static_db=25.8),
+    "fog_harbour": Floor(ate_percent=0.21, iou=0.67, moving_db=31.5, psnr_db=36.2, static_db=37.1),
+    "fog_stones": Floor(ate_percent=0.18, iou=0.77, moving_db=33.3, psnr_db=38.9, static_db=39.3),
+    "following_van": Floor(ate_percent=0.039, iou=0.83, moving_db=32.0, psnr_db=32.1, static_db=32.0),
+    "foyer_glide": Floor(ate_percent=0.087, iou=0.76, moving_db=23.4, psnr_db=30.6, static_db=31.8),
+    "glossy_zoom": Floor(rotation_deg=0.12, iou=0.9, moving_db=21.8, psnr_db=29.6, static_db=35.5),
+    "heron_fence": Floor(ate_percent=0.083, iou=0.65, moving_db=21.0, psnr_db=23.2, static_db=23.3),
+    "lamplit_library": Floor(ate_percent=0.19, iou=0.8, moving_db=30.7, psnr_db=31.4, static_db=31.4),
+    "large_object": Floor(ate_percent=0.25, iou=0.9, moving_db=30.4, psnr_db=32.2, static_db=34.9),
+    "long_shadows": Floor(ate_percent=0.086, iou=0.56, moving_db=19.9, psnr_db=25.1, static_db=25.7),
+    "long_take": Floor(ate_percent=0.051, iou=0.7, moving_db=17.5, psnr_db=27.9, static_db=29.8),
+    "museum_dolly": Floor(ate_percent=0.056, iou=0.75, moving_db=24.4, psnr_db=31.2, static_db=31.9),
+    "night_alley": Floor(ate_percent=0.18, iou=0.7, moving_db=21.5, psnr_db=22.3, static_db=22.4),
+    "orbit_two": Floor(ate_percent=0.079, iou=0.79, moving_db=22.0, psnr_db=28.4, static_db=29.7),
+    "pan_canal": Floor(rotation_deg=0.0088, iou=0.87, moving_db=24.8, psnr_db=30.0, static_db=33.1),
+    "phone_yard": Floor(ate_percent=0.17, iou=0.85, moving_db=26.3, psnr_db=27.8, static_db=27.8),
+    "pure_rotation": Floor(rotation_deg=0.0065, iou=0.87, moving_db=18.9, psnr_db=29.8, static_db=33.9),
+    "rolling_lane": Floor(ate_percent=0.15, iou=0.85, moving_db=28.7, psnr_db=28.3, static_db=28.3),
+    "rotation_static": Floor(rotation_deg=0.0098, psnr_db=34.0, static_db=34.0),
+    "ruin_walk": Floor(ate_percent=0.12, psnr_db=30.4, static_db=30.4),
+    "shaky_wood": Floor(ate_percent=0.088, iou=0.7, moving_db=27.8, psnr_db=27.3, static_db=27.2),
+    "sledge_pan": Floor(ate_percent=0.059, iou=0.87, moving_db=31.2, psnr_db=33.6, static_db=33.9),
+    "soft_body": Floor(rotation_deg=0.0053, iou=0.9, moving_db=28.7, psnr_db=31.0, static_db=31.9),
+    "splitting": Floor(rotation_deg=0.004, iou=0.9, moving_db=27.5, psnr_db=29.6, static_db=30.9),
+    "static_flight": Floor(ate_percent=0.067, psnr_db=35.5, static_db=35.5),
+    "toy_train": Floor(ate_percent=0.044, iou=0.47, moving_db=21.1, psnr_db=29.6, static_db=30.7),
+    "wide_playground": Floor(ate_percent=0.076, iou=0.87, moving_db=24.0, psnr_db=30.6, static_db=31.2),
+    "zoom_nursery": Floor(ate_percent=0.084, iou=0.86, moving_db=28.2, psnr_db=29.3, static_db=29.4),
+    "zoom_station": Floor(ate_percent=0.38, iou=0.78, moving_db=23.3, psnr_db=28.3, static_db=29.7),
 }
-"""Twice the error, IoU less 0.07, PSNR less 1 dB (moving: 1.5 dB) of what docs/results.md shows.
-
-Of glossy_zoom these are older figures: that run took its mover for static, which is mended since.
-The mover of fog_harbour is not found at all: its IoU asks for nothing. The zoom of zoom_station is flagged, not
-solved: it is held where it is.
-"""
+"""Twice the error, IoU less 0.07, PSNR less 1 dB (moving: 1.5 dB) of what docs/results.md of a13288a shows."""
 KNOWN = {
     "all_moving": "nothing is at rest",
     "dark_fog": "noise is nine times the texture",
     "epipolar_mover": "the mover closes along the camera's track",
     "planar_wall": "one plane fills the view",
     "oncoming_tram": "the mover closes along the camera's track",
-    "blurred_karts": "blurred movers fill the view; the camera is taken for a turning one",
+    "resting_fair": "the camera hardly moves: its path is weakly observed",
 }
 """Scenes of which no accuracy is asked, and why: they must fail or be flagged."""
-WRONG = pytest.mark.xfail(strict=True, reason="a path that is off by 7 % passes every check: the camera hardly moves")
+WRONG = pytest.mark.xfail(
+    strict=True, reason="blurred movers fill the view: the focal length is off by 17 %, unflagged"
+)
 
 
 @pytest.fixture(scope="module")
@@ -116,7 +113,7 @@ def rows(library: Path) -> dict[str, dict[str, Any]]:
 @pytest.mark.parametrize(
     "name",
     [
-        pytest.param(path.stem, marks=WRONG) if path.stem == "resting_fair" else path.stem
+        pytest.param(path.stem, marks=WRONG) if path.stem == "blurred_karts" else path.stem
         for path in sorted(SCENES.glob("*.yaml"))
     ],
 )
