@@ -74,7 +74,8 @@ class Statistics:
         It is moving if the residual of a rotation is not explained by the noise of the flow. The noise is the epipolar
         residual of the same matches, so it grows with the length of the flow as the rotation residual does. Both the
         neighbours and the long baseline can decide: near points that a fast camera passes are matched between
-        neighbours alone; over several frames only far points are matched, whose flow is nearly a rotation.
+        neighbours alone; over several frames only far points are matched, whose flow is nearly a rotation. It is moving
+        too if a path is known to explain the matches far better.
         """
         if self.parallax or self._exceeds(RESIDUAL_RATIO, FLOOR_PX):
             return "moving"

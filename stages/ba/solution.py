@@ -29,8 +29,7 @@ def finish(
     if statistics.planar:
         flags.append("planar scene: one homography explains the flow, so that depth and motion rest on one plane")
     flags += diagnostics.of_focal(statistics.camera, decision)
-    if statistics.camera != "rotating":
-        flags += diagnostics.of_path(state.cam_from_world, covariance)
+    flags += diagnostics.of_path(state.cam_from_world, covariance)
     numbers = asdict(statistics) | {"camera": statistics.camera, "planar": statistics.planar}
     residual_px = median_residual(graph, state)
     return Estimate(state, statistics.camera, covariance, residual_px, decision, numbers, against, flags, steps)

@@ -4,6 +4,7 @@ Edges are matched in blocks of frames. A block leaves two files: its flow and co
 and, of near and far edges, its flow at full precision, from which longer edges are chained, as long as they need it.
 """
 
+import contextlib
 import shutil
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
@@ -150,7 +151,8 @@ class Parts:
 
     def remove(self) -> None:
         """Delete the files, unless another run has: this run is done."""
-        shutil.rmtree(self.folder, ignore_errors=True)
+        with contextlib.suppress(FileNotFoundError):
+            shutil.rmtree(self.folder)
 
     def _finished(self, kinds: Iterable[str] = KINDS) -> list[Path]:
         """The files of all blocks, in order.

@@ -185,7 +185,9 @@ def write_model(path: Path, tensors: Mapping[str, np.ndarray], metadata: Mapping
             save_file({name: np.ascontiguousarray(value) for name, value in tensors.items()}, partial, metadata=text)
         except SafetensorError as error:
             number = OS_ERROR.search(str(error))
-            raise (OSError(int(number[1]), os.strerror(int(number[1]))) if number else error) from error
+            if number is None:
+                raise
+            raise OSError(int(number[1]), os.strerror(int(number[1]))) from error
 
 
 def read_model(path: Path) -> dict[str, np.ndarray]:
