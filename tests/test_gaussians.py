@@ -10,6 +10,7 @@ import torch
 from gaussian_training import CANONICAL, OPTIONS, TRAIN, image_at, new_scene, psnr, trained
 from scipy.ndimage import binary_dilation
 
+from stages.deformation.motion_models import TableDeformation
 from stages.gaussians import beginning, checkpoint, optimise
 from stages.gaussians.densify import densify
 from stages.gaussians.initial_cloud import initial_cloud
@@ -117,6 +118,26 @@ def test_training_does_not_depend_on_the_thread_count(monkeypatch: pytest.Monkey
     finally:
         torch.set_num_threads(before)
     assert losses[0] == losses[1] == losses[2]
+
+
+@pytest.mark.parametrize("share", [0.0, 1.0])
+def test_frames_are_rendered_with_the_motion_of_their_neighbours(share: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """So Gaussians are right between frames as well; what is wrong with the motion of one frame alone does not tell."""
+    monkeypatch.setattr(optimise, "LEFT_OUT_SHARE", share)
+    monkeypatch.setattr(optimise, "LEARNING_RATES", dict.fromkeys(optimise.LEARNING_RATES, 0.0))
+    seen, options = truth.observations(TRAIN), GaussiansOptions(steps=len(TRAIN), densify=False)
+    right, spoilt = new_scene(seen), new_scene(seen)
+    assert isinstance(spoilt.deformation, TableDeformation)
+    knot = TRAIN[3]
+    with torch.no_grad():
+        spoilt.deformation.table[knot, :, 4:] += 0.5
+    trainers = [Trainer(scene, seen, options, arap_weight=0.0) for scene in (right, spoilt)]
+    step = np.random.default_rng([options.seed, 0]).permutation(len(TRAIN)).tolist().index(3)  # of the first epoch
+    for trainer in trainers:
+        trainer.run(lambda _: None)
+        assert trainer.scene.deformation.left_out is None
+    of_right, of_spoilt = (trainer.history.psnr[step] for trainer in trainers)
+    assert of_spoilt == pytest.approx(of_right, abs=1e-3) if share else of_spoilt < of_right - 1
 
 
 def test_detached_training_leaves_the_motion_alone() -> None:

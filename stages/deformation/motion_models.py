@@ -119,6 +119,8 @@ class TableDeformation(Deformation):
     """A rotation and a translation per control point and training frame, with a natural cubic spline between frames."""
 
     knots: Tensor
+    left_out: int | None = None
+    """The knot that the motion around it does not go through, as if it were no training frame."""
 
     def __init__(self, points: Tensor, log_radii: Tensor, knots: Tensor, max_extent: float = math.inf) -> None:
         """knots: [F] ascending times in 0..1, one per training frame, F >= 2."""
@@ -127,7 +129,7 @@ class TableDeformation(Deformation):
         self.table = torch.nn.Parameter(torch.zeros(len(knots), len(points), 7))
 
     def raw_motion(self, times: Tensor) -> Tensor:
-        basis = spline_basis(self.knots, times.detach().cpu().numpy())
+        basis = spline_basis(self.knots, times.detach().cpu().numpy(), self.left_out)
         if len(self.knots) > LONG_KNOTS and (basis.abs() > LEAST_WEIGHT).sum(dim=1).max() == 1:
             return self.table.index_select(0, basis.argmax(dim=1).to(self.table.device))  # the times are knots
         return at_times(basis, self.table)

@@ -12,6 +12,8 @@ from stages.shared.torch_threads import one_torch_thread
 
 HELD = 2
 """Sets of knots whose splines are kept: 32 bytes for the square of their number. A model has one set."""
+NEAR = 8
+"""Knots on each side that count where one is left out: those beyond have a weight of less than 1e-4."""
 
 
 def at_times(basis: Tensor, table: Tensor) -> Tensor:
@@ -35,21 +37,34 @@ class _AtTimes(torch.autograd.Function):
             return None, torch.einsum("bf,bpc->fpc", *ctx.saved_tensors, gradients[0])
 
 
-def spline_basis(knots: Tensor, times: np.ndarray) -> Tensor:
+def spline_basis(knots: Tensor, times: np.ndarray, left_out: int | None = None) -> Tensor:
     """Weights [B, F] of the values at F >= 2 ascending knots in a natural cubic spline at times [B].
 
     Times before the first and after the last knot take its value.
+
+    Args:
+        left_out: a knot through whose value the spline does not go, for times around it; at both ends it always does.
     """
     ascending = knots.cpu().numpy().astype(float)
-    inside = np.clip(times.astype(float), ascending[0], ascending[-1])
-    return torch.as_tensor(_cardinal(ascending.tobytes())(inside))
+    if left_out is None or not 0 < left_out < len(ascending) - 1:
+        inside = np.clip(times.astype(float), ascending[0], ascending[-1])
+        return torch.as_tensor(_cardinal(ascending.tobytes())(inside))
+    first = max(0, left_out - NEAR)
+    others = np.delete(np.arange(first, min(len(ascending), left_out + NEAR + 1)), left_out - first)
+    weights = np.zeros((len(times), len(ascending)))
+    weights[:, others] = _spline(ascending[others])(times.astype(float))
+    return torch.as_tensor(weights)
 
 
 @lru_cache(HELD)
 def _cardinal(knots: bytes) -> CubicSpline:
-    """The spline through each knot in turn, of knots as float64: its cost grows with the square of their number."""
-    ascending = np.frombuffer(knots)
-    return CubicSpline(ascending, np.eye(len(ascending)), bc_type="natural")
+    """`_spline` of knots as float64: its cost grows with the square of their number."""
+    return _spline(np.frombuffer(knots))
+
+
+def _spline(knots: np.ndarray) -> CubicSpline:
+    """The natural spline through each knot in turn."""
+    return CubicSpline(knots, np.eye(len(knots)), bc_type="natural")
 
 
 def linear_basis(knots: Tensor, time: float) -> Tensor:

@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from stages.deformation.motion_models import TableDeformation
 from stages.gaussians.densify import GradientRecord, densify
 from stages.gaussians.options import GaussiansOptions
 from stages.gaussians.ssim import Target, photometric_loss
@@ -20,6 +21,7 @@ from stages.shared.log import progress
 from stages.shared.psnr import psnr_db
 from stages.shared.torch_threads import one_torch_thread
 from stages.splatting.gaussian_model import GaussianScene
+from stages.splatting.rasterize import Rendering
 from stages.splatting.shutter import expose, instant
 
 LEARNING_RATES = {
@@ -55,6 +57,9 @@ DENSIFY_UNTIL = 0.6
 SMEARED_FROM = 0.5
 """Up to this share of the steps frames with motion blur are rendered at their own moment, from then on averaged over
 all their moments. At 0 the training of the library's fastest scene takes a third longer and ends 0.4 dB lower."""
+LEFT_OUT_SHARE = 0.5
+"""Share of the steps whose frame is rendered with the motion that its neighbours tell, as a frame that is not trained
+on will be: docs/method.md, section 7."""
 TARGET_BYTES, TARGET_PIXEL_BYTES = 1_500_000_000, 36
 """Memory for the frames to compare with, and what a pixel of one takes: its colours and their blurred moments."""
 CHECKED_FRAMES = 4
@@ -128,10 +133,7 @@ class Trainer:
         f = self._frame_of_step()
         self._set_rates()
         target = self.targets[f]
-        smeared = self.step >= SMEARED_FROM * self.options.steps
-        picture = self.pictures[f] if smeared else self.sharp_pictures[f]
-        size, followed = (self.width, self.height), self._followed(len(picture.times))
-        image, views = expose(self.scene, picture, *size, self.options.detach, followed)
+        image, views = self._exposed(f)
         for view in views:
             view.centres[0].retain_grad()
         if self.seen_pixels is not None:  # what is burnt in has neither residual nor gradient
@@ -154,15 +156,35 @@ class Trainer:
         epoch, turn = divmod(self.step, len(self.targets))
         return int(np.random.default_rng([self.options.seed, epoch]).permutation(len(self.targets))[turn])
 
+    def _exposed(self, f: int) -> tuple[Tensor, list[Rendering]]:
+        """Colour [H, W, 3] of frame f and the renderings that are differentiated, as by `expose`.
+
+        In some steps the motion is the spline through the frames around f.
+        """
+        smeared = self.step >= SMEARED_FROM * self.options.steps
+        picture = self.pictures[f] if smeared else self.sharp_pictures[f]
+        size, followed = (self.width, self.height), self._followed(len(picture.times))
+        motion = self.scene.deformation if isinstance(self.scene.deformation, TableDeformation) else None
+        if motion is not None and self._drawn(3).random() < LEFT_OUT_SHARE:
+            motion.left_out = int((motion.knots - self.times[f]).abs().argmin())
+        exposed = expose(self.scene, picture, *size, self.options.detach, followed)
+        if motion is not None:
+            motion.left_out = None
+        return exposed
+
     def _followed(self, S: int) -> int | None:
         """The moment of S that this step differentiates, by seed and step; None if there is only one."""
         if S == 1:
             return None
-        return int(np.random.default_rng([self.options.seed, self.step, 2]).integers(S))
+        return int(self._drawn(2).integers(S))
 
     def _arap_times(self, f: int) -> Tensor:
-        other = np.random.default_rng([self.options.seed, self.step, 1]).integers(len(self.targets))
+        other = self._drawn(1).integers(len(self.targets))
         return torch.tensor([self.times[f], self.times[other]], dtype=torch.float32, device=self.device)
+
+    def _drawn(self, what: int) -> np.random.Generator:
+        """Random numbers of this step for one use of them, by seed."""
+        return np.random.default_rng([self.options.seed, self.step, what])
 
     def new_optimiser(self) -> Adam:
         """Adam over the present parameters of the scene, without moments; each group has its initial `rate`."""
