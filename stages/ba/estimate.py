@@ -21,9 +21,10 @@ PRIOR_FOCAL = 1.1
 
 PARALLAX = 0.7
 """A camera that seems to turn moves if a path leaves less than this share of the residual. Noise, fitted by a depth per
-pixel, falls to .86 to .92 of it (pure_rotation, with and without a zoom of 1.3, rotation_static; two rounds), and to
-.75 in three synthetic frames. Where a camera follows fast cars before a far wall, whose blur hides the parallax of what
-is near, .32 to .46 are left; .61 where it dollies towards a hall without texture, while vans pass between."""
+pixel, falls to .85 to .92 of it (pure_rotation, with and without a zoom of 1.3, rotation_static; zooms beside fast
+cars; two rounds), and to .75 in three synthetic frames. Where a camera follows fast cars before a far wall, whose blur
+hides the parallax of what is near, .32 to .46 are left; .61 where it dollies towards a hall without texture, while vans
+pass between."""
 
 
 def estimate(problem: Problem, options: BAOptions) -> Estimate:
