@@ -20,6 +20,7 @@ from stages.ba.state import (
     State,
     Step,
     Unknowns,
+    prior_share,
 )
 from stages.shared import lie
 from stages.shared.log import logger
@@ -165,9 +166,9 @@ def _objective(graph: FlowGraph, state: State, sigma_px: float, unknowns: Unknow
     total_weight = max(float(graph.weights.sum(dtype=float)), 1e-12)
     cost = robust_cost(graph, errors_px(graph, state), sigma_px)
     if unknowns.translation:
-        cost += DEPTH_PRIOR * float(((state.inverse_depth - 1) ** 2).sum()) / total_weight
+        cost += prior_share(sigma_px) * DEPTH_PRIOR * float(((state.inverse_depth - 1) ** 2).sum()) / total_weight
     if unknowns.focal:
-        cost += prior.cost(from_prior(state, unknowns, prior)) / total_weight
+        cost += prior.at(sigma_px).cost(from_prior(state, unknowns, prior)) / total_weight
     if state.lens is not None:
         cost += LENS_PRIOR * float(state.lens @ state.lens) / total_weight
     return cost

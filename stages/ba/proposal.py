@@ -20,6 +20,7 @@ from stages.ba.state import (
     FocalPrior,
     State,
     Unknowns,
+    prior_share,
 )
 from stages.shared import lie
 
@@ -41,10 +42,11 @@ def propose(
     graph: FlowGraph, state: State, sigma_px: float, damping: float, unknowns: Unknowns, prior: FocalPrior
 ) -> tuple[State | None, float]:
     """The state after one damped Gauss-Newton step, and the length of the step; None if the system is singular."""
+    prior, depth_prior = prior.at(sigma_px), prior_share(sigma_px) * DEPTH_PRIOR
     relative = reduced.relative_motions(graph, state.cam_from_world)
     data, at, lens, T = observations(graph, state.lens), geometry(graph, state), lens_px(graph, state), graph.T
     hessians, schur, curvatures, gradients = normal_equations(
-        data, at, float(sigma_px), damping, DEPTH_PRIOR, unknowns.zoom, lens
+        data, at, float(sigma_px), damping, depth_prior, unknowns.zoom, lens
     )
     system = _sum(graph, state, unknowns, relative, hessians, schur)
     for term in _prior_terms(state, unknowns, prior):

@@ -111,6 +111,18 @@ def test_a_path_with_little_parallax_is_no_rotation() -> None:
     assert trajectory_error(solution.state.cam_from_world, path) < 0.01
 
 
+def test_a_shaking_dolly_towards_a_plane_does_not_turn_and_zoom() -> None:
+    """Its path is rough, but explains the matches, of which rotations and a zoom leave four times as much."""
+    twists = np.arange(12)[:, None] * np.array([0.01, 0, -0.05, 0, -0.012, 0])
+    twists[1:, :3] += 0.03 * np.random.default_rng(0).standard_normal((11, 3))
+    scene = make_scene(T=12, path=lie.exp_se3(twists), planes=PLANE)
+    problem = Problem(observe(scene, offsets=(1, 2, 4), noise_px=0.03), masked=False)
+    solution = estimate(problem, BAOptions(start_focals=(1.05,)))
+    assert solution.camera == "moving"
+    assert [flag for flag in solution.flags if "rough camera path" in flag]
+    assert solution.state.focal_px == pytest.approx(scene.focal_px, rel=0.01)
+
+
 @pytest.mark.parametrize("noise_px", [0.0, 0.1])
 def test_pure_rotation_takes_no_translation_from_noise(noise_px: float) -> None:
     scene = make_scene(motion="rotate")
