@@ -35,7 +35,7 @@ def hand(
 
 
 def observe_rolled(
-    path: Path, readout: float, T: int = 10, noise_px: float = 0.05, planes: tuple = ROOM
+    path: Path, readout: float, T: int = 10, noise_px: float = 0.05, planes: tuple = ROOM, stride: int = STRIDE
 ) -> tuple[FlowGraph, np.ndarray]:
     """The graph of exact flow with noise between frames of 95 x 160 px, and the depth [T, h, w] of every pixel.
 
@@ -45,7 +45,7 @@ def observe_rolled(
     K, pixels = centred_intrinsics(FOCAL * w, w, h), pixel_grid(h, w)
     edges = [(i, j) for i in range(T) for j in range(T) if abs(i - j) in OFFSETS]
     seen = [_seen(path, k + readout * (np.arange(h) / (h - 1) - 0.5), pixels, K, planes) for k in range(T)]
-    cells = slice(STRIDE // 2, None, STRIDE), slice(STRIDE // 2, None, STRIDE)
+    cells = slice(stride // 2, None, stride), slice(stride // 2, None, stride)
     flow, visible = np.zeros((len(edges), h, w, 2), np.float32), np.zeros((len(edges), h, w), np.float32)
     for e, (i, j) in enumerate(edges):
         target = pixels[cells]
@@ -58,7 +58,7 @@ def observe_rolled(
         flow[e][cells] = target - pixels[cells] + noise_px * rng.standard_normal(target.shape)
         visible[e][cells] = inside & (points[..., 2] < 1.05 * seen[j][0][v, u])
     source, target = np.array(edges).T
-    return build_graph(source, target, flow, visible, T, STRIDE), np.stack([depth for depth, _ in seen])
+    return build_graph(source, target, flow, visible, T, stride), np.stack([depth for depth, _ in seen])
 
 
 def _seen(

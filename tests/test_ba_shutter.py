@@ -14,7 +14,7 @@ from stages.ba.graph import MIN_WEIGHT, thin_graph
 from stages.ba.options import BAOptions
 from stages.ba.problem import Estimate, Problem
 from stages.ba.state import State
-from stages.shared import lie
+from stages.shared import lie, rolling
 
 OPTIONS = BAOptions(start_focals=(1.05,), zoom="no")
 SHAKY = hand(0.02, 0.03)
@@ -64,14 +64,14 @@ def test_small_motions_of_rows_are_those_of_the_exponential() -> None:
     points, d, twists = rng.normal((0, 0, 4), 1, (50, 3)), rng.uniform(0.1, 1, 50), rng.normal(0, 0.01, (50, 6))
     poses = lie.exp_se3(twists)
     exact = np.einsum("nab,nb->na", poses[:, :3, :3], points) + d[:, None] * poses[:, :3, 3]
-    assert_allclose(shutter._moved(points, d, twists), exact, atol=1e-4)
+    assert_allclose(rolling.moved_by(points, d, twists), exact, atol=1e-4)
 
 
 def test_the_correction_by_the_readout_grows_as_finite_differences_of_the_path_say() -> None:
     """Its derivative at no readout: the speed of the image at either end of a match, times its row."""
     graph = observe(make_scene(T=5), stride=8)
     state = State(SHAKY(np.arange(5.0)), np.full((5, len(graph.pixels)), 0.2), 80.0)
-    path, step = shutter.path_of(state.cam_from_world, np.arange(5.0)), 1e-4
+    path, step = rolling.path_of(state.cam_from_world, np.arange(5.0)), 1e-4
     derivative = (shutter.shifts(graph, state, step) - shutter.shifts(graph, state, -step)) / (2 * step)
 
     def projected(e: int, source_step: float, target_step: float) -> np.ndarray:

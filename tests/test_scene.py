@@ -22,6 +22,7 @@ from stages.shared.cli import run
 from stages.shared.errors import InputError
 from stages.shared.images import write_image
 from stages.shared.options import validate
+from stages.shared.rolling import rolling_shutter
 from stages.shared.sequences import read_sequence
 
 
@@ -68,6 +69,32 @@ def test_empty_masks_say_so() -> None:
     decision = rules.decide_dynamic(geometry.dynamic_evidence(observe(dynamic=masks)), "auto")
     assert not decision["needed"]
     assert "cover 0.00%" in decision["why"]
+
+
+def test_a_rolling_shutter_moves_nothing() -> None:
+    """Flow with what the shutter adds to it, in bands, tells of parts and of travel what flow without it tells."""
+    seen = observe()
+    bands = np.sin(np.arange(clip.H) / 5)[:, None, None] * np.broadcast_to([0.8, -0.5], seen.flow.shape)
+    rolled = replace(seen, flow=seen.flow + bands.astype(np.float32))
+    told = replace(rolled, shifts=bands.astype(np.float32))
+    assert geometry.dynamic_evidence(rolled).outside_px > 0.3
+    assert geometry.dynamic_evidence(told).outside_px < 0.05
+    assert travel_evidence(told).size == pytest.approx(travel_evidence(seen).size, rel=0.01)
+
+
+def test_the_shutter_of_the_poses_is_that_of_the_edges_between_training_frames(tmp_path: Path) -> None:
+    paths, numbers = write_inputs(tmp_path), np.arange(1, clip.T + 1)
+    cameras = make_cameras(clip.CAM_FROM_WORLD, clip.K, numbers)
+    write_cameras(paths["poses"], cameras, {"rolling_shutter": {"decision": "rolling", "readout": 1.0}})
+    content, pairs = read_sequence(paths["sequence"]), read_dense(paths["flow"])
+    seen = scene_stage._observe(content, *(paths[name] for name in ("flow", "masks", "poses", "depth")), SceneOptions())
+    rolling, is_training = rolling_shutter(content, cameras, 1.0, paths["depth"], 1.0), numbers - 1 != HELD_OUT
+    assert seen.shifts is not None
+    rows = np.flatnonzero(is_training[pairs["source"]] & is_training[pairs["target"]])
+    for e, row in enumerate(rows):
+        i, j, flow = (pairs[name][row] for name in ("source", "target", "flow"))
+        np.testing.assert_allclose(seen.shifts[e], rolling.shifts(i, j, flow.astype(np.float32)), atol=1e-5)
+    assert max(np.abs(seen.shifts[e]).max() for e in range(len(rows))) > 0.1
 
 
 def panned(motion: str, noise_px: float, spurious: float) -> Observed:

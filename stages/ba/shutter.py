@@ -14,7 +14,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from stages.ba import held_out, reduced
 from stages.ba.graph import MIN_WEIGHT, FlowGraph, cut_out, thin_graph
@@ -23,7 +22,7 @@ from stages.ba.kernel import MIN_DEPTH_RATIO
 from stages.ba.part import FRAMES, best_part, state_of_part
 from stages.ba.state import FocalPrior, State, Unknowns
 from stages.ba.uncertainty import CORRELATION, MIN_NOISE_PX
-from stages.shared import lie
+from stages.shared.rolling import frame_times, moved_by, path_of
 
 PIXELS = 400
 """The readout is decided on a grid of about this many pixels per frame."""
@@ -57,25 +56,6 @@ class Evidence(held_out.Verdict):
 NOT_TESTED = Evidence("not tested", "there are no poses, or the options exclude it")
 
 
-def frame_times(graph: FlowGraph) -> np.ndarray:
-    """Times [T] of the frames, in units of their usual interval: a phone may have dropped some."""
-    if graph.times_s is None:
-        return np.arange(graph.T, dtype=float)
-    return np.asarray((graph.times_s - graph.times_s[0]) / np.median(np.diff(graph.times_s)))
-
-
-def path_of(cam_from_world: np.ndarray, times: np.ndarray) -> CubicSpline:
-    """A curve [6] over time: its change from the time of a frame on is the left twist of the camera since that frame.
-
-    A cubic spline through the sum of the twists from frame to frame: the twists of neighbouring frames nearly commute.
-
-    Args:
-        times: [T] of the frames, as of `frame_times`.
-    """
-    steps = lie.log_se3(cam_from_world[1:] @ lie.inverse(cam_from_world[:-1]))
-    return CubicSpline(times, np.append(np.zeros((1, 6)), np.cumsum(steps, axis=0), axis=0))
-
-
 def row_times(graph: FlowGraph, v: np.ndarray) -> np.ndarray:
     """Time of v of the graph's pixels, of any shape, after the middle row of the image, in units of the readout."""
     return np.asarray(v * graph.aspect / (graph.height - 1) - 0.5)
@@ -83,7 +63,7 @@ def row_times(graph: FlowGraph, v: np.ndarray) -> np.ndarray:
 
 def shifts(graph: FlowGraph, state: State, readout: float) -> np.ndarray:
     """How far [E, P, 2] px matches move because source pixel and match are exposed at the time of their rows."""
-    times, moved = frame_times(graph), np.zeros(graph.matches.shape, np.float32)
+    times, moved = frame_times(graph.T, graph.times_s), np.zeros(graph.matches.shape, np.float32)
     if not readout:
         return moved
     path = path_of(state.cam_from_world, times)
@@ -93,11 +73,11 @@ def shifts(graph: FlowGraph, state: State, readout: float) -> np.ndarray:
         edges = slice(graph.pointer[i], graph.pointer[i + 1])
         targets, R, d = graph.target[edges, None], relative[edges, :3, :3], state.inverse_depth[i]
         rays = np.column_stack([(graph.pixels - graph.centre) / focals_px[i], np.ones(len(d))])
-        turned = _moved(rays, d, path(times[i]) - path(times[i] + source_times))
+        turned = moved_by(rays, d, path(times[i]) - path(times[i] + source_times))
         shifted = d[:, None] * relative[edges, None, :3, 3]
         at_once, begun = (points @ np.swapaxes(R, 1, 2) + shifted for points in (rays, turned))
         target_times = readout * row_times(graph, graph.matches[edges, :, 1])
-        in_turn = _moved(begun, d, path(times[targets] + target_times) - path(times[targets]))
+        in_turn = moved_by(begun, d, path(times[targets] + target_times) - path(times[targets]))
         before, after = (_project(points, focals_px[targets, None]) for points in (at_once, in_turn))
         ahead = np.minimum(at_once[..., 2], in_turn[..., 2]) > MIN_DEPTH_RATIO
         moved[edges] = np.where(ahead[..., None], after - before, 0.0)
@@ -118,13 +98,6 @@ def resampled(state: State, solved: FlowGraph, graph: FlowGraph) -> State:
 def _project(points: np.ndarray, focal_px: np.ndarray) -> np.ndarray:
     """Pixels [..., n, 2] about the principal point of scaled points [..., n, 3]."""
     return np.asarray(focal_px * points[..., :2] / np.maximum(points[..., 2:], MIN_DEPTH_RATIO))
-
-
-def _moved(points: np.ndarray, d: np.ndarray, twists: np.ndarray) -> np.ndarray:
-    """Points [..., n, 3], scaled by their inverse depths d [n], after small motions [..., n, 6], to second order in the
-    turn."""
-    step = lie.cross(twists[..., 3:], points) + d[:, None] * twists[..., :3]
-    return np.asarray(points + step + lie.cross(twists[..., 3:], step) / 2)
 
 
 def judge(gain: float, gain_sigma: float, readout: float, readout_sigma: float) -> tuple[str, str]:
@@ -175,7 +148,8 @@ def weigh(graph: FlowGraph, state: State, unknowns: Unknowns, prior: FocalPrior,
 
 def _shakes(graph: FlowGraph, state: State) -> np.ndarray:
     """How much [T] the motion of the camera changes at a frame: squared, at the median depth, which is 1."""
-    twists = np.diff(path_of(state.cam_from_world, frame_times(graph))(frame_times(graph)), axis=0)
+    times = frame_times(graph.T, graph.times_s)
+    twists = np.diff(path_of(state.cam_from_world, times)(times), axis=0)
     return np.pad((np.diff(twists, axis=0) ** 2).sum(axis=1), 1)
 
 

@@ -12,7 +12,7 @@ from stages.motion.pooling import pool
 from stages.motion.static_paths import StaticScene
 from stages.shared import cli, drawing
 from stages.shared.artifacts import read_dense, read_metadata, write_dense
-from stages.shared.cameras import Cameras, scale_intrinsics, usable_cameras
+from stages.shared.cameras import Cameras, read_readout, scale_intrinsics, usable_cameras
 from stages.shared.cli import In, Out
 from stages.shared.flow_pairs import FlowPairs
 from stages.shared.images import read_reduced, write_figure
@@ -45,7 +45,8 @@ def main(
     Without cameras the evidence is the epipolar residual of the flow over many frame pairs (the homography residual
     where no pair shows parallax). With the cameras of the previous round it is the residual at the best depth of each
     pixel, which the images must confirm where flow is unreliable, and the drift of long tracks, which shows slow
-    motion. Evidence is pooled along the flow. The metadata of the output says which was used, and why.
+    motion. A rolling shutter that these cameras have is taken out of the flow first. Evidence is pooled along the flow
+    as it is. The metadata of the output says which was used, and why.
     """
     frames = read_sequence(sequence)
     matched, scale = read_dense(flow), float(read_metadata(flow)["scale"])
@@ -53,11 +54,16 @@ def main(
     pairs = FlowPairs(matched, scene=scene)
     rgb = read_reduced(frames.frames, pairs.confidence.shape[:0:-1])
     cameras = usable_cameras(previous_poses, previous_depth, "the prior comes from flow alone")
-    if cameras is None or previous_depth is None:
+    if cameras is None or previous_poses is None or previous_depth is None:
         evidence, facts = _from_flow(pairs, len(frames.numbers), options.seed)
     else:
         stride_px = float(read_metadata(previous_depth)["stride_px"])
-        evidence, facts = _from_cameras(rgb, pairs, cameras, read_dense(previous_depth), scale, stride_px)
+        at_once = pairs
+        if readout := read_readout(previous_poses):
+            from stages.shared.rolling import rolling_shutter  # with much of scipy, which other clips spare
+
+            at_once = rolling_shutter(frames, cameras, readout, previous_depth, scale).taken_out(pairs)
+        evidence, facts = _from_cameras(rgb, at_once, cameras, read_dense(previous_depth), scale, stride_px)
     if scene is not None:
         evidence = Evidence(evidence.residual, evidence.weight * scene)
     residual = pool(evidence, rgb, pairs)

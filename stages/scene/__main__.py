@@ -18,7 +18,7 @@ from stages.scene.travel import travel_evidence
 from stages.scene.weigh import NOTHING
 from stages.shared import cli, images
 from stages.shared.artifacts import read_dense, read_json, read_metadata, write_json
-from stages.shared.cameras import read_cameras, scale_intrinsics
+from stages.shared.cameras import read_cameras, read_readout, scale_intrinsics
 from stages.shared.cli import In, Out
 from stages.shared.flow_pairs import REACH
 from stages.shared.frame_store import Computed
@@ -113,6 +113,15 @@ def _observe(sequence: Sequence, flow: Path, masks: Path, poses: Path, depth: Pa
     ends = np.stack([pairs["source"][rows], pairs["target"][rows]], axis=-1)
     inverse_depth = dense["inverse_depth"][frames]
 
+    shifts = None
+    if readout := read_readout(poses):
+        from stages.shared.rolling import rolling_shutter  # other clips need none of it
+
+        rolling = rolling_shutter(sequence, cameras, readout, depth, scale)
+        shifts = Computed(
+            len(rows), lambda e: rolling.shifts(ends[e, 0], ends[e, 1], pairs["flow"][rows[e]].astype(np.float32))
+        )
+
     def picture(f: int) -> np.ndarray:
         return images.reduce(images.read_rgb(sequence.frames[frames[f]]).astype(np.float32), (w, h)) / 255
 
@@ -133,6 +142,7 @@ def _observe(sequence: Sequence, flow: Path, masks: Path, poses: Path, depth: Pa
         confidence=read_edges(pairs, "confidence", rows),
         offsets=ends[:, 1] - ends[:, 0],
         scene=read_scene_on_grid(sequence, (w, h)),
+        shifts=shifts,
     )
 
 

@@ -163,7 +163,8 @@ def _near(seen: Observed, k: int) -> _Near | None:
     edges = np.flatnonzero((seen.edges[:, 0] == k) & (np.abs(seen.offsets) <= LONGEST))
     if not len(edges):
         return None
-    return _Near(edges, np.stack([seen.flow[e] for e in edges]), np.stack([_leads_back(seen, int(e)) for e in edges]))
+    flow = np.stack([seen.at_once(int(e)) for e in edges])
+    return _Near(edges, flow, np.stack([_leads_back(seen, int(e)) for e in edges]))
 
 
 def _patch(seen: Observed, k: int, near: _Near, mask: np.ndarray) -> Patch | None:

@@ -83,7 +83,7 @@ def _moving_regions(seen: Observed, offset: int) -> list[Region]:
             for label in range(1, count):
                 chosen = (labels == label) & confident
                 if chosen.sum() >= MIN_REGION_PX:
-                    plane = plane_errors(np.argwhere(chosen)[:, ::-1], seen.flow[edge][chosen].astype(float))
+                    plane = plane_errors(np.argwhere(chosen)[:, ::-1], seen.at_once(edge)[chosen].astype(float))
                     regions.append(Region(edge, residual[chosen].ravel(), plane))
     return regions
 
@@ -129,7 +129,7 @@ def _weigh_regions(regions: list[Region]) -> Bought:
 
 def _static_residual(seen: Observed, edge: int) -> np.ndarray:
     """Difference [h, w, 2] in px of the flow of an edge from that of a static scene."""
-    return np.asarray(seen.flow[edge] - static_motion(seen, *seen.edges[edge])[0])
+    return np.asarray(seen.at_once(edge) - static_motion(seen, *seen.edges[edge])[0])
 
 
 def _spread_edges(seen: Observed, offset: int) -> np.ndarray:

@@ -39,7 +39,7 @@ def _errors_of_frame(seen: Observed, k: int) -> tuple[np.ndarray, np.ndarray]:
     odd = (v * CELLS[0] // h + u * CELLS[1] // w) % 2 == 1
     cameras = [(seen.cam_from_world[j], seen.Ks[j]) for j in (k, *seen.edges[edges, 1])]
     maps = [projection(cameras[0], camera) for camera in cameras[1:]]
-    flows = np.array([seen.flow[e][v, u] for e in edges], float).reshape(len(edges), len(uv), 2)
+    flows = np.array([seen.at_once(int(e))[v, u] for e in edges], float).reshape(len(edges), len(uv), 2)
     good = np.array([seen.confidence[e][v, u] for e in edges]).reshape(len(edges), len(uv)) >= MIN_CONFIDENCE
     sums = np.zeros((len(edges), len(uv), 2))
     for e, map_ in enumerate(maps):

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from stages.shared import lie
-from stages.shared.artifacts import read_table, refuse_infinite, write_table
+from stages.shared.artifacts import read_metadata, read_table, refuse_infinite, write_table
 from stages.shared.atomic import atomic
 from stages.shared.errors import InputError, complete
 from stages.shared.log import logger
@@ -125,6 +125,15 @@ def read_cameras(path: Path) -> Cameras:
         covariance = table["covariance"].reshape(-1, 6, 6)
         trusted = table["masks_trusted"].astype(bool)
         return Cameras(lie.from_parts(R, t), Ks, table["frame"], covariance, table["status"], trusted)
+
+
+def read_readout(path: Path) -> float:
+    """Readout of a rolling shutter that the adjustment found with these cameras, in frames; 0 if it found none.
+
+    Cameras from elsewhere have no decision.
+    """
+    found = read_metadata(path).get("rolling_shutter", {"decision": "not tested"})
+    return float(found["readout"]) if found["decision"] == "rolling" else 0.0
 
 
 def has_pose(cameras: Cameras) -> np.ndarray:

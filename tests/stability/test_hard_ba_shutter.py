@@ -10,6 +10,7 @@ from stages.ba.estimate import estimate
 from stages.ba.options import BAOptions
 from stages.ba.problem import Estimate, Problem
 from stages.ba.state import State
+from stages.shared import rolling
 
 OPTIONS = BAOptions(start_focals=(1.05,), zoom="no")
 STILL = (0.0,) * 6
@@ -58,7 +59,7 @@ def test_two_frames_and_points_behind_the_camera_have_finite_corrections() -> No
     for path in (np.eye(4)[None].repeat(3, axis=0), hand(0, 0, (0, 0, 8, 0, 1, 0))(np.arange(3))):
         state = State(path, np.full((3, len(graph.pixels)), 20.0), 100.0)
         assert np.isfinite(shutter.shifts(graph, state, 1.0)).all()
-    assert shutter.path_of(np.eye(4)[None].repeat(2, axis=0), np.arange(2.0))(0.5) == pytest.approx(np.zeros(6))
+    assert rolling.path_of(np.eye(4)[None].repeat(2, axis=0), np.arange(2.0))(0.5) == pytest.approx(np.zeros(6))
 
 
 def test_a_shot_within_a_clip_has_the_shutter_of_its_frames() -> None:

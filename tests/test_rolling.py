@@ -1,0 +1,102 @@
+"""Flow of frames whose rows are exposed in turn, as if they were exposed at once, and the motion prior from it."""
+
+from pathlib import Path
+
+import numpy as np
+from conftest import write_frames
+from numpy.testing import assert_allclose
+from rolled import FOCAL, STRIDE, hand, observe_rolled
+from test_motion import flow_pairs
+
+from stages.ba import shutter
+from stages.ba.graph import MIN_WEIGHT, FlowGraph
+from stages.ba.state import State
+from stages.motion import __main__ as motion_stage
+from stages.shared import lie
+from stages.shared.artifacts import read_dense, write_dense, write_json
+from stages.shared.cameras import centred_intrinsics, make_cameras, projection, read_readout, write_cameras
+from stages.shared.flow_pairs import FlowPairs
+from stages.shared.rolling import RollingShutter, frame_times
+from stages.shared.sequences import check_sequence, sequence_to_json
+from stages.shared.static_flow import dense_static_flow
+
+SHAKY, READOUT = hand(0.02, 0.03), 0.8
+CELLS = slice(None), slice(STRIDE // 2, None, STRIDE), slice(STRIDE // 2, None, STRIDE)
+
+
+def exposed_in_turn(graph: FlowGraph, depth: np.ndarray, cell_px: int = STRIDE) -> RollingShutter:
+    """The true shutter of what `observe_rolled` returns, with depth at cells alone."""
+    first, (T, h, w) = cell_px // 2, depth.shape
+    cells = 1 / depth[:, first::cell_px, first::cell_px]
+    Ks = np.tile(centred_intrinsics(FOCAL * w, w, h), (T, 1, 1))
+    return RollingShutter(READOUT, frame_times(T, graph.times_s), SHAKY(np.arange(T)), Ks, cells, cell_px)
+
+
+def pairs_of(graph: FlowGraph, shape: tuple[int, ...]) -> FlowPairs:
+    """The matches of a graph as flow [E, h, w, 2], zero between its pixels."""
+    flow, confidence = np.zeros((len(graph.source), *shape, 2), np.float32), np.zeros((len(graph.source), *shape))
+    u, v = np.rint(graph.pixels).astype(int).T
+    flow[:, v, u], confidence[:, v, u] = graph.matches - graph.pixels, graph.weights
+    return flow_pairs(graph.source, graph.target, flow, confidence)
+
+
+def test_shifts_are_those_that_the_adjustment_takes_out_of_its_matches() -> None:
+    graph, depth = observe_rolled(SHAKY, READOUT, noise_px=0.0)
+    rolling, pairs = exposed_in_turn(graph, depth), pairs_of(graph, depth.shape[1:])
+    state = State(rolling.cam_from_world, rolling.inverse_depth.reshape(graph.T, -1), FOCAL * graph.width)
+    expected, sure = shutter.shifts(graph, state, READOUT), graph.weights > MIN_WEIGHT
+    for e, (i, j) in enumerate(zip(graph.source, graph.target, strict=True)):
+        found = rolling.shifts(i, j, pairs.flow[e])[CELLS[1:]].reshape(-1, 2)
+        assert_allclose(found[sure[e]], expected[e][sure[e]], atol=1e-3)
+
+
+def test_flow_without_the_shutter_is_that_of_a_static_scene_seen_at_once() -> None:
+    """The oracle moves every row with the true path; the correction knows only the poses of the frames."""
+    graph, depth = observe_rolled(SHAKY, READOUT, noise_px=0.0)
+    rolling, pairs = exposed_in_turn(graph, depth), pairs_of(graph, depth.shape[1:])
+    corrected, errors = rolling.taken_out(pairs), []
+    for e, (i, j) in enumerate(zip(graph.source, graph.target, strict=True)):
+        A, b = projection(*((rolling.cam_from_world[k], rolling.Ks[k]) for k in (i, j)))
+        static = dense_static_flow(A, b, 1 / depth[i])
+        of_both = [np.linalg.norm(flow - static, axis=-1) for flow in (pairs.flow[e], corrected.flow[e])]
+        errors.append(np.stack(of_both)[CELLS].reshape(2, -1)[:, graph.weights[e] > MIN_WEIGHT])
+    raw, left = np.median(np.concatenate(errors, axis=1), axis=1)
+    assert raw > 0.05
+    assert left < 0.1 * raw
+
+
+def test_frames_that_were_dropped_and_flow_to_anywhere_have_finite_shifts() -> None:
+    graph, depth = observe_rolled(SHAKY, READOUT, T=4)
+    rolling = exposed_in_turn(graph, depth)
+    path = lie.exp_se3(np.arange(4)[:, None] * np.array([0, 0, 8.0, 0, 1, 0]))
+    far = RollingShutter(1.0, frame_times(4, np.array([3.0, 3.1, 3.4, 3.5])), path, rolling.Ks, 1 / depth + 20, 1)
+    assert np.isfinite(far.shifts(0, 3, np.full((*depth.shape[1:], 2), 6e4, np.float32))).all()
+
+
+def test_a_still_scene_behind_a_rolling_shutter_does_not_move(tmp_path: Path) -> None:
+    """The script takes the shutter from the round before, and what is not said to roll as exposed at once."""
+    path = hand(0.04, 0.2)
+    graph, depth = observe_rolled(path, READOUT, T=6, noise_px=0.0, stride=1)
+    T, h, w = depth.shape
+    pairs = pairs_of(graph, (h, w))
+    clip = write_frames(tmp_path / "clip", T, (h, w))
+    write_json(tmp_path / "sequence.json", sequence_to_json(check_sequence("clip", clip)))
+    columns = {name: pairs.columns[name].astype(np.float16) for name in ("flow", "confidence")}
+    columns |= {"source": pairs.source, "target": pairs.target}
+    write_dense(tmp_path / "pairs.arrow", columns, {"width": w, "height": h, "scale": 1.0})
+    cells = {"frame": np.arange(1, T + 1), "inverse_depth": (1 / depth)[CELLS].astype(np.float32)}
+    write_dense(tmp_path / "depth.arrow", cells, {"stride_px": STRIDE})
+    cameras = make_cameras(path(np.arange(T)), centred_intrinsics(FOCAL * w, w, h), np.arange(1, T + 1))
+
+    def moving_share(decision: str) -> float:
+        decided = {"rolling_shutter": {"decision": decision, "readout": READOUT}}
+        write_cameras(tmp_path / "poses.parquet", cameras, decided)
+        assert read_readout(tmp_path / "poses.parquet") == (READOUT if decision == "rolling" else 0)
+        inputs, outputs = ("sequence.json", "pairs.arrow"), ("prior.arrow", "motion.png")
+        given = [tmp_path / name for name in (*inputs, *outputs)]
+        before = tmp_path / "poses.parquet", tmp_path / "depth.arrow"
+        motion_stage.main(*given, motion_stage.MotionOptions(), *before)
+        return float((read_dense(tmp_path / "prior.arrow")["probability"] > 0.5).mean())
+
+    assert moving_share("global") > 0.04
+    assert moving_share("rolling") == 0
