@@ -1,8 +1,10 @@
 """Flow of frames whose rows are exposed in turn, as if they were exposed at once, and the motion prior from it."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 from conftest import write_frames
 from numpy.testing import assert_allclose
 from rolled import FOCAL, STRIDE, hand, observe_rolled
@@ -14,9 +16,9 @@ from stages.ba.state import State
 from stages.motion import __main__ as motion_stage
 from stages.shared import lie
 from stages.shared.artifacts import read_dense, write_dense, write_json
-from stages.shared.cameras import centred_intrinsics, make_cameras, projection, read_readout, write_cameras
+from stages.shared.cameras import centred_intrinsics, make_cameras, pixel_grid, projection, read_readout, write_cameras
 from stages.shared.flow_pairs import FlowPairs
-from stages.shared.rolling import RollingShutter, frame_times
+from stages.shared.rolling import RollingShutter, frame_times, rolling_shutter
 from stages.shared.sequences import check_sequence, sequence_to_json
 from stages.shared.static_flow import dense_static_flow
 
@@ -65,12 +67,43 @@ def test_flow_without_the_shutter_is_that_of_a_static_scene_seen_at_once() -> No
     assert left < 0.1 * raw
 
 
-def test_frames_that_were_dropped_and_flow_to_anywhere_have_finite_shifts() -> None:
+@pytest.mark.parametrize("fall_px", [-9.0, 100.0])
+def test_shifts_from_files_are_those_of_points_seen_by_cameras_of_rows(fall_px: float, tmp_path: Path) -> None:
+    """A camera zooms, a frame is dropped, the grid is half as large; what leaves the frame is in its end row."""
+    (h, w), times, seconds = (24, 40), np.array([0, 2 / 3, 2]), [5.0, 5.1, 5.3]
+    twist, focals_px, distance = np.array([0.06, 0.1, -0.04, 0.01, -0.015, 0.02]), np.array([60.0, 66, 78]), 4.0
+    clip = replace(check_sequence("clip", write_frames(tmp_path / "clip", 3, (2 * h, 2 * w))), times_s=seconds)
+    cells = {"frame": np.arange(1, 4), "inverse_depth": np.full((3, h // 2, w // 2), 1 / distance, np.float32)}
+    write_dense(tmp_path / "depth.arrow", cells, {"stride_px": 4.0})
+    Ks = np.stack([centred_intrinsics(px, 2 * w, 2 * h) for px in focals_px])
+    cameras = make_cameras(lie.exp_se3(times[:, None] * twist), Ks, np.arange(1, 4))
+    uv, (i, j) = pixel_grid(h, w), (0, 2)
+    of_flow = [centred_intrinsics(px / 2, w, h) for px in focals_px]
+
+    def seen(readout: float) -> np.ndarray:
+        begins, ends = (readout * (np.clip(v, 0, h - 1) / (h - 1) - 0.5) for v in (uv[..., 1], uv[..., 1] + fall_px))
+        moved = lie.exp_se3((times[j] + ends - times[i] - begins)[..., None] * twist)
+        rays = np.dstack([(uv - of_flow[i][:2, 2]) / of_flow[i][0, 0], np.ones((h, w))])
+        there = np.einsum("hwab,hwb->hwa", moved[..., :3, :3], distance * rays) + moved[..., :3, 3]
+        return there[..., :2] / there[..., 2:] * of_flow[j][0, 0]
+
+    rolling = rolling_shutter(clip, cameras, READOUT, tmp_path / "depth.arrow", 0.5)
+    found = rolling.shifts(i, j, np.broadcast_to([0, fall_px], (h, w, 2)).astype(np.float32))
+    inner = slice(1, -1), slice(1, -1)
+    expected = (seen(READOUT) - seen(0))[inner]
+    assert np.abs(expected).max() > 0.3
+    assert_allclose(found[inner], expected, atol=0.02)  # bilinear over where rows begin to leave the frame
+
+
+def test_flow_to_anywhere_has_finite_shifts_and_points_behind_the_camera_have_none() -> None:
     graph, depth = observe_rolled(SHAKY, READOUT, T=4)
-    rolling = exposed_in_turn(graph, depth)
-    path = lie.exp_se3(np.arange(4)[:, None] * np.array([0, 0, 8.0, 0, 1, 0]))
-    far = RollingShutter(1.0, frame_times(4, np.array([3.0, 3.1, 3.4, 3.5])), path, rolling.Ks, 1 / depth + 20, 1)
-    assert np.isfinite(far.shifts(0, 3, np.full((*depth.shape[1:], 2), 6e4, np.float32))).all()
+    rolling, times = exposed_in_turn(graph, depth), frame_times(4, np.array([3.0, 3.1, 3.4, 3.5]))
+    flow = np.full((*depth.shape[1:], 2), 6e4, np.float32)
+    for forward in (8.0, -8.0):
+        path = lie.exp_se3(np.arange(4)[:, None] * np.array([0, 0, forward, 0, 0.1, 0]))
+        shifts = RollingShutter(1.0, times, path, rolling.Ks, 1 / depth + 20, 1).shifts(0, 3, flow)
+        assert np.isfinite(shifts).all()
+        assert shifts.any() == (forward > 0)
 
 
 def test_a_still_scene_behind_a_rolling_shutter_does_not_move(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from square_inputs import HELD_OUT, observe, write_inputs
 from synthetic import flow_arrays, make_scene
 
 from stages.scene import __main__ as scene_stage
-from stages.scene import geometry, rules
+from stages.scene import bending, geometry, rules
 from stages.scene.observed import Observed, depth_on_grid
 from stages.scene.options import SceneOptions
 from stages.scene.travel import travel_evidence
@@ -72,14 +72,19 @@ def test_empty_masks_say_so() -> None:
 
 
 def test_a_rolling_shutter_moves_nothing() -> None:
-    """Flow with what the shutter adds to it, in bands, tells of parts and of travel what flow without it tells."""
+    """Flow with what the shutter adds, in bands, tells of parts, bending and travel what flow without it tells."""
     seen = observe()
     bands = np.sin(np.arange(clip.H) / 5)[:, None, None] * np.broadcast_to([0.8, -0.5], seen.flow.shape)
+    bands *= np.sign(seen.offsets)[:, None, None, None]  # pixels return along the opposite edge
     rolled = replace(seen, flow=seen.flow + bands.astype(np.float32))
     told = replace(rolled, shifts=bands.astype(np.float32))
     assert geometry.dynamic_evidence(rolled).outside_px > 0.3
-    assert geometry.dynamic_evidence(told).outside_px < 0.05
+    parts = geometry.dynamic_evidence(told)
+    assert parts.outside_px < 0.05
+    assert parts.bought.before - parts.bought.saved < 1e-4
     assert travel_evidence(told).size == pytest.approx(travel_evidence(seen).size, rel=0.01)
+    of_told, of_rolled = (bending.bending_evidence(of)[1].bought.before for of in (told, rolled))
+    assert of_told < 0.1 * of_rolled
 
 
 def test_the_shutter_of_the_poses_is_that_of_the_edges_between_training_frames(tmp_path: Path) -> None:

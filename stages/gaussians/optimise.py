@@ -68,7 +68,8 @@ CHECKED_FRAMES = 4
 
 @dataclass
 class History:
-    """One entry per step, as in `convergence.parquet`; PSNR in dB of the step's frame, seconds since the start."""
+    """One entry per step, as in `convergence.parquet`; PSNR in dB of the step's frame as the step renders it, where its
+    neighbours may tell the motion (LEFT_OUT_SHARE); seconds since the start."""
 
     step: list[int] = field(default_factory=list)
     loss: list[float] = field(default_factory=list)

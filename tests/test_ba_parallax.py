@@ -1,0 +1,41 @@
+"""Paths solved beside cameras that seem to turn: which of the two is taken."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from synthetic import make_scene, observe
+from test_ba_start import true_state
+
+from stages.ba.estimate import PARALLAX, _shows_parallax
+from stages.ba.problem import Estimate
+from stages.ba.refinement import CONSISTENT_SHARE
+from stages.ba.state import State
+
+ROUGH = ["rough camera path"]
+
+
+def estimate_of(state: State, residual_px: float, failed_checks: list[str]) -> Estimate:
+    return Estimate(state, "moving", np.zeros((1, 6, 6)), residual_px, {}, {}, failed_checks)
+
+
+@pytest.mark.parametrize("failed", [[], ROUGH])
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.3])
+def test_a_path_that_fails_a_check_must_explain_nearly_all_matches(failed: list[str], share: float) -> None:
+    """Where it leaves a fifth of the residual of the turns: a share of the matches is 5 px from where it has them."""
+    scene = make_scene(T=5)
+    graph = observe(scene)
+    state, rng = true_state(scene, graph), np.random.default_rng(0)
+    graph.matches[rng.random(graph.matches.shape[:2]) < share] += 5.0
+    turns = replace(state, cam_from_world=np.stack([np.eye(4)] * 5))
+    taken = _shows_parallax(estimate_of(state, 0.2, failed), estimate_of(turns, 1.0, []), graph)
+    assert taken == (not failed or 1 - share > CONSISTENT_SHARE)
+
+
+@pytest.mark.parametrize(("left", "taken"), [(PARALLAX - 0.02, True), (PARALLAX + 0.02, False)])
+def test_a_path_counts_by_the_residual_that_it_leaves_of_the_turns(left: float, taken: bool) -> None:
+    scene = make_scene(T=5)
+    graph = observe(scene)
+    state = true_state(scene, graph)
+    turns = replace(state, cam_from_world=np.stack([np.eye(4)] * 5))
+    assert _shows_parallax(estimate_of(state, left, []), estimate_of(turns, 1.0, []), graph) == taken
