@@ -70,4 +70,4 @@ bench-long: $(INSTALLED)
 		--page docs/long_video.md --chart docs/long_video.png --config preset=$(PRESET) rounds=2
 
 clean:
-	rm -rf results simulated decoded logs .snakemake $(LIBRARY) bench_long
+	rm -rf results simulated decoded logs .snakemake $(LIBRARY) library_balanced bench_long
