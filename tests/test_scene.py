@@ -77,7 +77,7 @@ def test_a_rolling_shutter_moves_nothing() -> None:
     bands = np.sin(np.arange(clip.H) / 5)[:, None, None] * np.broadcast_to([0.8, -0.5], seen.flow.shape)
     bands *= np.sign(seen.offsets)[:, None, None, None]  # pixels return along the opposite edge
     rolled = replace(seen, flow=seen.flow + bands.astype(np.float32))
-    told = replace(rolled, shifts=bands.astype(np.float32))
+    told = replace(rolled, unrolled=seen.flow)
     assert geometry.dynamic_evidence(rolled).outside_px > 0.3
     parts = geometry.dynamic_evidence(told)
     assert parts.outside_px < 0.05
@@ -94,12 +94,13 @@ def test_the_shutter_of_the_poses_is_that_of_the_edges_between_training_frames(t
     content, pairs = read_sequence(paths["sequence"]), read_dense(paths["flow"])
     seen = scene_stage._observe(content, *(paths[name] for name in ("flow", "masks", "poses", "depth")), SceneOptions())
     rolling, is_training = rolling_shutter(content, cameras, 1.0, paths["depth"], 1.0), numbers - 1 != HELD_OUT
-    assert seen.shifts is not None
+    assert seen.unrolled is not None
     rows = np.flatnonzero(is_training[pairs["source"]] & is_training[pairs["target"]])
     for e, row in enumerate(rows):
         i, j, flow = (pairs[name][row] for name in ("source", "target", "flow"))
-        np.testing.assert_allclose(seen.shifts[e], rolling.shifts(i, j, flow.astype(np.float32)), atol=1e-5)
-    assert max(np.abs(seen.shifts[e]).max() for e in range(len(rows))) > 0.1
+        flow = flow.astype(np.float32)
+        np.testing.assert_allclose(seen.at_once(e), flow - rolling.shifts(i, j, flow), atol=1e-5)
+    assert max(np.abs(seen.at_once(e) - seen.flow[e]).max() for e in range(len(rows))) > 0.1
 
 
 def panned(motion: str, noise_px: float, spurious: float) -> Observed:

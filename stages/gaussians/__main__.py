@@ -3,8 +3,6 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
-
 from stages.gaussians.options import GaussiansOptions
 from stages.shared import cli
 from stages.shared.artifacts import write_model, write_table
@@ -49,15 +47,9 @@ def main(
     checkpoint.resume(trainer)
     trainer.run(checkpoint.save_sometimes)
     _write_history(convergence, figure, trainer, seen)
-    _write_models((model, half), trainer.scene, seen, start.about | {"options": options.model_dump()})
+    psnr_db = _write_models((model, half), trainer.scene, seen, start.about | {"options": options.model_dump()})
     write_splats(ply, trainer.scene, float(seen.times[start.canonical]))
     checkpoint.remove()
-    return _result(trainer, seen)
-
-
-def _result(trainer: "Trainer", seen: "TrainingFrames") -> str:
-    """The number of Gaussians and the PSNR over the last turn of all training frames, in a few words."""
-    psnr_db = float(np.mean(trainer.history.psnr[-len(seen.images) :])) if trainer.history.psnr else float("nan")
     return f"{len(trainer.scene.anchors)} Gaussians, {psnr_db:.1f} dB on training frames"
 
 
@@ -73,30 +65,36 @@ def _write_history(convergence: Path, figure: Path, trainer: "Trainer", seen: "T
 
 def _write_models(
     paths: tuple[Path, Path], scene: "GaussianScene", seen: "TrainingFrames", about: dict[str, Any]
-) -> None:
-    """The whole model, and the same in half precision."""
+) -> float:
+    """The whole model, and the same in half precision; returns the PSNR (dB) of training frames."""
     from stages.splatting.model_files import scene_tensors
 
     model, half = paths
     tensors, settings = scene_tensors(scene)
     height, width = seen.size
     settings |= about | {"median_depth": seen.median_depth, "width": width, "height": height}
-    _write_half(half, scene, seen, settings)
+    psnr_db = _write_half(half, scene, seen, settings)
     write_model(model, tensors, settings)
+    return psnr_db
 
 
-def _write_half(path: Path, scene: "GaussianScene", seen: "TrainingFrames", settings: dict[str, Any]) -> None:
-    """Write the scene in half precision; its metadata hold the PSNR of training frames and the loss against float32."""
+def _write_half(path: Path, scene: "GaussianScene", seen: "TrainingFrames", settings: dict[str, Any]) -> float:
+    """Write the scene in half precision; its metadata hold the PSNR of training frames and the loss against float32.
+
+    Returns:
+        the PSNR (dB) in float32.
+    """
     from stages.gaussians.optimise import training_psnr
     from stages.splatting.model_files import halved, scene_from_tensors, scene_tensors
 
     tensors, small_settings = halved(scene_tensors(scene)[0], settings)
     small = scene_from_tensors(tensors, small_settings).to(scene.background.device)
-    psnr_db = training_psnr(small, seen)
-    loss_db = training_psnr(scene, seen) - psnr_db
+    psnr_db, full_db = training_psnr(small, seen), training_psnr(scene, seen)
+    loss_db = full_db - psnr_db
     write_model(path, tensors, small_settings | {"training_psnr_db": psnr_db, "psnr_loss_db": loss_db})
     megabytes = path.stat().st_size / 1e6
     logger.info("half precision: %.2f MB, %.2f dB on training frames, %.3f dB lost", megabytes, psnr_db, loss_db)
+    return full_db
 
 
 if __name__ == "__main__":

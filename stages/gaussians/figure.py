@@ -40,7 +40,7 @@ def _curve(trainer: Trainer) -> np.ndarray:
     drawing = Figure(figsize=(WIDTH_PX / dpi, 2.6), dpi=dpi, layout="constrained")
     canvas, left = FigureCanvasAgg(drawing), drawing.subplots()
     left.plot(history.step[-len(psnr) :], psnr, color="#1f5fa8")
-    left.set(xlabel="step", ylabel="PSNR of training frames, dB", xlim=(0, max(history.step)))
+    left.set(xlabel="step", ylabel="PSNR in a step, dB", xlim=(0, max(history.step)))
     left.grid(alpha=0.3)
     right = left.twinx()
     right.plot(history.step, np.array(history.n_gaussians) / 1000, color="#b0552b", linewidth=1)

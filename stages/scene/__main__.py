@@ -113,14 +113,12 @@ def _observe(sequence: Sequence, flow: Path, masks: Path, poses: Path, depth: Pa
     ends = np.stack([pairs["source"][rows], pairs["target"][rows]], axis=-1)
     inverse_depth = dense["inverse_depth"][frames]
 
-    shifts = None
+    matched, unrolled = read_edges(pairs, "flow", rows), None
     if readout := read_readout(poses):
         from stages.shared.rolling import rolling_shutter  # other clips need none of it
 
         rolling = rolling_shutter(sequence, cameras, readout, depth, scale)
-        shifts = Computed(
-            len(rows), lambda e: rolling.shifts(ends[e, 0], ends[e, 1], pairs["flow"][rows[e]].astype(np.float32))
-        )
+        unrolled = Computed(len(rows), lambda e: rolling.at_once(ends[e, 0], ends[e, 1], matched[e]))
 
     def picture(f: int) -> np.ndarray:
         return images.reduce(images.read_rgb(sequence.frames[frames[f]]).astype(np.float32), (w, h)) / 255
@@ -138,11 +136,11 @@ def _observe(sequence: Sequence, flow: Path, masks: Path, poses: Path, depth: Pa
         cam_from_world=cameras.cam_from_world[frames],
         Ks=scale_intrinsics(cameras.Ks[frames], scale),
         edges=np.searchsorted(frames, ends),
-        flow=read_edges(pairs, "flow", rows),
+        flow=matched,
         confidence=read_edges(pairs, "confidence", rows),
         offsets=ends[:, 1] - ends[:, 0],
         scene=read_scene_on_grid(sequence, (w, h)),
-        shifts=shifts,
+        unrolled=unrolled,
     )
 
 

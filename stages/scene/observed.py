@@ -25,7 +25,7 @@ class Observed:
             0..1.
         offsets: [E] frame distances of the edges, signed.
         scene: [h, w] bool, false where something is burnt into all frames; None: nothing is.
-        shifts: E times [h, w, 2] px, what a rolling shutter adds to the flow; None: all rows are exposed at once.
+        unrolled: E times [h, w, 2] px, the flow without what a rolling shutter adds; None: it adds nothing.
     """
 
     rgb: Frames[np.ndarray]
@@ -39,11 +39,11 @@ class Observed:
     confidence: Frames[np.ndarray]
     offsets: np.ndarray
     scene: np.ndarray | None = None
-    shifts: Frames[np.ndarray] | None = None
+    unrolled: Frames[np.ndarray] | None = None
 
     def at_once(self, edge: int) -> np.ndarray:
         """Flow [h, w, 2] of an edge as if all rows were exposed at once, which no picture shows."""
-        return self.flow[edge] if self.shifts is None else np.asarray(self.flow[edge] - self.shifts[edge])
+        return (self.flow if self.unrolled is None else self.unrolled)[edge]
 
 
 def read_edges(pairs: Dense, column: str, rows: np.ndarray) -> Computed[np.ndarray]:

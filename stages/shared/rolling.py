@@ -90,12 +90,16 @@ class RollingShutter:
         moved = np.where(ahead[..., None], (after - before) * other_K[[0, 1], [0, 1]], 0.0)
         return bilinear(moved.astype(np.float32), grid_from_frame(pixel_grid(h, w), self.cell_px))
 
+    def at_once(self, i: int, j: int, flow: np.ndarray) -> np.ndarray:
+        """Flow [h, w, 2] float32 from frame i to frame j as if all rows were exposed at once."""
+        matched = flow.astype(np.float32)
+        return np.asarray(matched - self.shifts(i, j, matched))
+
     def taken_out(self, pairs: FlowPairs) -> FlowPairs:
         """The pairs with flow as if all rows were exposed at once, computed where it is read."""
 
         def row(e: int) -> np.ndarray:
-            flow = pairs.flow[e].astype(np.float32)
-            return (flow - self.shifts(int(pairs.source[e]), int(pairs.target[e]), flow)).astype(np.float16)
+            return self.at_once(int(pairs.source[e]), int(pairs.target[e]), pairs.flow[e]).astype(np.float16)
 
         corrected: Any = Rows(len(pairs.source), np.broadcast_to(np.float16(0), pairs.flow.shape[1:]), row)
         return replace(pairs, columns=Dense({**pairs.columns, "flow": corrected}))
