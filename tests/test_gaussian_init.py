@@ -60,6 +60,20 @@ def test_a_mover_whose_motion_is_off_leaves_nothing_hanging_in_the_air() -> None
     assert cloud.dynamic[on_square].all()
 
 
+def test_a_mover_before_a_camera_that_only_turns_is_not_left_behind_where_it_was() -> None:
+    """Depth tells no surface apart there, and control points follow the square up to the middle of the clip alone."""
+    seen = truth.observations(TRAIN)
+    seen = replace(seen, depths=np.full_like(seen.depths, truth.SQUARE_Z))
+    motion = truth.true_motion()
+    with torch.no_grad():
+        motion.table[len(TRAIN) // 2 :] = motion.table[len(TRAIN) // 2]
+    cloud = initial_cloud(seen, motion, CANONICAL, stride_px=2, K=4, sh_degree=0, movers_every=3)
+    first = torch.isclose(cloud.births, torch.tensor(seen.times[0], dtype=torch.float32))
+    u, v, _, inside = pixels_of(seen, 0, cloud.means[first & ~cloud.dynamic].double().numpy())
+    assert (first & cloud.dynamic).sum() > 50
+    assert not seen.masks[0][v[inside], u[inside]].any()
+
+
 def test_the_wall_behind_the_mover_is_not_claimed_by_it() -> None:
     seen = truth.observations(TRAIN)
     behind = truth.square_centre(0.5) * (truth.WALL_Z / truth.SQUARE_Z)

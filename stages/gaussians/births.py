@@ -47,7 +47,12 @@ def with_life_spans(cloud: Cloud, frames: np.ndarray, times: np.ndarray, births:
     """
     if not births:
         return cloud
-    gap = float(np.mean(np.diff(times[births])))
+    gap = birth_gap(times, births)
     spans = torch.full_like(cloud.logits, float(np.log(SPAN_SHARE * gap)))
     log_spans = torch.where(cloud.dynamic, spans, torch.full_like(spans, ALWAYS))
     return replace(cloud, births=torch.as_tensor(times[frames], dtype=torch.float32), log_spans=log_spans)
+
+
+def birth_gap(times: np.ndarray, births: list[int]) -> float:
+    """Mean time between two of the frames `births` that movers are lifted from, of frames at times [F]."""
+    return float(np.mean(np.diff(times[births])))

@@ -7,8 +7,8 @@ import numpy as np
 import torch
 
 from stages.deformation.motion_models import Deformation
-from stages.gaussians.births import birth_frames, movers_stride, with_life_spans
-from stages.gaussians.lifting import frame_order, join, lift_dynamic, lift_static, make_cloud
+from stages.gaussians.births import birth_frames, birth_gap, movers_stride, with_life_spans
+from stages.gaussians.lifting import Points, frame_order, join, lift_dynamic, lift_static, make_cloud
 from stages.gaussians.skinning import skinned, to_canonical
 from stages.gaussians.training_frames import TrainingFrames
 from stages.gaussians.votes import dynamic_share, inverse, static_share
@@ -92,7 +92,7 @@ def initial_cloud(
     if len(means) > left:  # too many, whatever the votes
         moves = np.ones(len(means), bool)
     else:
-        moves = _stay_dynamic(seen, dynamic.positions, means, widened, deformation, K)
+        moves = _stay_dynamic(seen, dynamic, means, widened, deformation, K, births)
     points = join([static[~claimed], static[claimed][found], dynamic])
     positions = np.concatenate([
         static.positions[~claimed], recovered[found], np.where(moves[:, None], means, dynamic.positions)
@@ -110,9 +110,19 @@ def _widened(seen: TrainingFrames) -> PackedMasks:
 
 
 def _stay_dynamic(
-    seen: TrainingFrames, lifted: np.ndarray, means: np.ndarray, masks: PackedMasks, deformation: Deformation, K: int
+    seen: TrainingFrames,
+    points: Points,
+    means: np.ndarray,
+    masks: PackedMasks,
+    deformation: Deformation,
+    K: int,
+    births: list[int],
 ) -> np.ndarray:
-    """Whether [n] more frames mask a point along its motion than show it unmasked at the place where it was lifted."""
+    """Whether [n] more frames mask a point along its motion than show it unmasked at the place where it was lifted.
+
+    Along its motion, points with life spans are seen in the frames around their own alone: these vote. Where the depth
+    is that of a camera which only turns, all frames show the place of a mover at rest.
+    """
     with torch.no_grad():
         moving = skinned(torch.as_tensor(means, dtype=torch.float32), deformation, K)
 
@@ -120,4 +130,8 @@ def _stay_dynamic(
         with torch.no_grad():
             return np.asarray(moving(float(seen.times[f])).double().numpy())
 
-    return np.asarray(dynamic_share(seen, moved, masks) >= static_share(seen, lifted, masks))
+    def alive(f: int) -> np.ndarray:
+        return np.asarray(np.abs(seen.times[f] - seen.times[points.frames]) < 1.01 * birth_gap(seen.times, births))
+
+    carried = dynamic_share(seen, moved, masks, alive if births else None)
+    return np.asarray(carried >= static_share(seen, points.positions, masks))

@@ -14,6 +14,8 @@ DEPTH_TOLERANCE = 0.06
 """Relative difference of depth up to which two points count as the same surface."""
 Tracks = Callable[[int], np.ndarray]
 """Positions [n, 3] of the points in a frame, by its index."""
+Voters = Callable[[int], np.ndarray]
+"""Whether [n] a frame, by its index, votes on each point."""
 
 
 def pixels_of(
@@ -33,16 +35,18 @@ def pixels_of(
     return u, v, xyz[:, 2], inside if seen.scene is None else inside & seen.scene[v, u]
 
 
-def dynamic_share(seen: TrainingFrames, tracks: Tracks, masks: Frames[np.ndarray]) -> np.ndarray:
+def dynamic_share(
+    seen: TrainingFrames, tracks: Tracks, masks: Frames[np.ndarray], voters: Voters | None = None
+) -> np.ndarray:
     """Share [n] of the frames in which a point is visible whose mask covers it; 0 for points that are never visible.
 
     A point is visible if it projects into the image and is not behind the depth there.
 
     Args:
         tracks: the positions [n, 3] in a frame, by its index.
-        masks: F times [H, W] bool.
+        masks: F times [H, W] bool. voters: the frames that count, for each point; None: all.
     """
-    return _share(seen, tracks, masks, at_surface=False)
+    return _share(seen, tracks, masks, at_surface=False, voters=voters)
 
 
 def static_share(seen: TrainingFrames, positions: np.ndarray, masks: Frames[np.ndarray]) -> np.ndarray:
@@ -59,12 +63,21 @@ def inverse(masks: Frames[np.ndarray]) -> Computed[np.ndarray]:
     return Computed(len(masks), lambda f: ~masks[f])
 
 
-def _share(seen: TrainingFrames, tracks: Tracks, votes: Frames[np.ndarray], at_surface: bool) -> np.ndarray:
+def _share(
+    seen: TrainingFrames,
+    tracks: Tracks,
+    votes: Frames[np.ndarray],
+    at_surface: bool,
+    voters: Voters | None = None,
+) -> np.ndarray:
     """Share [n] of the frames in which a point on its track is visible where votes, F times [H, W], are true."""
     n = len(tracks(0))
-    count, views = np.zeros(n), np.zeros(n)
+    totals = np.zeros((2, n))
     for f in range(len(seen.depths)):
         depth = seen.depths[f] if seen.scene is None else np.where(seen.scene, seen.depths[f], -np.inf)
-        positions, camera = np.ascontiguousarray(tracks(f), dtype=float), (seen.cam_from_world[f], seen.Ks[f])
-        spread(vote, n, positions, *camera, depth, votes[f], 1 + DEPTH_TOLERANCE, at_surface, views, count)
-    return count / np.maximum(views, 1)
+        rows = slice(None) if voters is None else np.flatnonzero(voters(f))
+        views, count = np.ascontiguousarray(totals[:, rows])
+        positions, camera = np.ascontiguousarray(tracks(f)[rows], dtype=float), (seen.cam_from_world[f], seen.Ks[f])
+        spread(vote, len(views), positions, *camera, depth, votes[f], 1 + DEPTH_TOLERANCE, at_surface, views, count)
+        totals[:, rows] = views, count
+    return totals[1] / np.maximum(totals[0], 1)
