@@ -96,6 +96,7 @@ def make_scene(
     zoom: np.ndarray | None = None,
     K: np.ndarray | None = None,
     lens: np.ndarray | None = None,
+    velocity: tuple[float, float, float] = (0.12, 0.02, 0.0),
 ) -> Scene:
     """A scene of (h, w) px.
 
@@ -104,25 +105,25 @@ def make_scene(
         disc_radius: radius of the moving disc at depth 2.5; 0 for a static scene.
         scale: unit of length of the world; focal: focal length in image widths; travel: share of the translation.
         path: poses [T, 4, 4] instead of those of `motion`; zoom: [T], lens: [2], as in `Scene`; K: [3, 3] instead of
-            that of `focal`.
+            that of `focal`; velocity: of the disc, per frame.
     """
     h, w = size
     K = centred_intrinsics(focal * w, w, h) if K is None else K
     cam_from_world = camera_path(T, motion, travel) if path is None else path
-    velocity = np.array([0.12, 0.02, 0.0]) if disc_radius else np.zeros(3)
+    moved = np.array(velocity) if disc_radius else np.zeros(3)
     depth, dynamic = np.zeros((T, h, w)), np.zeros((T, h, w), bool)
-    scene = Scene(cam_from_world, K, depth, dynamic, velocity, zoom, lens)
+    scene = Scene(cam_from_world, K, depth, dynamic, moved, zoom, lens)
     for k in range(T):
         pixels = scene.pinhole(pixel_grid(h, w), k)
         depth[k] = _plane_depth(cam_from_world[k], scene.K_of(k), pixels, planes)
         if disc_radius:
-            middle = velocity * k + [-0.4, 0.2, 2.5]
+            middle = moved * k + [-0.4, 0.2, 2.5]
             disc = _disc_depth(cam_from_world[k], scene.K_of(k), pixels, middle, disc_radius)
             dynamic[k] = disc < depth[k]
             depth[k] = np.minimum(depth[k], disc)
     cam_from_world = cam_from_world.copy()
     cam_from_world[:, :3, 3] *= scale
-    return Scene(cam_from_world, K, depth * scale, dynamic, velocity * scale, zoom, lens)
+    return Scene(cam_from_world, K, depth * scale, dynamic, moved * scale, zoom, lens)
 
 
 def camera_path(T: int, motion: str, travel: float = 1.0) -> np.ndarray:

@@ -8,15 +8,16 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from stages.ba import dba, initialise, zoom
+from stages.ba import dba, initialise, two_motions, zoom
 from stages.ba.classify import longest_step
 from stages.ba.diagnostics import ROUGH_PATH
 from stages.ba.graph import MIN_WEIGHT, FlowGraph, mask_graph, thin_graph, without_loops
 from stages.ba.guesses import ENOUGH, MAX_PAIR_PX, Observed, guess
 from stages.ba.initialise import Candidate
 from stages.ba.other_focals import better_focal
+from stages.ba.part import FRAMES
 from stages.ba.refinement import UNUSUAL_FOCAL
-from stages.ba.state import Level, State
+from stages.ba.state import Level, State, Unknowns
 from stages.ba.zoom import Evidence
 
 COARSE_PIXELS = 400
@@ -60,13 +61,39 @@ def find_start(observed: Observed) -> Start:
         focal_px = better_focal(observed, coarse, initialise.choose(candidates))
         if focal_px:
             candidates = guess(replace(observed, previous=None, focals_px=[focal_px]), coarse)
+    evidence = None
+    if observed.tested:
+        evidence, changing = _with_zoom(observed, coarse, initialise.choose(candidates))
+        if changing:
+            observed = replace(observed, curve=changing.state.zoom)
+            candidates = [changing]
+    apart = _apart(observed, plain, coarse, initialise.choose(candidates))
+    return apart or replace(_check(observed, plain, candidates), zoom=evidence)
+
+
+def _apart(observed: Observed, plain: FlowGraph, coarse: FlowGraph, best: Candidate) -> Start | None:
+    """The background's motion where the best candidate mixes it with that of a mover, told in short first rounds alone.
+
+    Later rounds begin there, with masks made from its cameras.
+    """
+    if not observed.free or observed.previous or plain.T > FRAMES:
+        return None
+    used = plain if observed.unmasked is observed.graph else coarse
+    motion = two_motions.background(plain, used, best.state, observed.prior)
+    if motion is None:
+        return None
+    static = _areas(plain, motion.fits)
+    masked = mask_graph(plain, static)
+    candidate = initialise.adjust(
+        masked, motion.state, two_motions.NARROW, Unknowns(focal=True), observed.prior, "apart"
+    )
+    reason = "two motions: a mover that travels along was left out of the first cameras"
+    start = _start_on(observed, candidate, [], static, reason)
     if not observed.tested:
-        return _check(observed, plain, candidates)
-    evidence, changing = _with_zoom(observed, coarse, initialise.choose(candidates))
-    if changing:
-        observed = replace(observed, curve=changing.state.zoom)
-        candidates = [changing]
-    return replace(_check(observed, plain, candidates), zoom=evidence)
+        return start
+    without = replace(observed, graph=start.graph, curve=None, masked=True)
+    evidence, changing = _with_zoom(without, masked, candidate)
+    return replace(start, candidate=changing or candidate, zoom=evidence)
 
 
 def _with_zoom(observed: Observed, coarse: FlowGraph, best: Candidate) -> tuple[Evidence, Candidate | None]:

@@ -1,0 +1,166 @@
+"""Two rigid motions at once, where a large mover travels along with the camera and shares wrong cameras with the world.
+
+What keeps nearly the velocity of the camera stays at its place in the image and looks like something static and far
+away, before cameras of another path and focal length. These fit mover and world to some tenths of a pixel, at a lower
+cost than the right ones at any robust scale, and no adjustment leads away from them. At the scale of the noise they fit
+half of each. So the motion of a part of the image is taken, and that of all that it leaves: where one part holds the
+mover alone, each fits its own pixels, nearly all of them, and hardly any of the other's.
+"""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from stages.ba import dba, initialise
+from stages.ba.graph import MIN_WEIGHT, FlowGraph, thin_graph
+from stages.ba.state import FocalPrior, Level, State, Unknowns
+
+PIXELS = 150
+"""Motions are told apart on a grid of about this many pixels per frame, and not on fewer."""
+SHARP_PX = 0.2
+"""Scale in px up to which the matches of a pixel fit: flow where there is texture has half of that."""
+AGREEING = 0.6
+"""Share of its matches, by weight, that must fit for a pixel to fit."""
+EXPLAINED = 0.85
+"""If the cameras found fit this share of the pixels, no second motion is looked for."""
+GAIN = 0.1
+"""Two motions explain, each for itself, so much more of the pixels than the cameras found."""
+OVERLAP = 0.5
+"""Largest share of the pixels of either motion that the other one fits too."""
+SAME = 0.8
+"""Cameras that fit this share of the pixels of a motion, or of all that either fits, have found it."""
+WIDE = (Level(1.0, 8, 1e-3), Level(0.4, 8, 1e-3))
+"""The adjustment to a part of the image."""
+NARROW, STEPS = (Level(0.3, 5, 1e-3),), 3
+"""The adjustment to the pixels that fit, and how often these are chosen anew (`stages.ba.trim`)."""
+
+
+class Motion(NamedTuple):
+    """Cameras of a rigid motion, and the pixels [T, P] that fit them."""
+
+    state: State
+    fits: np.ndarray
+
+
+class Pair(NamedTuple):
+    """A motion and that of what it leaves, with the share of the matched pixels that one of them alone explains."""
+
+    first: Motion
+    second: Motion
+    share: float
+
+
+def parts(graph: FlowGraph) -> list[np.ndarray]:
+    """Parts [P] of the image, in one of which a mover may be nearly alone: halves, the middle, and the sides."""
+    u, v = ((graph.pixels + 0.5) / (graph.width, graph.height / graph.aspect)).T
+    sides = np.minimum(u, 1 - u) < 0.25
+    return [v > 0.5, u > 0.5, u < 0.5, ~sides, sides, v < 0.5]
+
+
+def background(plain: FlowGraph, masked: FlowGraph, found: State, prior: FocalPrior) -> Motion | None:
+    """The motion of the background if the cameras `found` mix it with a mover's; None if they do not, or nothing tells.
+
+    Of two motions the background's covers more of the image border, since objects stand in front of it. Cameras that
+    were found with masks and fit it are kept; without masks the refinement may still take in the mover.
+
+    Args:
+        plain: the observations without masks; masked: with those with which the cameras were found, on the same pixels;
+            without masks the same object.
+
+    Returns:
+        cameras, with depths at the pixels of `plain`, and which of these fit.
+    """
+    if len(plain.pixels) < PIXELS:
+        return None
+    factor = max(1, int(np.sqrt(len(plain.pixels) / PIXELS)))
+    graph, used = thin_graph(plain, factor), thin_graph(masked, factor)
+    matched, border = matched_pixels(graph), _border(graph)
+    start = initialise.initial_state(used, found.cam_from_world, found.focal_px, zoom=found.zoom)
+    single = _fits(graph, _adjusted(used, start, WIDE, prior))
+    alone = _share(single, matched)
+    if alone >= EXPLAINED:
+        return None
+    start = replace(start, zoom=None)
+    pairs = [_pair(graph, part, start, prior, matched, single) for part in parts(graph)]
+    pair = max((pair for pair in pairs if pair), key=lambda pair: pair.share, default=None)
+    if pair is None:
+        return None
+    motions = sorted(pair[:2], key=lambda motion: _share(motion.fits, matched & border))
+    mover, world = (motion.fits & matched for motion in motions)
+    both = (mover & world).sum() / max(1, min(mover.sum(), world.sum()))
+    confirmed = masked is not plain and (single & world).sum() >= SAME * world.sum()
+    if pair.share < alone + GAIN or both > OVERLAP or confirmed:
+        return None
+    state = motions[1].state
+    whole = initialise.initial_state(plain, state.cam_from_world, state.focal_px, SHARP_PX)
+    return Motion(whole, _fits(plain, whole) & matched_pixels(plain))
+
+
+def matched_pixels(graph: FlowGraph) -> np.ndarray:
+    """Which pixels [T, P] have confident matches, on average over the edges of their frame."""
+    weights = np.zeros((graph.T, len(graph.pixels)))
+    np.add.at(weights, graph.source, graph.weights)
+    return np.asarray(weights > MIN_WEIGHT * np.diff(graph.pointer)[:, None])
+
+
+def _pair(
+    graph: FlowGraph, part: np.ndarray, start: State, prior: FocalPrior, matched: np.ndarray, single: np.ndarray
+) -> Pair | None:
+    """The motion of a part [P] of the image, and that of what does not fit it.
+
+    None if the first is that of the pixels `single` [T, P], which the cameras found fit: one of a pair is not.
+    """
+    first = _motion(graph, np.broadcast_to(part, matched.shape), start, prior)
+    if (first.fits & single & matched).sum() >= SAME * ((first.fits | single) & matched).sum():
+        return None
+    second = _motion(graph, ~smooth(graph, first.fits), start, prior)
+    return Pair(first, second, _share(first.fits ^ second.fits, matched))
+
+
+def _motion(graph: FlowGraph, chosen: np.ndarray, start: State, prior: FocalPrior) -> Motion:
+    """The motion of the pixels `chosen` [T, P], then of all that fit it."""
+    part = _of(graph, chosen)
+    searched = initialise.initial_state(part, start.cam_from_world, start.focal_px)
+    state = _adjusted(part, searched, WIDE, prior)
+    fits = _fits(graph, state)
+    for _ in range(STEPS):
+        part = _of(graph, fits)
+        state = _adjusted(part, initialise.search_depth(part, state, NARROW[0].sigma_px), NARROW, prior)
+        fits = _fits(graph, state)
+    return Motion(state, fits)
+
+
+def _of(graph: FlowGraph, chosen: np.ndarray) -> FlowGraph:
+    """The graph with the matches of the pixels `chosen` [T, P] alone."""
+    return replace(graph, weights=graph.weights * chosen[graph.source])
+
+
+def _adjusted(graph: FlowGraph, state: State, levels: tuple[Level, ...], prior: FocalPrior) -> State:
+    unknowns = Unknowns(focal=True, zoom=state.zoom is not None)
+    return initialise.adjust(graph, state, levels, unknowns, prior, "two motions").state
+
+
+def _fits(graph: FlowGraph, state: State) -> np.ndarray:
+    """Which pixels [T, P] fit the cameras of a state at some depth, to the scale of the noise."""
+    errors = dba.errors_px(graph, initialise.search_depth(graph, state, SHARP_PX))
+    return dba.fitting_pixels(graph, errors, SHARP_PX, AGREEING)
+
+
+def smooth(graph: FlowGraph, chosen: np.ndarray) -> np.ndarray:
+    """Pixels [T, P] without isolated ones."""
+    maps = chosen.reshape(graph.T, graph.rows, graph.columns).astype(np.uint8)
+    return np.stack([cv2.medianBlur(frame, 3) for frame in maps]).reshape(chosen.shape) > 0
+
+
+def _share(chosen: np.ndarray, among: np.ndarray) -> float:
+    """Share of the pixels `among` [T, P] that are chosen."""
+    return float((chosen & among).sum() / max(1, among.sum()))
+
+
+def _border(graph: FlowGraph) -> np.ndarray:
+    """Pixels [P] along the image border."""
+    border = np.ones((graph.rows, graph.columns), bool)
+    border[1:-1, 1:-1] = False
+    return border.ravel()

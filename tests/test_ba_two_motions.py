@@ -1,0 +1,82 @@
+"""A large mover that travels along with the camera: its motion is told from that of the world, and nothing else is."""
+
+import numpy as np
+import pytest
+from synthetic import Scene, make_scene, observe, trajectory_error
+
+from stages.ba import initialise, start, two_motions
+from stages.ba.estimate import estimate
+from stages.ba.graph import FlowGraph
+from stages.ba.options import BAOptions
+from stages.ba.problem import Estimate, Problem
+from stages.ba.state import FocalPrior, Level, State, Unknowns
+
+NOISE_PX = 0.05
+
+
+def beside(radius: float = 0.8, zoom: np.ndarray | None = None) -> Scene:
+    """A disc that keeps two thirds of the velocity of the camera, over a third of the view; without a radius, none."""
+    return make_scene(T=8, size=(96, 144), disc_radius=radius, velocity=(0.1, -0.06, 0.1), zoom=zoom)
+
+
+def cameras(graph: FlowGraph, scene: Scene) -> State:
+    """Cameras adjusted from the true ones at a longer lens."""
+    state = initialise.initial_state(graph, scene.cam_from_world, 1.2 * scene.focal_px, zoom=scene.zoom)
+    levels, unknowns = (Level(1.0, 8), Level(0.4, 8)), Unknowns(focal=True, zoom=scene.zoom is not None)
+    return initialise.adjust(graph, state, levels, unknowns, FocalPrior(1.1 * graph.width), "").state
+
+
+def first_round(scene: Scene) -> Estimate:
+    """The solution without masks, from one initial focal length."""
+    graph = observe(scene, stride=6, masked=False, noise_px=NOISE_PX)
+    return estimate(Problem(graph, False), BAOptions(start_focals=(1.05,)))
+
+
+def test_a_mover_that_travels_along_leaves_path_and_focal_length_right(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = beside()
+    found = first_round(scene)
+    assert found.state.focal_px == pytest.approx(scene.focal_px, rel=0.02)
+    assert trajectory_error(found.state.cam_from_world, scene.cam_from_world) < 1e-3
+    assert found.static is not None
+    assert found.static[scene.dynamic].mean() < 0.1
+    assert any(flag.startswith("two motions") for flag in found.flags)
+    monkeypatch.setattr(start.two_motions, "background", lambda *_: None)
+    monkeypatch.setattr(start, "EXPLAINED", 0.0)
+    without = first_round(scene)
+    assert trajectory_error(without.state.cam_from_world, scene.cam_from_world) > 2e-3
+
+
+@pytest.mark.parametrize("radius", [0.0, 0.4])
+def test_cameras_that_are_right_are_kept(radius: float) -> None:
+    scene = beside(radius)
+    graph = observe(scene, stride=6, masked=False, noise_px=NOISE_PX)
+    assert two_motions.background(graph, graph, cameras(graph, scene), FocalPrior(1.1 * graph.width)) is None
+
+
+def test_good_masks_are_kept_over_what_two_motions_fit() -> None:
+    scene = beside()
+    plain, masked = (observe(scene, stride=6, masked=with_masks, noise_px=NOISE_PX) for with_masks in (False, True))
+    assert two_motions.background(plain, masked, cameras(masked, scene), FocalPrior(1.1 * plain.width)) is None
+
+
+def test_a_lens_that_zooms_is_no_second_motion() -> None:
+    scene = beside(0.0, np.linspace(1, 1.3, 8))
+    graph = observe(scene, stride=6, masked=False, noise_px=NOISE_PX)
+    assert two_motions.background(graph, graph, cameras(graph, scene), FocalPrior(1.1 * graph.width)) is None
+
+
+def test_the_background_is_what_lies_along_the_border() -> None:
+    scene = beside()
+    graph = observe(scene, stride=6, masked=False, noise_px=NOISE_PX)
+    motion = two_motions.background(graph, graph, cameras(graph, scene), FocalPrior(1.1 * graph.width))
+    assert motion is not None
+    moves = graph.resample(scene.dynamic.astype(float), 1) > 0.5
+    assert motion.fits[~moves].mean() > 0.7
+    assert motion.fits[moves].mean() < 0.1
+
+
+def test_a_handful_of_pixels_does_not_tell_motions_apart() -> None:
+    scene = beside()
+    graph = observe(scene, stride=12, masked=False, noise_px=NOISE_PX)
+    assert len(graph.pixels) < two_motions.PIXELS
+    assert two_motions.background(graph, graph, cameras(graph, scene), FocalPrior(1.1 * graph.width)) is None
