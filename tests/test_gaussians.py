@@ -125,6 +125,8 @@ def test_frames_are_rendered_with_the_motion_of_their_neighbours(share: float, m
     """So Gaussians are right between frames as well; what is wrong with the motion of one frame alone does not tell."""
     monkeypatch.setattr(optimise, "LEFT_OUT_SHARE", share)
     monkeypatch.setattr(optimise, "LEARNING_RATES", dict.fromkeys(optimise.LEARNING_RATES, 0.0))
+    for rate in ("MOTION_RATE", "RADIUS_RATE", "COLOUR_RATE"):
+        monkeypatch.setattr(optimise, rate, 0.0)
     seen, options = truth.observations(TRAIN), GaussiansOptions(steps=len(TRAIN), densify=False)
     right, spoilt = new_scene(seen), new_scene(seen)
     assert isinstance(spoilt.deformation, TableDeformation)

@@ -10,7 +10,7 @@ import numpy as np
 
 from stages.ba import dba, initialise, two_motions, zoom
 from stages.ba.classify import longest_step
-from stages.ba.diagnostics import ROUGH_PATH
+from stages.ba.diagnostics import ROUGH_PATH, of_zoom
 from stages.ba.graph import MIN_WEIGHT, FlowGraph, mask_graph, thin_graph, without_loops
 from stages.ba.guesses import ENOUGH, MAX_PAIR_PX, Observed, guess
 from stages.ba.initialise import Candidate
@@ -67,7 +67,9 @@ def find_start(observed: Observed) -> Start:
         if changing:
             observed = replace(observed, curve=changing.state.zoom)
             candidates = [changing]
-    apart = _apart(observed, plain, coarse, initialise.choose(candidates))
+    apart = None
+    if evidence is None or not of_zoom(evidence):  # a zoom that may be there explains what the cameras do not fit
+        apart = _apart(observed, plain, coarse, initialise.choose(candidates))
     return apart or replace(_check(observed, plain, candidates), zoom=evidence)
 
 
