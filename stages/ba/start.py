@@ -5,7 +5,6 @@ Initial guesses are adjusted and compared on a coarse grid of pixels; the best o
 
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 
 from stages.ba import dba, initialise, two_motions, zoom
@@ -157,9 +156,7 @@ def explained(graph: FlowGraph, state: State) -> np.ndarray:
 
 def border_share(graph: FlowGraph, chosen: np.ndarray) -> float:
     """Share of the pixels along the image border that are among `chosen` [T, P]."""
-    border = np.ones((graph.rows, graph.columns), bool)
-    border[1:-1, 1:-1] = False
-    return float(chosen[:, border.ravel()].mean())
+    return float(chosen[:, two_motions.border(graph)].mean())
 
 
 def _costs_no_more(plain: FlowGraph, rival: Candidate, best: Candidate, sigma_px: float) -> bool:
@@ -198,5 +195,5 @@ def _start_on(observed: Observed, best: Candidate, others: list[Candidate], stat
 
 def _areas(graph: FlowGraph, chosen: np.ndarray) -> np.ndarray:
     """The pixels `chosen` [T, P] as areas [T, height, width] of the flow grid, isolated pixels removed."""
-    maps = chosen.reshape(graph.T, graph.rows, graph.columns).astype(np.uint8)
-    return graph.spread(np.stack([cv2.medianBlur(frame, 3) for frame in maps])).view(np.int8)
+    maps = two_motions.smooth(graph, chosen).reshape(graph.T, graph.rows, graph.columns)
+    return graph.spread(maps.astype(np.uint8)).view(np.int8)

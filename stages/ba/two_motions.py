@@ -76,7 +76,7 @@ def background(plain: FlowGraph, masked: FlowGraph, found: State, prior: FocalPr
         return None
     factor = max(1, int(np.sqrt(len(plain.pixels) / PIXELS)))
     graph, used = thin_graph(plain, factor), thin_graph(masked, factor)
-    matched, border = matched_pixels(graph), _border(graph)
+    matched, along = matched_pixels(graph), border(graph)
     start = initialise.initial_state(used, found.cam_from_world, found.focal_px, zoom=found.zoom)
     single = _fits(graph, _adjusted(used, start, WIDE, prior))
     alone = _share(single, matched)
@@ -87,7 +87,7 @@ def background(plain: FlowGraph, masked: FlowGraph, found: State, prior: FocalPr
     pair = max((pair for pair in pairs if pair), key=lambda pair: pair.share, default=None)
     if pair is None:
         return None
-    motions = sorted(pair[:2], key=lambda motion: _share(motion.fits, matched & border))
+    motions = sorted(pair[:2], key=lambda motion: _share(motion.fits, matched & along))
     mover, world = (motion.fits & matched for motion in motions)
     both = (mover & world).sum() / max(1, min(mover.sum(), world.sum()))
     confirmed = masked is not plain and (single & world).sum() >= SAME * world.sum()
@@ -159,8 +159,8 @@ def _share(chosen: np.ndarray, among: np.ndarray) -> float:
     return float((chosen & among).sum() / max(1, among.sum()))
 
 
-def _border(graph: FlowGraph) -> np.ndarray:
+def border(graph: FlowGraph) -> np.ndarray:
     """Pixels [P] along the image border."""
-    border = np.ones((graph.rows, graph.columns), bool)
-    border[1:-1, 1:-1] = False
-    return border.ravel()
+    along = np.ones((graph.rows, graph.columns), bool)
+    along[1:-1, 1:-1] = False
+    return along.ravel()

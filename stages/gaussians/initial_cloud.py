@@ -56,9 +56,10 @@ def initial_cloud(
 ) -> Cloud:
     """Gaussians of the whole scene; without a deformation every pixel is static.
 
-    Each candidate is labelled by a vote over all frames in which it is visible. An unmasked pixel becomes dynamic if
+    Each candidate is labelled by a vote over the frames in which it is visible. An unmasked pixel becomes dynamic if
     more than half of these frames mask it. A masked pixel becomes static, at the place where it was lifted, if the
-    share of frames that show it there unmasked exceeds the share that mask it along its motion. If the motion is wrong,
+    share of frames that show it there unmasked exceeds the share that mask it along its motion, with life spans of
+    those around its own. If the motion is wrong,
     few masks cover it on its way, but then no frame shows it at rest either, and it stays dynamic.
 
     Args:
@@ -130,8 +131,10 @@ def _stay_dynamic(
         with torch.no_grad():
             return np.asarray(moving(float(seen.times[f])).double().numpy())
 
-    def alive(f: int) -> np.ndarray:
-        return np.asarray(np.abs(seen.times[f] - seen.times[points.frames]) < 1.01 * birth_gap(seen.times, births))
+    reach = 1.01 * birth_gap(seen.times, births) if births else np.inf  # more than rounding beyond the next births
 
-    carried = dynamic_share(seen, moved, masks, alive if births else None)
+    def alive(f: int) -> np.ndarray:
+        return np.asarray(np.abs(seen.times[f] - seen.times[points.frames]) < reach)
+
+    carried = dynamic_share(seen, moved, masks, alive)
     return np.asarray(carried >= static_share(seen, points.positions, masks))
