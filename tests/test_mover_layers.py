@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from stages.segment import __main__ as segment_stage
-from stages.segment import layers
-from stages.segment.layers import MOVING, StaticWorld, belonging
+from stages.segment import layers, refinement
+from stages.segment.layers import MOVING, Belonging, StaticWorld, belonging
 from stages.segment.options import SegmentOptions
 from stages.segment.permanence import persistent
 from stages.segment.superpixels import Superpixels
@@ -81,7 +81,7 @@ def tiles() -> Superpixels:
     return Superpixels(np.stack(T * [labels]).astype(np.uint16), first, np.full(first[-1], TILE_PX**2), np.zeros(0))
 
 
-def evidence(contrast: int, ground_px: int = GROUND_PX) -> tuple[Superpixels, np.ndarray]:
+def evidence(contrast: int, ground_px: int = GROUND_PX) -> tuple[Superpixels, Belonging]:
     """The tiles of a clip and what its pictures say, where the left part of the mover is known."""
     frames = clip(contrast, ground_px)
     pixels, pairs = tiles(), FlowPairs(Dense(flow_columns(ground_px)))
@@ -95,18 +95,18 @@ def inner(mask: np.ndarray) -> np.ndarray:
 
 
 def test_what_moves_with_a_known_part_is_given_to_the_mover() -> None:
-    pixels, weight = evidence(contrast=60)
+    pixels, found = evidence(contrast=60)
     for k in range(T):
-        shown = pixels.paint(weight, k)
+        shown = pixels.paint(found.weight, k)
         assert np.median(shown[inner(square(k) & ~left_part(k))]) > 0.1 * MOVING
 
 
 @pytest.mark.parametrize("ground_px", [GROUND_PX, 0])
 def test_ground_beside_a_mover_is_given_to_the_static_scene(ground_px: int) -> None:
     """Also before a camera at rest: where nothing is known of a mover, its motion is not that of the ground."""
-    pixels, weight = evidence(contrast=60, ground_px=ground_px)
+    pixels, found = evidence(contrast=60, ground_px=ground_px)
     for k in range(T):
-        shown = pixels.paint(weight, k)
+        shown = pixels.paint(found.weight, k)
         near = np.zeros((H, W), bool)
         near[24:72, 92 + MOVER_PX * k : 120 + MOVER_PX * k] = True
         assert np.median(shown[inner(near)]) < 0
@@ -115,8 +115,25 @@ def test_ground_beside_a_mover_is_given_to_the_static_scene(ground_px: int) -> N
 
 
 def test_without_texture_nothing_is_given_to_either() -> None:
-    _, weight = evidence(contrast=0)
-    assert (weight == 0).all()
+    _, found = evidence(contrast=0)
+    assert (found.weight == 0).all()
+    assert (found.pixels == 0).all()
+
+
+def test_pixels_are_told_apart_within_a_superpixel() -> None:
+    """Tiles of 8 px at the border of the mover hold ground as well; a pixel 3 px from the border is still told."""
+    _, found = evidence(contrast=60)
+    u, told = np.arange(W), {True: [], False: []}
+    for k in range(T):
+        left = 120 + MOVER_PX * k
+        if left % TILE_PX in (3, 4, 5):
+            mixed = slice(left // TILE_PX * TILE_PX, (left // TILE_PX + 1) * TILE_PX)
+            rows = found.of_frame(k)[32:64, mixed]
+            for moves in (True, False):
+                told[moves] += [rows[:, (u[mixed] - left >= 3) if moves else (left - u[mixed] >= 3)]]
+    moving, resting = (np.concatenate([part.ravel() for part in told[moves]]) for moves in (True, False))
+    assert np.median(moving) > 0.5
+    assert np.median(resting) < -0.5
 
 
 def test_pictures_of_a_long_clip_are_held_a_block_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -127,7 +144,8 @@ def test_pictures_of_a_long_clip_are_held_a_block_at_a_time(monkeypatch: pytest.
     sure = pixels.means(np.stack([left_part(k) for k in range(T)]).astype(float)).round()
 
     def found(asked: list[int]) -> np.ndarray:
-        return belonging(pixels, pairs, lambda k: asked.append(k) or frames[k], static_world(), sure)
+        shown = belonging(pixels, pairs, lambda k: asked.append(k) or frames[k], static_world(), sure)
+        return np.concatenate([shown.weight, shown.pixels.ravel()])
 
     asked: list[int] = []
     whole = found([])
@@ -141,8 +159,9 @@ def test_where_nothing_is_known_to_move_there_is_no_evidence() -> None:
     frames = clip(60)
     pixels = tiles()
     pairs = FlowPairs(Dense(flow_columns()))
-    weight = belonging(pixels, pairs, lambda k: frames[k], static_world(), np.full(len(pixels.areas), 0.4))
-    assert (weight == 0).all()
+    found = belonging(pixels, pairs, lambda k: frames[k], static_world(), np.full(len(pixels.areas), 0.4))
+    assert (found.weight == 0).all()
+    assert (found.pixels == 0).all()
 
 
 def test_a_mover_is_not_lost_by_what_the_pictures_add_to_it() -> None:
@@ -157,7 +176,7 @@ def test_a_mover_is_not_lost_by_what_the_pictures_add_to_it() -> None:
     before, _ = persistent(*given)
     pairs = FlowPairs(Dense(columns))
     shown = belonging(pixels, pairs, lambda k: frames[k], static_world(), before)
-    after, instance = persistent(*given, None, shown)
+    after, instance = persistent(*given, None, shown.weight)
     found = [pixels.paint(of, 2) >= 0.5 for of in (before, after)]
     assert instance.max() == 1
     assert (found[1] & square(2)).sum() > 1.3 * (found[0] & square(2)).sum() > 0
@@ -173,7 +192,7 @@ def test_a_logo_beside_a_mover_is_no_part_of_it() -> None:
     columns["flow"][:, logo] = 0
     pairs = FlowPairs(Dense(columns), scene=~logo)
     sure = pixels.means(np.stack([left_part(k) for k in range(T)]).astype(float)).round()
-    weight = belonging(pixels, pairs, lambda k: frames[k], static_world(), sure)
+    weight = belonging(pixels, pairs, lambda k: frames[k], static_world(), sure).weight
     for k in range(T):
         shown = pixels.paint(weight, k)
         assert (shown[inner(logo)] == 0).all()
@@ -181,7 +200,7 @@ def test_a_logo_beside_a_mover_is_no_part_of_it() -> None:
         assert shown[around & inner(~square(k))].max() < 0.1 * MOVING
 
 
-def test_cameras_of_the_round_before_make_a_mover_whole(tmp_path: Path) -> None:
+def test_cameras_of_the_round_before_make_a_mover_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its flow, on half the size of the frames, is known in its left part alone; the pictures show the rest."""
     folder = tmp_path / "clip"
     frames = clip(60)
@@ -208,6 +227,10 @@ def test_cameras_of_the_round_before_make_a_mover_whole(tmp_path: Path) -> None:
     alone, together = overlaps(), overlaps(tmp_path / "poses.parquet", tmp_path / "depth.arrow")
     assert min(np.subtract(together, alone)) > 0.02
     assert np.mean(together) > np.mean(alone) + 0.05
+    with monkeypatch.context() as patch:
+        patch.setattr(refinement, "SHOWN_WEIGHT", 0.0)
+        blunt = overlaps(tmp_path / "poses.parquet", tmp_path / "depth.arrow")
+    assert np.mean(together) > np.mean(blunt) + 0.02, "borders follow what single pixels show"
     with pytest.raises(InputError, match="together with --previous-depth"):
         overlaps(tmp_path / "poses.parquet")
     lost = replace(cameras, status=np.full(T, "failed", object))

@@ -51,6 +51,23 @@ def test_masks_follow_colour_edges() -> None:
     assert overlap(mask, disc) > 0.95
 
 
+def test_masks_follow_what_pictures_show_of_each_pixel() -> None:
+    """A halo and a hidden part without colour edges: the pictures take away the one and add the other."""
+    thing = np.zeros((80, 120), bool)
+    thing[30:50, 40:80] = True
+    taken, lacking = np.roll(thing, -8, axis=1) & ~thing, np.roll(thing, -8, axis=1) & thing
+    prior = 0.2 + 0.5 * cv2.resize((taken | lacking).astype(np.float32), (60, 40), interpolation=cv2.INTER_AREA)
+    shown = cv2.resize(np.where(thing, 1, -1).astype(np.float32), (60, 40), interpolation=cv2.INTER_AREA)
+    rgb = np.full((80, 120, 3), 90, np.uint8)
+    found = [to_mask(smooth_along_edges(prior, rgb, 1.0, 3.0, of), 0.5, OPTIONS.min_area) for of in (None, shown)]
+    assert overlap(found[0], thing) < 0.75
+    assert overlap(found[1], thing) > 0.9
+    surest = to_mask(smooth_along_edges(prior / prior.max(), rgb, 1.0, 3.0, shown), 0.5, OPTIONS.min_area)
+    assert (surest & taken).sum() > 0.7 * taken.sum(), "what is surest is not lost by the pictures alone"
+    unseen = smooth_along_edges(prior, rgb, 1.0, 3.0, np.zeros_like(shown))
+    np.testing.assert_array_equal(unseen, smooth_along_edges(prior, rgb, 1.0, 3.0))
+
+
 def test_specks_go_and_small_holes_close() -> None:
     probability = np.zeros((100, 100), np.float32)
     probability[20:60, 20:60] = 1.0

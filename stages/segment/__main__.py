@@ -165,15 +165,18 @@ def _refined(options: SegmentOptions, frames: Sequence, flow: Path, prior: Path,
     matched = read_dense(flow)
     given = pixels, matched, probability, confidence_of(weight), options.permanence, options.threshold, stated
     sure, instance = persistent(*given)
-    world = _static_world(*previous, flow, size)
+    world, shown = _static_world(*previous, flow, size), None
     if world is not None and instance.any():
         from stages.segment.layers import belonging
 
         pairs = FlowPairs(matched, scene=read_scene_on_grid(frames, size))
-        sure, instance = persistent(*given, belonging(pixels, pairs, picture, world, sure))
+        shown = belonging(pixels, pairs, picture, world, sure)
+        sure, instance = persistent(*given, shown.weight)
 
     def mask(k: int, rgb: np.ndarray) -> Mask:
-        sureness = smooth_along_edges(pixels.paint(sure, k), rgb, options.smoothness, options.colour_sigma)
+        of_pixels = None if shown is None else shown.of_frame(k)
+        edges = options.smoothness, options.colour_sigma
+        sureness = smooth_along_edges(pixels.paint(sure, k), rgb, *edges, of_pixels)
         threshold = guarded_threshold(sureness, DYNAMIC, options.max_share)
         dynamic = to_mask(sureness, threshold, options.min_area)
         return Mask(dynamic, to_instances(dynamic, pixels.paint(instance, k)), threshold > DYNAMIC)

@@ -45,6 +45,10 @@ CLEAR = 0.1, 0.4
 """Difference of the residuals, in tolerances, from which on it counts, and from which on fully."""
 MATCHED = 1.0
 """Residual of the mover, in tolerances, up to which it explains the pictures; from twice as much on it does not."""
+SURELY_MATCHED = 0.75
+"""The same for a single pixel, of the mover or of the static scene: no mean over a superpixel makes up for chance."""
+SHOWN_MOST = 127
+"""What a pixel shows is kept as a whole number: this much is one."""
 LEAST_SHARE = 1e-3
 """Share of what is extended among the pixels around, below which nothing is known of it: the Gaussian is cut off."""
 NEAR_ENOUGH = 0.15
@@ -59,20 +63,43 @@ class StaticWorld(NamedTuple):
     inverse_depth: Callable[[int], np.ndarray]
 
 
+class Belonging(NamedTuple):
+    """What the pictures give to movers, and, negative, to the static scene.
+
+    Attributes:
+        weight: [N] with which they say so of a superpixel, relative to certain motion by the flow.
+        pixels: [T, h, w] int8, how clearly they say so of a pixel, in SHOWN_MOST.
+    """
+
+    weight: np.ndarray
+    pixels: np.ndarray
+
+    def of_frame(self, k: int) -> np.ndarray:
+        """How clearly [h, w] each pixel of frame k moves, -1..1."""
+        return np.asarray(self.pixels[k].astype(np.float32) / SHOWN_MOST)
+
+
 def belonging(
     pixels: Superpixels, pairs: FlowPairs, picture: Callable[[int], np.ndarray], world: StaticWorld, sure: np.ndarray
-) -> np.ndarray:
-    """Weight [N] with which the pictures say that a superpixel belongs to a mover, negative if to the static scene.
+) -> Belonging:
+    """What the pictures of a clip give to its movers and to the static scene.
 
     Args:
         picture: gives frame k [h, w, 3] uint8 on the flow grid.
         sure: [N] of `permanence.persistent`, from DYNAMIC on what is known to move.
     """
     T, found = len(pixels.labels), []
+    shown = np.zeros(pixels.labels.shape, np.int8)
 
     def of_frame(k: int, frames: dict[int, np.ndarray]) -> np.ndarray:
         part, seen = pixels.part(k, k + 1), pixels.paint(sure, k).astype(np.float32)
-        images = _compared(k, seen, pairs, frames, world) if (seen >= DYNAMIC).any() else np.zeros((3, *seen.shape))
+        if not (seen >= DYNAMIC).any():
+            return np.zeros((3, len(part.areas)))
+        static, moved, share = _compared(k, seen, pairs, frames, world)
+        moving, resting = _clear(static - moved)
+        clear = moving * _matches(moved, SURELY_MATCHED) - resting * _matches(static, SURELY_MATCHED)
+        shown[k] = np.rint(SHOWN_MOST * _near(share) * clear)
+        images = np.clip(static - moved, -1, 1), np.minimum(moved, 2 * MATCHED), share
         return np.stack([part.means([image]) for image in images])
 
     for first, last in pairs.blocks(T, "movers against the static scene"):
@@ -80,16 +107,32 @@ def belonging(
         frames = dict(zip(near, threaded(picture, near), strict=True))
         found += threaded(of_frame, range(first, last), itertools.repeat(frames))
     excess, residual, share = np.concatenate(found, axis=1)
-    near, (low, high) = np.clip(share / NEAR_ENOUGH, 0, 1), CLEAR
+    moving, resting = _clear(excess)
+    weight = MOVING * moving * _matches(residual, MATCHED) - RESTING * resting * (sure < DYNAMIC)
+    return Belonging(_near(share) * weight, shown)
+
+
+def _clear(excess: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """How clearly, 0..1, a static residual that is larger by this much speaks of motion, and of rest, of any shape."""
+    low, high = CLEAR
     moving, resting = (np.clip((of - low) / (high - low), 0, 1) for of in (excess, -excess))
-    moving *= np.clip(2 - residual / MATCHED, 0, 1)
-    return np.asarray(near * (MOVING * moving - RESTING * resting * (sure < DYNAMIC)))
+    return moving, resting
+
+
+def _matches(residual: np.ndarray, matched: float) -> np.ndarray:
+    """How well, 0..1, a residual of any shape explains the pictures: fully up to `matched`, from twice that on not."""
+    return np.asarray(np.clip(2 - residual / matched, 0, 1))
+
+
+def _near(share: np.ndarray) -> np.ndarray:
+    """How far, 0..1, the motion of movers counts that are this share of the pixels around, of any shape."""
+    return np.asarray(np.clip(share / NEAR_ENOUGH, 0, 1))
 
 
 def _compared(
     i: int, sure: np.ndarray, pairs: FlowPairs, frames: dict[int, np.ndarray], world: StaticWorld
 ) -> np.ndarray:
-    """Static residual minus that of the mover, in -1..1, that of the mover, both in tolerances, and the share of movers
+    """Static residual and that of the mover, in tolerances, both 0 where nothing is compared, and the share of movers
     around, [3, h, w].
 
     The better of earlier and later frames counts: what is hidden on one side is usually seen on the other.
@@ -103,7 +146,7 @@ def _compared(
     known = np.isfinite(static) & np.isfinite(moved)
     static, moved = np.where(known, static, 0), np.where(known, moved, 0)
     around = _extended(mover[..., None], mover, _on_grid(MOTION_PX[-1], sure))[1]
-    return np.stack([np.clip(static - moved, -1, 1), np.minimum(moved, 2 * MATCHED), around])
+    return np.stack([static, moved, around])
 
 
 def _residuals(

@@ -6,19 +6,32 @@ import numpy as np
 from stages.shared.images import enlarge
 
 REFERENCE_WIDTH = 512
+SHOWN_WEIGHT = 0.8
+"""Weight of what pictures show of a pixel, relative to that of its sureness: what is surest is not lost by it alone."""
 
 
-def smooth_along_edges(image: np.ndarray, rgb: np.ndarray, smoothness: float, colour_sigma: float) -> np.ndarray:
+def smooth_along_edges(
+    image: np.ndarray, rgb: np.ndarray, smoothness: float, colour_sigma: float, shown: np.ndarray | None = None
+) -> np.ndarray:
     """An image [h, w] in 0..1 spread over the frame rgb [H, W, 3] uint8 up to its colour edges, [H, W] float32 in 0..1.
 
     Weighted least squares: min_u sum (u - p)^2 + smoothness * sum exp(-|colour step| / colour_sigma) |grad u|^2, by the
     fast global smoother (Min et al., TIP 2014). The reach in pixels grows with the root of the weight, hence the
     scaling by the squared frame width.
+
+    Args:
+        shown: [h, w] in -1..1, what pictures show of each pixel: with a weight of SHOWN_WEIGHT |shown| it is averaged
+            with the image, as 1 where it is positive, as 0 where it is negative (normalised convolution, Knutsson and
+            Westin, CVPR 1993).
     """
     H, W = rgb.shape[:2]
-    full = enlarge(image.astype(np.float32), (W, H))
     weight = smoothness * (W / REFERENCE_WIDTH) ** 2
-    smoothed = cv2.ximgproc.fastGlobalSmootherFilter(rgb, full, weight, colour_sigma)
+    smoother = cv2.ximgproc.createFastGlobalSmootherFilter(rgb, weight, colour_sigma)
+    full = enlarge(image.astype(np.float32), (W, H))
+    if shown is None or not shown.any():
+        return np.asarray(np.clip(smoother.filter(full), 0, 1))
+    says = SHOWN_WEIGHT * enlarge(shown.astype(np.float32), (W, H))
+    smoothed = smoother.filter(full + np.maximum(says, 0)) / smoother.filter(1 + np.abs(says))
     return np.asarray(np.clip(smoothed, 0, 1))
 
 
