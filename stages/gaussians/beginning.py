@@ -64,6 +64,7 @@ def begin(
         logger.warning("gaussians: the poses failed: a static scene is trained before a camera at rest")
     about: dict[str, Any] = {"status": "poses failed" if failed else "trained"}
     seen = read_observations(sequence, masks, poses, depth, options, scratch)
+    options = options.of_length(len(seen.images))
     if 0 < options.steps < len(seen.images):
         few = "gaussians: %d steps see as many of %d training frames; raise gaussians: {steps: ...}"
         logger.warning(few, options.steps, len(seen.images))

@@ -1,18 +1,27 @@
 """Options of Gaussian training."""
 
-from typing import Literal
+import math
+from typing import Literal, Self
 
 from pydantic import Field
 
 from stages.shared.options import MAX_SEED
 from stages.shared.split import SplitOptions
 
+LONG_CLIP = 80
+"""Training frames up to which a clip is trained in `steps` steps; a longer one takes as many more as it has frames
+more, since in as many steps fewer would see each of its frames."""
+
 
 class GaussiansOptions(SplitOptions):
     """Two-stage training of the 4D Gaussian scene (stage 2)."""
 
     steps: int = Field(
-        1000, ge=0, le=100_000, description="optimisation steps, one training frame each; 0: the result of stage 1"
+        1000,
+        ge=0,
+        le=100_000,
+        description="optimisation steps, one training frame each, of up to 80 training frames; more frames take more"
+        " steps in proportion; 0: the result of stage 1",
     )
     stride_px: int = Field(
         2, ge=1, le=16, description="one initial Gaussian per this many pixels, each way; of movers one px finer"
@@ -40,3 +49,7 @@ class GaussiansOptions(SplitOptions):
     ssim_weight: float = Field(0.2, ge=0, le=1, description="share of D-SSIM in the photometric loss; the rest is L1")
     seed: int = Field(0, ge=0, le=MAX_SEED, description="seed of the order of frames")
     device: Literal["auto", "cpu", "cuda"] = Field("auto", description="where to train")
+
+    def of_length(self, frames: int) -> Self:
+        """The options with the steps of a clip of so many training frames."""
+        return self.model_copy(update={"steps": math.ceil(self.steps * max(1.0, frames / LONG_CLIP))})
