@@ -18,7 +18,7 @@ from stages.gaussians.optimise import Trainer
 from stages.gaussians.options import GaussiansOptions
 from stages.gaussians.training_frames import TrainingFrames
 from stages.shared.artifacts import read_metadata, read_model, write_model
-from stages.splatting import gaussian_model
+from stages.splatting import placed
 from stages.splatting.cloud import Cloud
 from stages.splatting.gaussian_model import GaussianScene
 from stages.splatting.life_spans import ALWAYS, presence
@@ -121,7 +121,7 @@ def test_what_is_too_transparent_at_a_time_is_left_out_and_nothing_changes(monke
     dynamic = len(scene.anchors) - scene.n_static
     assert 0 < len(rows) - scene.n_static < 0.8 * dynamic
     seen = image_at(scene, 4)
-    monkeypatch.setattr(gaussian_model, "MIN_ALPHA", -1.0)
+    monkeypatch.setattr(placed, "MIN_ALPHA", -1.0)
     assert len(scene.opacities_at(0.5)[0]) == len(scene.anchors)
     assert np.array_equal(image_at(scene, 4), seen)
 

@@ -1,5 +1,6 @@
 """The Gaussians at a moment: the kernel against torch's operations, with all its gradients."""
 
+import numpy as np
 import pytest
 import torch
 from gaussian_scene import true_motion
@@ -7,7 +8,9 @@ from test_gaussians import small_cloud
 
 from stages.splatting.colours import ColourTable
 from stages.splatting.gaussian_model import GaussianScene
-from stages.splatting.placed import TRAINED, Placed
+from stages.splatting.life_spans import presence
+from stages.splatting.placed import TRAINED, Placed, drawn
+from stages.splatting.raster_bins import MIN_ALPHA
 
 
 def scene(lives: bool, coloured: bool, moving: bool = True) -> GaussianScene:
@@ -54,6 +57,40 @@ def test_values_and_gradients_equal_those_of_torch(lives: bool, coloured: bool, 
             assert torch.allclose(gradient, expected_gradient, rtol=1e-4, atol=1e-5 * largest), name
     assert (by_kernel["deformation.table"] is None) == detach
     assert (by_kernel["gaussians.drifts"] is None) == (not lives)
+
+
+@pytest.mark.parametrize("n_static", [0, 150])
+def test_gaussians_that_are_not_there_have_no_gradient(n_static: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever the memory held before: also those before the first and after the last that is there, and all."""
+    own = scene(lives=True, coloured=False)
+    cloud = own.cloud()
+    cloud.dynamic[n_static:] = True
+    cloud.log_spans[:] = -2
+    own.set_cloud(cloud)
+    monkeypatch.setattr(np, "empty", lambda shape, dtype=float: np.full(shape, 7, dtype))
+    kept = torch.arange(n_static)
+    for rows in (torch.cat([kept, torch.tensor([160, 161, 170])]), kept):
+        found = gradients(own, own.placed(0.3, rows=rows))
+        away = torch.ones(200, dtype=torch.bool)
+        away[rows] = False
+        for name in TRAINED:
+            gradient = found[f"gaussians.{name}"]
+            assert gradient is not None
+            assert (gradient[away] == 0).all(), name
+        for name in ("log_spans", "drifts"):
+            assert (found[f"gaussians.{name}"][:n_static] == 0).all(), name  # type: ignore[index]
+
+
+@pytest.mark.parametrize("threads", ["1", "3"])
+def test_what_is_drawn_is_what_torch_finds_opaque_enough(threads: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("OMP_NUM_THREADS", threads)
+    generator = torch.manual_seed(5)
+    births, logits = torch.rand(501, generator=generator), 3 * torch.randn(501, generator=generator)
+    log_spans = torch.randn(501, generator=generator) - 2
+    opacities = logits.sigmoid() * presence(births, log_spans, 0.4)
+    rows = drawn(births, logits, log_spans, 0.4)
+    assert 100 < len(rows) < 400
+    assert torch.equal(rows, torch.nonzero(opacities > MIN_ALPHA)[:, 0])
 
 
 def test_a_static_scene_is_where_its_parameters_say() -> None:

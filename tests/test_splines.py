@@ -25,6 +25,9 @@ def test_the_spline_through_the_same_knots_is_solved_once(monkeypatch: pytest.Mo
             basis = splines.spline_basis(torch.tensor(scale * knots), np.array([time]))
             assert np.allclose(basis.numpy()[0] @ values, oracle(time))
         assert solved == [23] * count
+    for time in (0.1, 0.2):
+        splines.spline_basis(torch.tensor(knots), np.array([time]), left_out=11)
+    assert solved[2:] == [2 * splines.NEAR]
 
 
 @pytest.mark.parametrize("F", [3, 5, 40])

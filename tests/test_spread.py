@@ -9,7 +9,7 @@ import pytest
 from conftest import REPO
 
 from stages import KERNEL_TYPES, kernels_compiled
-from stages.shared.threads import spread
+from stages.shared.threads import beside, spread
 
 TYPES = {
     2: {
@@ -60,6 +60,35 @@ def test_work_within_work_ends(monkeypatch: pytest.MonkeyPatch) -> None:
 
     spread(rows, 8)
     assert (times == 1).all()
+
+
+def test_what_runs_beside_is_another_thread_at_work_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("OMP_NUM_THREADS", "2")
+    both = threading.Barrier(2, timeout=30)
+
+    def met(number: int) -> int:
+        both.wait()
+        return number
+
+    result = beside(met, 7)
+    both.wait()
+    assert result() == 7
+
+
+@pytest.mark.parametrize("threads", ["1", "2"])
+def test_what_no_thread_has_begun_is_done_by_the_caller(threads: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("OMP_NUM_THREADS", threads)
+    busy = threading.Event()
+    waiting = beside(busy.wait)
+    assert beside(threading.current_thread)() is threading.current_thread()
+    busy.set()
+    assert waiting()
+
+
+def test_an_error_beside_reaches_the_caller(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("OMP_NUM_THREADS", "2")
+    with pytest.raises(ZeroDivisionError):
+        beside(lambda: 1 / 0)()
 
 
 def test_kernels_count_as_compiled_once_there_is_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,6 +12,8 @@ from stages.shared.torch_threads import one_torch_thread
 
 HELD = 2
 """Sets of knots whose splines are kept: 32 bytes for the square of their number. A model has one set."""
+HELD_NEARBY = 1024
+"""Of at most 2 NEAR knots each: 8 MB. A model has one for each frame, and training asks for them over and over."""
 NEAR = 8
 """Knots on each side that count where one is left out: those beyond have a weight of less than 1e-4."""
 
@@ -29,12 +31,13 @@ class _AtTimes(torch.autograd.Function):
     def forward(ctx: Any, basis: Tensor, table: Tensor) -> Tensor:
         ctx.save_for_backward(basis)
         with one_torch_thread():
-            return torch.einsum("bf,fpc->bpc", basis, table)
+            return (basis @ table.reshape(len(table), -1)).reshape(len(basis), *table.shape[1:])
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[None, Tensor]:
         with one_torch_thread():
-            return None, torch.einsum("bf,bpc->fpc", *ctx.saved_tensors, gradients[0])
+            (basis,), (gradient,) = ctx.saved_tensors, gradients
+            return None, (basis.T @ gradient.reshape(len(basis), -1)).reshape(-1, *gradient.shape[1:])
 
 
 def spline_basis(knots: Tensor, times: np.ndarray, left_out: int | None = None) -> Tensor:
@@ -52,13 +55,19 @@ def spline_basis(knots: Tensor, times: np.ndarray, left_out: int | None = None) 
     first = max(0, left_out - NEAR)
     others = np.delete(np.arange(first, min(len(ascending), left_out + NEAR + 1)), left_out - first)
     weights = np.zeros((len(times), len(ascending)))
-    weights[:, others] = _spline(ascending[others])(times.astype(float))
+    weights[:, others] = _nearby(ascending[others].tobytes())(times.astype(float))
     return torch.as_tensor(weights)
 
 
 @lru_cache(HELD)
 def _cardinal(knots: bytes) -> CubicSpline:
     """`_spline` of knots as float64: its cost grows with the square of their number."""
+    return _spline(np.frombuffer(knots))
+
+
+@lru_cache(HELD_NEARBY)
+def _nearby(knots: bytes) -> CubicSpline:
+    """The same of few knots: all but one around a knot."""
     return _spline(np.frombuffer(knots))
 
 

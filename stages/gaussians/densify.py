@@ -6,7 +6,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from stages.gaussians import record_kernels
 from stages.shared import quaternions
+from stages.shared.threads import spread
 from stages.splatting.cloud import Cloud
 
 MIN_OPACITY = 0.01
@@ -35,14 +37,14 @@ class GradientRecord:
 
     def add(self, gradient: Tensor, rows: Tensor | None = None) -> None:
         """Add the gradient [1, M, 2] of one step, of the Gaussians in `rows` [M], all of them if None."""
+        rows = torch.arange(len(self.total), device=gradient.device) if rows is None else rows
+        if not gradient.is_cuda:
+            given = (gradient[0], rows, self.total, self.views)
+            spread(record_kernels.add, len(rows), *(values.contiguous().numpy() for values in given))
+            return
         length = gradient[0].norm(dim=-1)
-        drawn = (length > 0).to(length)
-        if rows is None:
-            self.total += length
-            self.views += drawn
-        else:
-            self.total.index_add_(0, rows, length)
-            self.views.index_add_(0, rows, drawn)
+        self.total.index_add_(0, rows, length)
+        self.views.index_add_(0, rows, (length > 0).to(length))
 
     @property
     def mean(self) -> Tensor:

@@ -11,6 +11,7 @@ from torch import Tensor
 from stages.deformation.motion_models import TableDeformation
 from stages.gaussians.densify import GradientRecord, densify
 from stages.gaussians.options import GaussiansOptions
+from stages.gaussians.rigidity import add_gradients, rigidity
 from stages.gaussians.ssim import Target, photometric_loss
 from stages.gaussians.training_frames import TrainingFrames
 from stages.shared.adam import Adam
@@ -19,6 +20,7 @@ from stages.shared.frame_store import Computed
 from stages.shared.heap import keep_freed_memory
 from stages.shared.log import progress
 from stages.shared.psnr import psnr_db
+from stages.shared.threads import beside
 from stages.shared.torch_threads import one_torch_thread
 from stages.splatting.gaussian_model import GaussianScene
 from stages.splatting.rasterize import Rendering
@@ -129,7 +131,8 @@ class Trainer:
         """One step on one training frame; returns the loss and the PSNR (dB) of that frame before the step.
 
         Torch runs on one thread: an operation on some ten thousand Gaussians is over before its threads have met, and
-        where another process shares the cores they wait for each other. The kernels use all threads.
+        where another process shares the cores they wait for each other. The kernels use all threads, and ARAP has one
+        of its own from the render on.
         """
         f = self._frame_of_step()
         self._set_rates()
@@ -139,18 +142,19 @@ class Trainer:
             view.centres[0].retain_grad()
         if self.seen_pixels is not None:  # what is burnt in has neither residual nor gradient
             image = torch.where(self.seen_pixels, image, target.image)
+        rigid = beside(rigidity, self.motion, self.arap_weight, self._arap_times(f))
         loss, squared = photometric_loss(image, target, self.options.ssim_weight)
-        if self.motion is not None and self.arap_weight > 0:
-            loss = loss + self.arap_weight * self.motion.arap_loss(self._arap_times(f))
         if self.scene.poses is not None:
             loss = loss + POSE_WEIGHT * self.scene.poses.size()
         loss.backward()  # type: ignore[no-untyped-call]
+        term, gradients = rigid()
+        add_gradients(gradients)
         self.optimiser.step()
         self.optimiser.zero_grad()
         for view in views:
             if view.centres[0].grad is not None:
                 self.record.add(view.centres[0].grad, view.rows)
-        return float(loss.detach()), psnr_db(float(squared))
+        return float(loss.detach() + term), psnr_db(float(squared))
 
     def _frame_of_step(self) -> int:
         """Index of the frame of this step: each frame once per epoch, in random order by seed and epoch."""

@@ -52,6 +52,23 @@ def spread(kernel: Callable[..., Any], count: int, *arguments: Any) -> None:
             helper.result()
 
 
+def beside(function: Callable[..., ResultT], *arguments: Any) -> Callable[[], ResultT]:
+    """Begin `function(*arguments)` on another thread of the job; what is returned waits for its result and gives it.
+
+    A thread that is at work on it takes no runs of `spread` meanwhile. If none has begun by the time that the result is
+    asked for, or the job has a single thread, the caller works on it.
+    """
+    threads = int(os.environ["OMP_NUM_THREADS"])
+    begun = _pool(threads - 1).submit(function, *arguments) if threads > 1 else None
+
+    def result() -> ResultT:
+        if begun is None or begun.cancel():
+            return function(*arguments)
+        return begun.result()
+
+    return result
+
+
 @functools.cache
 def _pool(threads: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(threads)

@@ -1,9 +1,12 @@
 """Exposure and white balance: gains per training frame, for scenes whose brightness or tint changes."""
 
+from typing import Any
+
 import torch
 from torch import Tensor
 
 from stages.deformation.splines import linear_basis
+from stages.splatting import gain_kernels
 
 
 class Exposure(torch.nn.Module):
@@ -28,3 +31,27 @@ class Exposure(torch.nn.Module):
         shares = linear_basis(self.knots, time)
         centred = self.log_gains - self.log_gains.mean(dim=0)
         return (shares.to(centred) @ centred).exp().expand(3)
+
+
+def lit(colour: Tensor, gain: Tensor) -> Tensor:
+    """Colours [..., W, 3] times the gain [3], differentiable in both."""
+    if colour.is_cuda:
+        return colour * gain
+    product: Tensor = _Lit.apply(colour, gain)  # type: ignore[no-untyped-call]
+    return product
+
+
+class _Lit(torch.autograd.Function):
+    """The kernels of `gain_kernels`; the gain's gradient is summed row by row of the image."""
+
+    @staticmethod
+    def forward(ctx: Any, colour: Tensor, gain: Tensor) -> Tensor:
+        ctx.saved = colour.detach().reshape(-1, 3).numpy(), gain.detach().contiguous().numpy(), colour.shape
+        return torch.from_numpy(gain_kernels.lit(*ctx.saved[:2])).view(colour.shape)
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, Tensor]:
+        colour, gain, shape = ctx.saved
+        g = gradients[0].reshape(-1, 3).numpy()
+        g_colour, g_gain = gain_kernels.lit_adjoint(colour, gain, g, shape[-2])
+        return torch.from_numpy(g_colour).view(shape), torch.from_numpy(g_gain)

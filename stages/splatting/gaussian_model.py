@@ -10,11 +10,10 @@ from stages.splatting import sh
 from stages.splatting.atmosphere import Atmosphere
 from stages.splatting.cloud import Cloud
 from stages.splatting.colours import ColourTable
-from stages.splatting.gains import Exposure
+from stages.splatting.gains import Exposure, lit
 from stages.splatting.life_spans import ALWAYS, REACH, presence, rows_of
-from stages.splatting.placed import Canonical, Motion, Placed, place
+from stages.splatting.placed import Canonical, Motion, Placed, drawn, place
 from stages.splatting.pose_table import PoseTable
-from stages.splatting.raster_bins import MIN_ALPHA
 from stages.splatting.rasterize import Rendering, rasterize
 
 
@@ -105,7 +104,8 @@ class GaussianScene(torch.nn.Module):
     @property
     def fading(self) -> bool:
         """Whether any Gaussian has a life span."""
-        return bool((self.gaussians["log_spans"] < ALWAYS).any())
+        spans = self.gaussians["log_spans"].detach()
+        return len(spans) > 0 and bool(spans.amin() < ALWAYS)
 
     @property
     def sh_degree(self) -> int:
@@ -173,10 +173,7 @@ class GaussianScene(torch.nn.Module):
         if not self.fading:
             return None
         n, values = self.n_static, self.gaussians
-        # Torch rounds elements outside of whole vectors differently; which ones these are depends on its threads.
-        with one_torch_thread():
-            now = values["logits"][n:].sigmoid() * presence(self.births[n:], values["log_spans"][n:], time)
-            there = torch.nonzero(now > MIN_ALPHA)[:, 0]
+        there = drawn(self.births[n:], values["logits"][n:], values["log_spans"][n:], time)
         return torch.cat([torch.arange(n, device=there.device), n + there])
 
     def placed(self, time: float, detach: bool = False, rows: Tensor | None = None) -> Placed:
@@ -213,8 +210,9 @@ class GaussianScene(torch.nn.Module):
             viewmat = self.poses(time) @ viewmat.double()
         rows = self.rows_at(time)
         means, quats, scales, opacities, sh_dc = self.placed(time, detach, rows)
-        rest = rows_of(self.gaussians["sh_rest"], rows)
-        coefficients = sh_dc if self.sh_degree == 0 else torch.cat([sh_dc, rest], dim=1)
+        coefficients = sh_dc
+        if self.sh_degree > 0:
+            coefficients = torch.cat([sh_dc, rows_of(self.gaussians["sh_rest"], rows)], dim=1)
         colours, degree = self._through_air(coefficients, means, viewmat)
         rendering = rasterize(
             means,
@@ -233,7 +231,7 @@ class GaussianScene(torch.nn.Module):
         rendering = rendering._replace(rows=rows)
         if self.exposure is None:
             return rendering
-        return rendering._replace(colour=rendering.colour * self.exposure(time))
+        return rendering._replace(colour=lit(rendering.colour, self.exposure(time)))
 
     def _through_air(self, coefficients: Tensor, means: Tensor, viewmat: Tensor) -> tuple[Tensor, int | None]:
         """What the rasteriser is to draw: coefficients and their degree, or colours [N, 3] behind the fog."""

@@ -9,6 +9,8 @@ from torch import Tensor
 from stages.deformation import lbs_kernels, weight_kernels
 from stages.shared.threads import spread
 from stages.splatting import placed_kernels
+from stages.splatting.life_spans import presence
+from stages.splatting.raster_bins import MIN_ALPHA
 
 
 class Placed(NamedTuple):
@@ -77,6 +79,16 @@ def place(parameters: Any, fixed: Canonical, motion: Motion | None, time: float,
     return Placed(*_Place.apply(fixed, time, rows, *motion, *raw))  # type: ignore[no-untyped-call]
 
 
+def drawn(births: Tensor, logits: Tensor, log_spans: Tensor, time: float) -> Tensor:
+    """Ascending indices of those of D Gaussians, given by their parameters [D], that are opaque enough to be drawn."""
+    if births.device.type != "cpu":
+        return torch.nonzero(logits.sigmoid() * presence(births, log_spans, time) > MIN_ALPHA)[:, 0]
+    there, least = np.empty(len(births), bool), np.float32(MIN_ALPHA)
+    arrays = [_array(values) for values in (births, logits, log_spans)]
+    spread(placed_kernels.drawn, len(there), np.float32(time), least, *arrays, there)
+    return torch.from_numpy(np.flatnonzero(there))
+
+
 class _Place(torch.autograd.Function):
     """The kernels of `placed_kernels` around those of skinning, which see the dynamic Gaussians alone."""
 
@@ -109,7 +121,7 @@ class _Place(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
-        _, n_static, _, fading = ctx.life
+        chosen, n_static, _, fading = ctx.life
         g_means, g_quats, g_scales, g_opacities, g_constant = map(_array, gradients)
         g_motion: list[np.ndarray | None] = [None] * 5
         if ctx.skinned is not None:
@@ -123,7 +135,10 @@ class _Place(torch.autograd.Function):
             if coloured:
                 shade = g_constant[n_static:, 0]
                 g_motion[4] = weight_kernels.blend_values_adjoint(shade, weights, near, len(radii))
-        g_raw: list[np.ndarray | None] = [np.zeros(shape, np.float32) for shape in ctx.shapes]
+        filled = [np.empty(shape, np.float32) for shape in ctx.shapes]
+        for values in filled:
+            values[: chosen[0] if len(chosen) else None] = 0  # the kernel clears what is not there after a row
+        g_raw: list[np.ndarray | None] = [*filled]
         given = g_means, g_quats, g_scales, g_opacities, g_constant
         spread(placed_kernels.place_adjoint, len(g_means), *ctx.life, *ctx.saved, *given, *g_raw)
         if not fading:  # without life spans neither they nor drifts are trained

@@ -10,7 +10,7 @@ from numba import njit
 from stages.shared.quaternion_kernels import FAST, ONE
 from stages.splatting.life_spans import REACH
 
-HALF, FARTHEST = np.float32(0.5), np.float32(REACH)
+HALF, ZERO, FARTHEST = np.float32(0.5), np.float32(0), np.float32(REACH)
 EXACT = FAST | {"fastmath": False}
 """Without fused multiply-add: means and drifts round as where they are written to a file, which then renders the same.
 """
@@ -20,6 +20,21 @@ EXACT = FAST | {"fastmath": False}
 def _age(births: np.ndarray, log_spans: np.ndarray, time: np.float32, n: int) -> np.float32:
     """Spans since the birth of Gaussian n."""
     return (time - births[n]) * np.exp(-log_spans[n])
+
+
+@njit(inline="always", **EXACT)
+def _opacity(logits: np.ndarray, n: int) -> np.float32:
+    """Largest opacity of Gaussian n."""
+    return ONE / (ONE + np.exp(-logits[n]))
+
+
+@njit(**EXACT)
+def drawn(first: int, last: int, time: np.float32, least: np.float32, births: np.ndarray, logits: np.ndarray,
+          log_spans: np.ndarray, there: np.ndarray) -> None:  # fmt: skip
+    """Fill `there` [D] bool: whether the opacity at `time` of Gaussians with these parameters [D] exceeds `least`."""
+    for n in range(first, last):
+        age = _age(births, log_spans, time, n)
+        there[n] = _opacity(logits, n) * np.exp(-HALF * age * age) > least
 
 
 @njit(**EXACT)
@@ -33,7 +48,7 @@ def place(first: int, last: int, rows: np.ndarray, n_static: int, time: np.float
     squared distances from them. `time`, `fading` and the parameters as in `placed.place`."""
     for m in range(first, last):
         n = rows[m]
-        opacities[m] = ONE / (ONE + np.exp(-logits[n]))
+        opacities[m] = _opacity(logits, n)
         for a in range(3):
             means[m, a] = anchors[n, a] + footprints[n] * offsets[n, a]
             scales[m, a] = np.exp(log_scales[n, a])
@@ -61,9 +76,14 @@ def place_adjoint(first: int, last: int, rows: np.ndarray, n_static: int, time: 
                   g_scales: np.ndarray, g_opacities: np.ndarray, g_constant: np.ndarray, g_offsets: np.ndarray,
                   g_log_scales: np.ndarray, g_quats: np.ndarray, g_logits: np.ndarray, g_log_spans: np.ndarray,
                   g_drifts: np.ndarray, g_sh_dc: np.ndarray) -> None:  # fmt: skip
-    """Fill the rows of the parameters' gradients from those of what `place` filled: no gradient by the distances."""
+    """Fill the parameters' gradients from those of what `place` filled: no gradient by the distances.
+
+    Zeros go to the Gaussians from each row to the next one, which are not there.
+    """
     for m in range(first, last):
-        n = rows[m]
+        n, after = rows[m], rows[m + 1] if m + 1 < len(rows) else len(g_logits)
+        g_offsets[n + 1 : after] = g_log_scales[n + 1 : after] = g_quats[n + 1 : after] = ZERO
+        g_logits[n + 1 : after] = g_sh_dc[n + 1 : after] = g_log_spans[n:after] = g_drifts[n:after] = ZERO
         for a in range(3):
             g_offsets[n, a] = footprints[n] * g_means[m, a]
             g_log_scales[n, a] = scales[m, a] * g_scales[m, a]
