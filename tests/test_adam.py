@@ -3,6 +3,7 @@
 import subprocess
 import sys
 
+import pytest
 import torch
 
 from stages.shared.adam import Adam
@@ -22,7 +23,10 @@ def trained(kind: type[torch.optim.Adam]) -> list[torch.Tensor]:
     return [p.detach(), q.detach(), *(optimiser.state[p][name] for name in ("exp_avg", "exp_avg_sq", "step"))]
 
 
-def test_steps_are_those_of_torch_bit_for_bit() -> None:
+@pytest.mark.parametrize("threads", ["1", "2"])
+def test_steps_are_those_of_torch_bit_for_bit(threads: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A single thread takes all groups at once."""
+    monkeypatch.setenv("OMP_NUM_THREADS", threads)
     for own, torchs in zip(trained(Adam), trained(torch.optim.Adam), strict=True):
         assert torch.equal(own, torchs)
 

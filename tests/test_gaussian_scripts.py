@@ -92,6 +92,13 @@ def test_a_long_clip_is_trained_in_more_steps(tmp_path: Path, monkeypatch: pytes
     assert start.trainer.history.step[-1] == 23
 
 
+@pytest.mark.parametrize(("frames", "steps"), [(2, 400), (80, 400), (81, 405), (83, 415), (875, 4375)])
+def test_steps_are_in_proportion_to_the_frames_of_a_long_clip(frames: int, steps: int) -> None:
+    """Exactly: 400 * (83 / 80) in floating point is more than 415."""
+    assert GaussiansOptions(steps=400).of_length(frames).steps == steps
+    assert GaussiansOptions(steps=0).of_length(frames).steps == 0
+
+
 def test_stage_one_alone_gives_a_scene_that_renders(tmp_path: Path) -> None:
     """No step: what depth, masks and the control points' motion give."""
     inputs, results = write_inputs(tmp_path), outputs(tmp_path / "out")

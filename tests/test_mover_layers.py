@@ -136,6 +136,19 @@ def test_pixels_are_told_apart_within_a_superpixel() -> None:
     assert np.median(resting) < -0.5
 
 
+@pytest.mark.parametrize("left", [136, 100])
+def test_a_pixel_that_neither_explains_is_given_to_neither(left: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Flicker on the mover or beside it: one motion matches a little better by chance."""
+    random, frames = np.random.default_rng(1), clip(60)
+    flicker = np.zeros((H, W), bool)
+    flicker[32:64, left : left + 20] = True
+    frames[:, flicker] = random.integers(0, 256, (T, int(flicker.sum()), 3))
+    monkeypatch.setattr("test_mover_layers.clip", lambda *_: frames)
+    _, found = evidence(contrast=60)
+    inside = cv2.erode(flicker.astype(np.uint8), np.ones((9, 9), np.uint8)) > 0
+    assert np.abs(np.stack([found.of_frame(k)[inside] for k in range(T)])).mean() < 0.01
+
+
 def test_pictures_of_a_long_clip_are_held_a_block_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of five frames in blocks of one, each seen with its neighbours: those of edges over at most one frame."""
     frames, pixels, known = clip(60), tiles(), flow_columns()

@@ -1,10 +1,15 @@
 """The kernels of a training step outside the rasteriser, and what runs beside it, against torch's operations."""
 
+import gaussian_scene as truth
 import pytest
 import torch
 from gaussian_scene import true_motion
+from gaussian_training import TRAIN, new_scene
 
+from stages.gaussians import optimise
 from stages.gaussians.densify import GradientRecord
+from stages.gaussians.optimise import Trainer
+from stages.gaussians.options import GaussiansOptions
 from stages.gaussians.rigidity import add_gradients, rigidity
 from stages.splatting.gains import lit
 
@@ -68,3 +73,26 @@ def test_without_motion_or_weight_nothing_is_rigid() -> None:
         term, gradients = rigidity(motion, weight, torch.tensor([0.5]))
         assert float(term) == 0
         assert gradients == []
+
+
+@pytest.mark.parametrize("threads", ["1", "3"])
+def test_a_step_adds_rigidity_to_its_loss_and_its_gradient(threads: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Adam's first moments after a step are a tenth of the gradient."""
+    monkeypatch.setenv("OMP_NUM_THREADS", threads)
+    monkeypatch.setattr(optimise, "LEFT_OUT_SHARE", 0.0)
+    seen, weight, found = truth.observations(TRAIN), 0.3, []
+    for of in (0.0, weight):
+        scene = new_scene(seen)
+        assert scene.deformation is not None
+        table = scene.deformation.get_parameter("table")
+        table.data += 0.1 * torch.randn(table.shape, generator=torch.manual_seed(1))
+        trainer = Trainer(scene, seen, GaussiansOptions(steps=1), of)
+        own = weight * scene.deformation.arap_loss(trainer._arap_times(trainer._frame_of_step()))
+        (gradient,) = torch.autograd.grad(own, table)
+        trainer.run(lambda _: None)
+        found.append((trainer.history.loss[0], trainer.optimiser.state[table]["exp_avg"]))
+    (bare, by_render), (loss, moments) = found
+    assert float(own.detach()) > 0.001
+    assert loss - bare == pytest.approx(float(own.detach()), rel=1e-3)
+    assert gradient.abs().max() > 1e-4
+    assert torch.allclose(moments - by_render, 0.1 * gradient, rtol=1e-3, atol=1e-4 * float(gradient.abs().max()))

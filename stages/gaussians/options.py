@@ -1,6 +1,5 @@
 """Options of Gaussian training."""
 
-import math
 from typing import Literal, Self
 
 from pydantic import Field
@@ -52,4 +51,4 @@ class GaussiansOptions(SplitOptions):
 
     def of_length(self, frames: int) -> Self:
         """The options with the steps of a clip of so many training frames."""
-        return self.model_copy(update={"steps": math.ceil(self.steps * max(1.0, frames / LONG_CLIP))})
+        return self.model_copy(update={"steps": max(self.steps, -(-self.steps * frames // LONG_CLIP))})
