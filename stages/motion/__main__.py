@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from stages.motion import drift, epipolar, photometric, resweep
+from stages.motion import drift, epipolar, hiding, photometric, resweep
 from stages.motion.epipolar import Evidence
 from stages.motion.options import MotionOptions
 from stages.motion.pooling import pool
@@ -44,9 +44,9 @@ def main(
 
     Without cameras the evidence is the epipolar residual of the flow over many frame pairs (the homography residual
     where no pair shows parallax). With the cameras of the previous round it is the residual at the best depth of each
-    pixel, which the images must confirm where flow is unreliable, and the drift of long tracks, which shows slow
-    motion. A rolling shutter that these cameras have is taken out of the flow first. Evidence is pooled along the flow
-    as it is. The metadata of the output says which was used, and why.
+    pixel, which the images must confirm where flow is unreliable; the drift of long tracks, which shows slow motion;
+    and what hides static surface that seems nearer. A rolling shutter that these cameras have is taken out of the flow
+    first. Evidence is pooled along the flow as it is. The metadata of the output says which was used, and why.
     """
     frames = read_sequence(sequence)
     matched, scale = read_dense(flow), float(read_metadata(flow)["scale"])
@@ -110,8 +110,9 @@ def _from_cameras(
         pairs, *seen, resample(depth["inverse_depth"], stride_px * scale, h, w)
     )
     drifting = drift.drifting(StaticScene(pairs, rgb, seen, inverse_depth, evidence.residual), rgb)
+    hides = hiding.hiding(rgb, seen, inverse_depth, evidence)
     lines = resweep.projections(pairs, *seen)
-    evidence = photometric.corroborate(evidence, rgb, pairs, lines, inverse_depth, drifting)
+    evidence = photometric.corroborate(evidence, rgb, pairs, lines, inverse_depth, np.maximum(drifting, hides))
     rotating = set(cameras.status[~unobserved]) == {"rotation-only"}
     model = "rotations: the camera does not translate" if rotating else "depth re-sweep"
     return evidence, {"source": "cameras", "model": model, "sigma_px": sigma_px}
