@@ -4,8 +4,12 @@ import cv2
 import numpy as np
 import pytest
 
+from stages.motion import __main__ as motion
 from stages.motion.epipolar import Evidence
 from stages.motion.hiding import hiding
+from stages.shared.artifacts import Dense
+from stages.shared.cameras import Cameras
+from stages.shared.flow_pairs import FlowPairs
 
 T, H, W = 24, 72, 128
 WALL_PX = 2
@@ -90,3 +94,20 @@ def test_a_clip_too_short_to_see_a_surface_again_shows_nothing() -> None:
     poses, Ks = (of[:3] for of in cameras())
     certain = Evidence(np.zeros((3, H, W), np.float32), np.ones((3, H, W), np.float32))
     assert not hiding(frames, (poses, Ks), inverse_depth, certain).any()
+
+
+def test_the_prior_finds_what_moves_with_the_camera() -> None:
+    """With flow without any error, under the right cameras."""
+    frames, inverse_depth, moves = clip(0)
+    source, target = np.array([(i, j) for i in range(T) for j in (i - 2, i - 1, i + 1, i + 2) if 0 <= j < T]).T
+    flow = np.zeros((len(source), H, W, 2), np.float32)
+    flow[..., 0] = -WALL_PX * (target - source)[:, None, None] * ~moves[source]
+    confidence = np.full(flow.shape[:3], 0.8, np.float32)
+    pairs = FlowPairs(Dense({"source": source, "target": target, "flow": flow, "confidence": confidence}))
+    poses, Ks = cameras()
+    numbers, none = np.arange(1, T + 1), np.zeros((T, 6, 6))
+    seen = Cameras(poses, Ks, numbers, none, np.full(T, "estimated"), np.ones(T, bool))
+    depth = {"inverse_depth": inverse_depth.astype(np.float16)}
+    evidence, _ = motion._from_cameras(frames, pairs, seen, depth, 1.0, 1.0)
+    assert evidence.residual[moves].mean() > 0.3
+    assert evidence.residual[~moves].mean() < 0.02

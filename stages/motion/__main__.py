@@ -110,9 +110,9 @@ def _from_cameras(
         pairs, *seen, resample(depth["inverse_depth"], stride_px * scale, h, w)
     )
     drifting = drift.drifting(StaticScene(pairs, rgb, seen, inverse_depth, evidence.residual), rgb)
-    hides = hiding.hiding(rgb, seen, inverse_depth, evidence)
+    drifting[hiding.hiding(rgb, seen, inverse_depth, evidence)] = 1
     lines = resweep.projections(pairs, *seen)
-    evidence = photometric.corroborate(evidence, rgb, pairs, lines, inverse_depth, np.maximum(drifting, hides))
+    evidence = photometric.corroborate(evidence, rgb, pairs, lines, inverse_depth, drifting)
     rotating = set(cameras.status[~unobserved]) == {"rotation-only"}
     model = "rotations: the camera does not translate" if rotating else "depth re-sweep"
     return evidence, {"source": "cameras", "model": model, "sigma_px": sigma_px}

@@ -57,7 +57,7 @@ def corroborate(
         evidence: residual [T, h, w] of the flow to a static world, and its weight.
         rgb: [T, h, w, 3] uint8 frames on the flow grid.
         projections: A [E, 3, 3] and b [E, 3] of `resweep`; inverse_depth: [T, h, w] in the units of b.
-        drifting: [T, h, w] of `drift`, which pictures have confirmed already; a residual below it is raised to it.
+        drifting: [T, h, w] of `drift` and `hiding`, which pictures have confirmed; a residual below it is raised to it.
     """
 
     def view(i: int) -> View:

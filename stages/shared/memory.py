@@ -18,7 +18,7 @@ of the pixels were assumed. `export` was measured on 8 frames with all formats. 
 Of flow a stage keeps columns of up to 32 MB (`rows.SHORT_BYTES`), measured on the demo since.
 `simulate` and `report`, which read no sequence, have a constant.
 `motion` was measured on 24 frames of 512 x 218 px and on 200 of 320 x 136 since it follows long tracks, whose
-surroundings in 50 frames it keeps.
+surroundings in 50 frames it keeps; the surfaces of 44 frames that `hiding` keeps after that are less, by calculation.
 `ba` was measured on 200 frames on grids of 320 x 136 px (502 MiB) and, its flow enlarged, 512 x 218 (624 MiB, 1570
 edges), and on 40 of the former (335 MiB).
 `lens` was measured on 28 frames of 384 x 216 px and 200 of 512 x 218 with a distortion, which takes more than none.
