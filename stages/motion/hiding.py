@@ -41,7 +41,7 @@ LEAST_VOTES, SHARE = 4, 0.6
 VOTES_PX = 3
 
 
-class Surface(NamedTuple):
+class StaticSurface(NamedTuple):
     """A frame's static surface.
 
     Attributes:
@@ -71,7 +71,7 @@ def hiding(
     least = LEAST_WEIGHT * float(np.median(evidence.weight))
     found = np.empty(inverse_depth.shape, bool)
 
-    def surface(k: int) -> Surface:
+    def surface(k: int) -> StaticSurface:
         return _surface(rgb[k], inverse_depth[k], (evidence.residual[k] < FITS) & (evidence.weight[k] > least))
 
     for first in progress(range(0, T, BLOCK), "what movers hide"):
@@ -82,7 +82,7 @@ def hiding(
     return found
 
 
-def _surface(rgb: np.ndarray, inverse_depth: np.ndarray, fits: np.ndarray) -> Surface:
+def _surface(rgb: np.ndarray, inverse_depth: np.ndarray, fits: np.ndarray) -> StaticSurface:
     """The surface of a frame; fits: [h, w], where the flow fits the depth."""
     detail = np.ascontiguousarray(log_detail(rgb)[..., 1])
     depth = inverse_depth.astype(np.float32)
@@ -91,10 +91,10 @@ def _surface(rgb: np.ndarray, inverse_depth: np.ndarray, fits: np.ndarray) -> Su
     around = np.ones((AROUND_PX, AROUND_PX), np.uint8)
     nearest, farthest = cv2.dilate(depth, around), cv2.erode(depth, around)
     sure = fits & (nearest - farthest < FLAT * depth) & (texture > TEXTURED * noise**2)
-    return Surface(detail, texture, noise**2, depth, nearest, sure)
+    return StaticSurface(detail, texture, noise**2, depth, nearest, sure)
 
 
-def _hides(surfaces: dict[int, Surface], cameras: tuple[np.ndarray, np.ndarray], j: int) -> np.ndarray:
+def _hides(surfaces: dict[int, StaticSurface], cameras: tuple[np.ndarray, np.ndarray], j: int) -> np.ndarray:
     """Where [h, w] frame j shows something that hides surfaces of other frames."""
     here = surfaces[j]
     hidden, expected = np.zeros((2, *here.detail.shape), np.float32)
@@ -120,7 +120,7 @@ def _between(cameras: tuple[np.ndarray, np.ndarray], i: int, j: int) -> Projecti
 
 
 def _nearer(
-    source: Surface, target: Surface, again: Surface, to_target: Projection, to_again: Projection
+    source: StaticSurface, target: StaticSurface, again: StaticSurface, to_target: Projection, to_again: Projection
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Rows and columns [n] of the target where surface of the source would be nearer than what is there, and whether it
     is hidden there; only surface that is seen again counts."""
