@@ -27,6 +27,9 @@ SIGMA_RANGE_PX = (0.35, 3.0)
 """Bounds of the robust scale, a multiple of the median residual."""
 COARSE = 8
 """Every eighth pixel is enough to measure the noise."""
+FAST = {"cache": True, "nogil": True, "fastmath": {"nnan", "ninf", "nsz", "contract"}, "error_model": "numpy"}
+"""Sums keep their order: a loop that the compiler reorders rounds otherwise where it falls back to single pixels, which
+depends on where the arrays lie."""
 
 
 def camera_evidence(
@@ -135,7 +138,7 @@ def sweep(
     return residual, inverse_depth
 
 
-@numba.njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@numba.njit(**FAST)
 def _sweep(begin, end, pointer, A, b, flow, weights, u, v, start, sigma2, residual, inverse_depth):  # type: ignore[no-untyped-def]
     rows = len(v)
     for row in range(begin, end):
@@ -144,7 +147,7 @@ def _sweep(begin, end, pointer, A, b, flow, weights, u, v, start, sigma2, residu
         _sweep_row(edges, y, A, b, flow, weights, u, v[y], start[i, y], sigma2, residual[i, y], inverse_depth[i, y])
 
 
-@numba.njit(cache=True, fastmath=True, error_model="numpy")
+@numba.njit(**FAST)
 def _sweep_row(edges, y, A, b, flow, weights, u, v, start, sigma2, residual, inverse_depth):  # type: ignore[no-untyped-def]
     """Fill the lowest residual [n] and inverse depth [n] of row y, of pixels u [n], v.
 
@@ -176,7 +179,7 @@ def _sweep_row(edges, y, A, b, flow, weights, u, v, start, sigma2, residual, inv
         residual[x] = best[x] / residual[x] if residual[x] > 0 else np.float32(0)
 
 
-@numba.njit(cache=True, fastmath=True, error_model="numpy")
+@numba.njit(**FAST)
 def _add_edge(A, b, s, t, weights, u, v, d, sigma2, cost, gradient, curvature):  # type: ignore[no-untyped-def]
     """Add the cost of one edge with matches s [n], t [n] at inverse depths d [n], and its Gauss-Newton terms."""
     a0, a1, a2 = A[0, 0], A[1, 0], A[2, 0]
@@ -196,7 +199,7 @@ def _add_edge(A, b, s, t, weights, u, v, d, sigma2, cost, gradient, curvature): 
         gradient[x] += robust * (ju * ru + jv * rv)
 
 
-@numba.njit(cache=True, fastmath=True, error_model="numpy")
+@numba.njit(**FAST)
 def _triangulate(A, b, s, t, u, v, start, d):  # type: ignore[no-untyped-def]
     """Fill the inverse depths d [n] that fit the matches s [n], t [n] of one edge best; `start` without parallax."""
     a0, a1, a2 = A[0, 0], A[1, 0], A[2, 0]
