@@ -1,10 +1,13 @@
 """What hides static surface that seems nearer moves; a hole in it, through which one sees what is far, does not."""
 
+from unittest.mock import Mock
+
 import cv2
 import numpy as np
 import pytest
 
 from stages.motion import __main__ as motion
+from stages.motion import hiding as module
 from stages.motion.epipolar import Evidence
 from stages.motion.hiding import hiding
 from stages.shared.artifacts import Dense
@@ -80,6 +83,26 @@ def test_surface_whose_depth_is_not_sure_is_no_evidence(of: str) -> None:
     values = {"residual": np.zeros((T, H, W), np.float32), "weight": np.ones((T, H, W), np.float32)}
     values[of][~moves] = {"residual": 0.5, "weight": 0.0}[of]
     assert not hiding(frames, cameras(), inverse_depth, Evidence(**values)).any()
+
+
+def test_a_frame_without_evidence_shows_nothing() -> None:
+    """Its camera is interpolated: all of the wall would be elsewhere."""
+    frames, inverse_depth, _ = clip(0)
+    residual, weight = np.zeros((T, H, W), np.float32), np.ones((T, H, W), np.float32)
+    weight[12] = 0
+    hides = hiding(frames, cameras(), inverse_depth, Evidence(residual, weight))
+    assert not hides[12].any()
+    assert hides[11].any()
+
+
+def test_surfaces_are_found_once_per_frame(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A clip is worked on block by block, and each block needs frames of those around."""
+    frames, inverse_depth, _ = clip(0)
+    found = Mock(wraps=module._surface)
+    monkeypatch.setattr(module, "_surface", found)
+    certain = Evidence(np.zeros((T, H, W), np.float32), np.ones((T, H, W), np.float32))
+    hiding(frames, cameras(), inverse_depth, certain)
+    assert found.call_count == T
 
 
 def test_surface_that_is_seen_nowhere_again_is_no_evidence() -> None:

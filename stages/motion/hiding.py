@@ -13,12 +13,11 @@ import cv2
 import numpy as np
 
 from stages.motion.epipolar import Evidence
-from stages.motion.shadows import log_detail
+from stages.motion.shadows import log_detail, patches
 from stages.shared.cameras import projection, static_flow
 from stages.shared.flow_pairs import BLOCK
 from stages.shared.log import progress
 from stages.shared.threads import threaded
-from stages.shared.warp import bilinear
 
 GAPS = 2, 4, 6, 8, 12, 16
 """Frames between that in which a surface is seen and that in which it is hidden, either way."""
@@ -70,6 +69,7 @@ def hiding(
     T, reach = len(rgb), GAPS[-1] + AGAIN
     least = LEAST_WEIGHT * float(np.median(evidence.weight))
     found = np.empty(inverse_depth.shape, bool)
+    surfaces: dict[int, StaticSurface] = {}
 
     def surface(k: int) -> StaticSurface:
         return _surface(rgb[k], inverse_depth[k], (evidence.residual[k] < FITS) & (evidence.weight[k] > least))
@@ -77,7 +77,9 @@ def hiding(
     for first in progress(range(0, T, BLOCK), "what movers hide"):
         last = min(first + BLOCK, T)
         near = range(max(first - reach, 0), min(last + reach, T))
-        surfaces = dict(zip(near, threaded(surface, near), strict=True))
+        new = [k for k in near if k not in surfaces]
+        kept = {k: of for k, of in surfaces.items() if k in near}
+        surfaces = kept | dict(zip(new, threaded(surface, new), strict=True))
         found[first:last] = threaded(partial(_hides, surfaces, cameras), range(first, last))
     return found
 
@@ -101,8 +103,8 @@ def _hides(surfaces: dict[int, StaticSurface], cameras: tuple[np.ndarray, np.nda
     for gap in GAPS:
         for way in (1, -1):
             i, again = j + way * gap, j + way * (gap + AGAIN)
-            if i not in surfaces or again not in surfaces:
-                continue
+            if not all(k in surfaces and surfaces[k].sure.any() for k in (i, j, again)):
+                continue  # beyond the clip, or without evidence: such cameras are interpolated
             v, u, unseen = _nearer(surfaces[i], here, surfaces[again], *(_between(cameras, i, k) for k in (j, again)))
             np.add.at(expected, (v, u), 1)
             np.add.at(hidden, (v, u), unseen)
@@ -136,19 +138,12 @@ def _nearer(
     v, u, row, column, there = v[kept], u[kept], row[kept], column[kept], there[kept]
     uv, depth = uv[kept], depth[kept]
     texture, seen_at = source.texture[v, u], uv + static_flow(uv, depth, *to_again)[0]
-    patch = _patches(source.detail, uv)
+    patch = patches(source.detail, uv, PATCH_PX)
     seen = _difference(patch, again.detail, seen_at) < SEEN[0] * texture + SEEN[1] * source.noise
     unseen = _difference(patch, target.detail, there) > HIDDEN[0] * texture + HIDDEN[1] * source.noise
     return row[seen], column[seen], unseen[seen]
 
 
-def _patches(detail: np.ndarray, uv: np.ndarray) -> np.ndarray:
-    """Detail [n, PATCH_PX^2] of the squares around pixels uv [n, 2]."""
-    reach = np.arange(PATCH_PX) - PATCH_PX // 2
-    offsets = np.stack(np.meshgrid(reach, reach), axis=-1).reshape(-1, 2)
-    return bilinear(detail, uv[:, None] + offsets)
-
-
-def _difference(patches: np.ndarray, detail: np.ndarray, uv: np.ndarray) -> np.ndarray:
+def _difference(patch: np.ndarray, detail: np.ndarray, uv: np.ndarray) -> np.ndarray:
     """Mean squared difference [n] of patches [n, PATCH_PX^2] to those around pixels uv [n, 2]."""
-    return np.asarray(((_patches(detail, uv) - patches) ** 2).mean(axis=1))
+    return np.asarray(((patches(detail, uv, PATCH_PX) - patch) ** 2).mean(axis=1))

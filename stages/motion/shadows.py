@@ -11,7 +11,7 @@ import numpy as np
 
 from stages.motion.pooling import spread
 from stages.shared.static_flow import dense_static_flow
-from stages.shared.warp import is_inside, warp
+from stages.shared.warp import bilinear, is_inside, warp
 
 DARKEST = 4.0
 """Colour levels added before the logarithm."""
@@ -41,6 +41,13 @@ def log_detail(rgb: np.ndarray) -> np.ndarray:
     grey = cv2.GaussianBlur(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY).astype(np.float32), (0, 0), 0.7)
     brightness = np.log(grey + DARKEST)
     return np.dstack([brightness, brightness - cv2.medianBlur(brightness, DETAIL_PX)])
+
+
+def patches(detail: np.ndarray, uv: np.ndarray, size_px: int) -> np.ndarray:
+    """Detail [n, size_px^2], of [h, w], of the squares around pixels uv [n, 2]."""
+    reach = np.arange(size_px) - size_px // 2
+    offsets = np.stack(np.meshgrid(reach, reach), axis=-1).reshape(-1, 2)
+    return bilinear(detail, uv[:, None] + offsets)
 
 
 def surrounding_plane(inverse_depth: np.ndarray, trust: np.ndarray) -> np.ndarray:

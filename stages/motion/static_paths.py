@@ -7,11 +7,10 @@ from typing import NamedTuple
 import numpy as np
 
 from stages.motion.photometric import static_depths
-from stages.motion.shadows import log_detail
+from stages.motion.shadows import log_detail, patches
 from stages.motion.tracks import REACH
 from stages.shared.cameras import projection
 from stages.shared.flow_pairs import FlowPairs
-from stages.shared.warp import bilinear
 
 COARSE = 8
 """Every eighth pixel, each way, is enough for what most flow has in common."""
@@ -110,11 +109,9 @@ class StaticScene:
 
     def patches(self, frames: np.ndarray, uv: np.ndarray, size_px: int) -> np.ndarray:
         """Detail [k, size_px^2] of squares around pixels uv [k, 2] of frames [k]."""
-        reach = np.arange(size_px) - size_px // 2
-        offsets = np.stack(np.meshgrid(reach, reach), axis=-1).reshape(-1, 2)
-        found = np.zeros((len(uv), len(offsets)), np.float32)
+        found = np.zeros((len(uv), size_px**2), np.float32)
         for k, rows in by_frame(frames):
-            found[rows] = bilinear(self.around(k).detail, uv[rows, None] + offsets)
+            found[rows] = patches(self.around(k).detail, uv[rows], size_px)
         return found
 
 
