@@ -85,7 +85,7 @@ def test_a_training_too_short_to_see_every_frame_says_so(tmp_path: Path, caplog:
 
 def test_a_long_clip_is_trained_in_more_steps(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each of its frames is seen as often as those of a shorter one."""
-    monkeypatch.setattr("stages.gaussians.options.LONG_CLIP", 4)
+    monkeypatch.setattr("stages.gaussians.options.SHORT_CLIP", 4)
     start = begin(*write_inputs(tmp_path).values(), GaussiansOptions(steps=10), tmp_path)
     assert start.trainer.options == GaussiansOptions(steps=23)  # 9 of 4 frames times 10
     start.trainer.run(lambda _: None)

@@ -38,13 +38,13 @@ class GradientRecord:
     def add(self, gradient: Tensor, rows: Tensor | None = None) -> None:
         """Add the gradient [1, M, 2] of one step, of the Gaussians in `rows` [M], all of them if None."""
         rows = torch.arange(len(self.total), device=gradient.device) if rows is None else rows
-        if not gradient.is_cuda:
-            given = (gradient[0], rows, self.total, self.views)
-            spread(record_kernels.add, len(rows), *(values.contiguous().numpy() for values in given))
+        if gradient.device.type != "cpu":
+            length = gradient[0].norm(dim=-1)
+            self.total.index_add_(0, rows, length)
+            self.views.index_add_(0, rows, (length > 0).to(length))
             return
-        length = gradient[0].norm(dim=-1)
-        self.total.index_add_(0, rows, length)
-        self.views.index_add_(0, rows, (length > 0).to(length))
+        given = (gradient[0], rows, self.total, self.views)
+        spread(record_kernels.add, len(rows), *(values.contiguous().numpy() for values in given))
 
     @property
     def mean(self) -> Tensor:

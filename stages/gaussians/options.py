@@ -7,9 +7,9 @@ from pydantic import Field
 from stages.shared.options import MAX_SEED
 from stages.shared.split import SplitOptions
 
-LONG_CLIP = 80
-"""Training frames up to which a clip is trained in `steps` steps; a longer one takes as many more as it has frames
-more, since in as many steps fewer would see each of its frames."""
+SHORT_CLIP = 80
+"""Training frames up to which a clip is trained in `steps` steps; a longer one takes more in proportion, so that each
+of its frames is seen as often."""
 
 
 class GaussiansOptions(SplitOptions):
@@ -51,4 +51,4 @@ class GaussiansOptions(SplitOptions):
 
     def of_length(self, frames: int) -> Self:
         """The options with the steps of a clip of so many training frames."""
-        return self.model_copy(update={"steps": max(self.steps, -(-self.steps * frames // LONG_CLIP))})
+        return self.model_copy(update={"steps": max(self.steps, -(-self.steps * frames // SHORT_CLIP))})

@@ -63,8 +63,7 @@ class _Loss(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
         """Gradient of the image [H, W, C] from that of the loss (scalar); none for the target."""
-        by_loss = gradients[0]
-        return (ctx.gradient if by_loss == 1 else ctx.gradient * by_loss), None, None
+        return ctx.gradient * gradients[0], None, None
 
 
 def ssim_torch(image: Tensor, target: Target) -> Tensor:

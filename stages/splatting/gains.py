@@ -35,7 +35,7 @@ class Exposure(torch.nn.Module):
 
 def lit(colour: Tensor, gain: Tensor) -> Tensor:
     """Colours [..., W, 3] times the gain [3], differentiable in both."""
-    if colour.is_cuda:
+    if colour.device.type != "cpu":
         return colour * gain
     product: Tensor = _Lit.apply(colour, gain)  # type: ignore[no-untyped-call]
     return product

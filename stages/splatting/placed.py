@@ -121,7 +121,7 @@ class _Place(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
-        chosen, n_static, _, fading = ctx.life
+        _, n_static, _, fading = ctx.life
         g_means, g_quats, g_scales, g_opacities, g_constant = map(_array, gradients)
         g_motion: list[np.ndarray | None] = [None] * 5
         if ctx.skinned is not None:
@@ -135,10 +135,7 @@ class _Place(torch.autograd.Function):
             if coloured:
                 shade = g_constant[n_static:, 0]
                 g_motion[4] = weight_kernels.blend_values_adjoint(shade, weights, near, len(radii))
-        filled = [np.empty(shape, np.float32) for shape in ctx.shapes]
-        for values in filled:
-            values[: chosen[0] if len(chosen) else None] = 0  # the kernel clears what is not there after a row
-        g_raw: list[np.ndarray | None] = [*filled]
+        g_raw: list[np.ndarray | None] = [np.zeros(shape, np.float32) for shape in ctx.shapes]
         given = g_means, g_quats, g_scales, g_opacities, g_constant
         spread(placed_kernels.place_adjoint, len(g_means), *ctx.life, *ctx.saved, *given, *g_raw)
         if not fading:  # without life spans neither they nor drifts are trained

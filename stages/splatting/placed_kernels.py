@@ -10,7 +10,7 @@ from numba import njit
 from stages.shared.quaternion_kernels import FAST, ONE
 from stages.splatting.life_spans import REACH
 
-HALF, ZERO, FARTHEST = np.float32(0.5), np.float32(0), np.float32(REACH)
+HALF, FARTHEST = np.float32(0.5), np.float32(REACH)
 EXACT = FAST | {"fastmath": False}
 """Without fused multiply-add: means and drifts round as where they are written to a file, which then renders the same.
 """
@@ -76,14 +76,9 @@ def place_adjoint(first: int, last: int, rows: np.ndarray, n_static: int, time: 
                   g_scales: np.ndarray, g_opacities: np.ndarray, g_constant: np.ndarray, g_offsets: np.ndarray,
                   g_log_scales: np.ndarray, g_quats: np.ndarray, g_logits: np.ndarray, g_log_spans: np.ndarray,
                   g_drifts: np.ndarray, g_sh_dc: np.ndarray) -> None:  # fmt: skip
-    """Fill the parameters' gradients from those of what `place` filled: no gradient by the distances.
-
-    Zeros go to the Gaussians from each row to the next one, which are not there.
-    """
+    """Fill the rows of the parameters' gradients from those of what `place` filled: no gradient by the distances."""
     for m in range(first, last):
-        n, after = rows[m], rows[m + 1] if m + 1 < len(rows) else len(g_logits)
-        g_offsets[n + 1 : after] = g_log_scales[n + 1 : after] = g_quats[n + 1 : after] = ZERO
-        g_logits[n + 1 : after] = g_sh_dc[n + 1 : after] = g_log_spans[n:after] = g_drifts[n:after] = ZERO
+        n = rows[m]
         for a in range(3):
             g_offsets[n, a] = footprints[n] * g_means[m, a]
             g_log_scales[n, a] = scales[m, a] * g_scales[m, a]
