@@ -48,7 +48,7 @@ MATCHED = 1.0
 SURELY_MATCHED = 0.75
 """The same for a single pixel, of the mover or of the static scene: no mean over a superpixel makes up for chance."""
 SHOWN_MOST = 127
-"""What a pixel shows is kept as a whole number: this much is one."""
+"""What a pixel shows is kept in units of 1 / 127, in one byte."""
 LEAST_SHARE = 1e-3
 """Share of what is extended among the pixels around, below which nothing is known of it: the Gaussian is cut off."""
 NEAR_ENOUGH = 0.15
@@ -68,7 +68,7 @@ class Belonging(NamedTuple):
 
     Attributes:
         weight: [N] with which they say so of a superpixel, relative to certain motion by the flow.
-        pixels: [T, h, w] int8, how clearly they say so of a pixel, in SHOWN_MOST.
+        pixels: [T, h, w] int8, how clearly they say so of a pixel, -SHOWN_MOST to SHOWN_MOST.
     """
 
     weight: np.ndarray
