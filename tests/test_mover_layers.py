@@ -114,6 +114,16 @@ def test_ground_beside_a_mover_is_given_to_the_static_scene(ground_px: int) -> N
         assert (shown[:, :20] == 0).all(), "far from the mover its motion says nothing"
 
 
+def test_what_pictures_show_fades_away_from_a_mover() -> None:
+    """The farther its motion is extended, the less it says."""
+    pixels, found = evidence(contrast=60)
+    for k in range(T):
+        left = 120 + MOVER_PX * k
+        for shown in (pixels.paint(found.weight, k), found.of_frame(k)):
+            near, far = (np.median(shown[32:64, left - px : left - px + 8]) for px in (14, 30))
+            assert near < 2.5 * far < 0
+
+
 def test_without_texture_nothing_is_given_to_either() -> None:
     _, found = evidence(contrast=0)
     assert (found.weight == 0).all()
@@ -244,6 +254,11 @@ def test_cameras_of_the_round_before_make_a_mover_whole(tmp_path: Path, monkeypa
         patch.setattr(refinement, "SHOWN_WEIGHT", 0.0)
         blunt = overlaps(tmp_path / "poses.parquet", tmp_path / "depth.arrow")
     assert np.mean(together) > np.mean(blunt) + 0.02, "borders follow what single pixels show"
+    asked, of_frame = [], Belonging.of_frame
+    with monkeypatch.context() as patch:
+        patch.setattr(Belonging, "of_frame", lambda shown, k: asked.append(k) or of_frame(shown, k))
+        overlaps(tmp_path / "poses.parquet", tmp_path / "depth.arrow")
+    assert sorted(asked) == list(range(T)), "each frame's mask goes by the pixels of that frame"
     with pytest.raises(InputError, match="together with --previous-depth"):
         overlaps(tmp_path / "poses.parquet")
     lost = replace(cameras, status=np.full(T, "failed", object))
