@@ -16,7 +16,7 @@ from stages.shared import quaternions
 
 INVERSE_STEPS, CLOSE = 12, 1e-3
 """Of the inverse: most steps, and the error, in kernel radii, that ends them. Most points need four steps, those where
-control points turn apart many more: with four, 24 % of the pixels that orbit_two lifts are given up, with these 15 %."""
+control points turn apart many more: with four, 24 % of the pixels that orbit_two lifts are given up, with twelve 15."""
 
 
 def neighbours(points: Tensor, means: Tensor, K: int) -> tuple[Tensor, Tensor]:
