@@ -96,7 +96,7 @@ def test_one_moment_at_random_has_the_gradient_of_all_on_average() -> None:
 def test_the_gradient_by_the_motion_is_a_finite_difference() -> None:
     """A shift of the square at all times; the rasteriser drops what is nearly transparent, which is a small step.
 
-    It is downwards, where the loss changes eight times as fast as to the right: there such steps are a tenth of it.
+    The square shifts downwards. To the right the loss changes by an eighth as much, and such steps are a tenth of that.
     """
     scene, picture = new_scene(truth.observations(TRAIN)), shutter.moments(open_for(0.9), 5, 3)
     assert scene.deformation is not None

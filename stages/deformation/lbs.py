@@ -102,8 +102,8 @@ def inverse_blend(
     """Where in the canonical frame a point lies that is seen at `moved` now; without gradient.
 
     Fixed point of x <- x + R(x)^T (moved - blend(x)) with R the blended rotation, from the blend of inverse motions. A
-    solution by the blended matrix, which is a rotation or less, is no better, has none where control points turn to
-    opposite sides, and LAPACK rounds it by where its work space lies: trainings did not repeat.
+    solution by the blended matrix is no nearer after as many steps. The matrix is singular where control points turn to
+    opposite sides, and LAPACK's least squares round by where their work space lies: trainings did not repeat.
 
     Args:
         moved: [N, 3]. points, point_translations: [P, 3]. point_quats: [P, 4] unit. log_radii: [P].
