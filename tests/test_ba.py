@@ -15,7 +15,7 @@ from stages.ba.normal_equations import depth_steps, normal_equations
 from stages.ba.options import BAOptions
 from stages.ba.problem import Problem
 from stages.ba.proposal import linear_system
-from stages.ba.state import DEPTH_PRIOR, FocalPrior, Level, State, Unknowns
+from stages.ba.state import DEPTH_PRIOR, INVERSE_DEPTHS, FocalPrior, Level, State, Unknowns
 from stages.shared import lie
 
 OPTIONS = BAOptions()
@@ -117,8 +117,27 @@ def test_derivatives_are_those_of_finite_differences(tiny: tuple[FlowGraph, Stat
     assert_allclose(dense_jacobian(*tiny), numeric, atol=1e-7 * np.abs(numeric).max())
 
 
-def test_the_reduced_system_and_its_depths_equal_a_dense_reference_to_1e_9(tiny: tuple[FlowGraph, State]) -> None:
-    graph, state = tiny
+def at_limits(graph: FlowGraph, state: State) -> tuple[FlowGraph, State]:
+    """The state with most inverse depths at a limit, on a path so short that no point is behind a camera.
+
+    Its residuals are noise.
+    """
+    rng, (low, high) = np.random.default_rng(4), INVERSE_DEPTHS
+    inverse_depth = np.choose(rng.choice(3, state.inverse_depth.shape), [low, high, state.inverse_depth])
+    poses = state.cam_from_world.copy()
+    poses[:, :3, 3] *= 0.1
+    state = replace(state, cam_from_world=poses, inverse_depth=inverse_depth)
+    noise = 0.3 * rng.standard_normal(graph.matches.shape)
+    return replace(graph, matches=(graph.matches - residuals(graph, state) + noise).astype(np.float32)), state
+
+
+@pytest.mark.parametrize("case", ["within the limits", "at the limits", "at the limits, not masked"])
+def test_the_reduced_system_and_its_depths_equal_a_dense_reference_to_1e_9(
+    tiny: tuple[FlowGraph, State], case: str
+) -> None:
+    graph, state = replace(tiny[0], masked="not" not in case), tiny[1]
+    if case != "within the limits":
+        graph, state = at_limits(graph, state)
     sigma, damping = 1.5, 1e-2
     J, r = dense_jacobian(graph, state), residuals(graph, state)
     robust = graph.weights / (1 + (r**2).sum(-1) / sigma**2) ** 2
@@ -131,6 +150,11 @@ def test_the_reduced_system_and_its_depths_equal_a_dense_reference_to_1e_9(tiny:
     H[depths, depths] += DEPTH_PRIOR * np.eye(H.shape[0] - n)
     H[depths, depths] *= 1 + damping * np.eye(H.shape[0] - n)
     g[depths] += DEPTH_PRIOR * (1 - state.inverse_depth.ravel())
+    # Depths at a limit that are drawn beyond it stay there.
+    d, (low, high) = state.inverse_depth.ravel(), INVERSE_DEPTHS
+    held = graph.masked & (((d == low) & (g[depths] < 0)) | ((d == high) & (g[depths] > 0)))
+    assert held.any() == (case == "at the limits")
+    H[depths, :n][held], g[depths][held] = 0, 0
     S = H[:n, :n] - H[:n, depths] @ np.linalg.solve(H[depths, depths], H[depths, :n])
     rhs = g[:n] - H[:n, depths] @ np.linalg.solve(H[depths, depths], g[depths])
 
@@ -230,9 +254,9 @@ def test_the_result_does_not_depend_on_the_gauge_of_the_start() -> None:
 
 def test_steps_that_raise_the_cost_are_refused_and_damped() -> None:
     """From poses far off the full step overshoots."""
-    scene = make_scene(disc_radius=0.8)
-    graph = observe(scene, masked=False, noise_px=0.2)
-    start = disturbed(true_state(scene, graph), 1.0)
+    scene = make_scene()
+    graph = observe(scene, noise_px=0.2)
+    start = disturbed(true_state(scene, graph), 1.5)
     found, steps = dba.solve(graph, start, (Level(1.0, 30),), Unknowns(focal=True), FocalPrior(100.0), "test")
     accepted, costs, damping = (np.array([getattr(s, name) for s in steps]) for name in ("accepted", "cost", "damping"))
     assert accepted.any()

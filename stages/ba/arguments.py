@@ -11,7 +11,8 @@ from stages.shared.lens import undistort
 def observations(graph: FlowGraph, lens: np.ndarray | None = None) -> kernel.EdgeMatches:
     """The graph in the form that the kernels take; the pixels without the distortion `lens` of a `State`."""
     pixels = graph.pixels if lens is None else undistorted(graph, lens, graph.pixels)
-    return kernel.EdgeMatches(graph.pointer, graph.source, graph.target, pixels, graph.matches, graph.weights)
+    edges = graph.pointer, graph.source, graph.target
+    return kernel.EdgeMatches(*edges, pixels, graph.matches, graph.weights, graph.masked)
 
 
 def undistorted(graph: FlowGraph, lens: np.ndarray, pixels: np.ndarray) -> np.ndarray:

@@ -51,11 +51,11 @@ def run(
     everything = with_texture(matches.graph(options.stride_px, known), read_texture(frames, matches.size))
     if frames.times_s is not None:
         everything = replace(everything, times_s=np.array(frames.times_s))
-    graph = mask_graph(everything, static)
-    known, doubts = given.examine(known, graph, options.seed)
     previous = _previous(previous_poses, matches.scale)
     unmasked = everything if (static < 1).any() else None
     masked = unmasked is not None or previous is not None
+    graph = replace(mask_graph(everything, static), masked=masked)
+    known, doubts = given.examine(known, graph, options.seed)
     problem = Problem(graph, masked, known.known_focal_px, previous or known.guess, unmasked, options.iterations)
     solution = _solve(problem, matches.shot, known, options)
     flags = cuts.warnings(matches.shot, frames.numbers) + doubts + solution.flags

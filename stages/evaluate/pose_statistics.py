@@ -104,7 +104,7 @@ STATISTICS: Mapping[str, tuple[str, str, str]] = {
     "zoom_gain_sigma_percent": (
         "standard error of the saving over the tiles",
         "%",
-        "A saving of less than three of them may be chance.",
+        "A saving of less than four of them may be chance.",
     ),
     "zoom_change_percent": (
         "change of the focal length, if it changes",

@@ -9,7 +9,7 @@ from ba_files import outputs, write_inputs
 from numpy.testing import assert_allclose
 from synthetic import PLANE, flow_arrays, make_scene, observe, rotation_error_deg, trajectory_error
 
-from stages.ba import arguments, classify, dba, residuals, twoview
+from stages.ba import arguments, classify, dba, initialise, residuals, twoview
 from stages.ba.__main__ import main
 from stages.ba.dense_system import DenseSystem
 from stages.ba.depth import depth_maps, fill
@@ -19,7 +19,7 @@ from stages.ba.guesses import PoseGuess
 from stages.ba.normal_equations import normal_equations
 from stages.ba.options import BAOptions
 from stages.ba.problem import Estimate, Problem
-from stages.ba.proposal import linear_system
+from stages.ba.proposal import linear_system, propose
 from stages.ba.state import DEPTH_PRIOR, FocalPrior, Level, State, Unknowns
 from stages.shared import lie
 from stages.shared.artifacts import read_dense, read_metadata
@@ -287,3 +287,24 @@ def test_masks_that_hide_the_static_scene_are_distrusted() -> None:
     assert solution.camera == "moving"
     assert "masks ignored" in solution.flags[0]
     assert trajectory_error(solution.state.cam_from_world, scene.cam_from_world) < 0.02
+
+
+@pytest.mark.parametrize("zoom", [False, True], ids=["one focal length", "one per frame"])
+def test_a_step_lowers_the_cost_where_depths_are_at_infinity(zoom: bool) -> None:
+    """A wall at infinity takes a quarter of the view, and the lens is too short: it draws depths beyond infinity.
+
+    A step that lets them go there, to be clipped later, raises the cost.
+    """
+    path = lie.exp_se3(np.outer(np.linspace(0, 1.5, 8), [0.1, 0, -1, 0, 0, 0]))
+    room = make_scene(T=8, size=(96, 160), path=path, planes=(((0.0, 1.0, 0.0), 1.0), ((0.0, 0.0, 1.0), 1e4)))
+    graph = observe(room, noise_px=0.1)
+    begun = initialise.initial_state(graph, room.cam_from_world, 0.94 * room.focal_px, 1.0)
+    state, unknowns, prior = dba.normalise(begun), Unknowns(focal=True, zoom=zoom), FocalPrior(1.1 * 160)
+    before = dba.robust_cost(graph, dba.errors_px(graph, state), 1.0)
+    for damping in (1e-3, 0.1, 1.0):
+        stepped, _ = propose(graph, state, 1.0, damping, unknowns, prior)
+        assert stepped is not None
+        assert dba.robust_cost(graph, dba.errors_px(graph, stepped), 1.0) < before
+    levels = (Level(1.0, 12, 1e-3), Level(0.5, 15, 1e-4))
+    found, _ = dba.solve(graph, state, levels, unknowns, prior, "test")
+    assert dba.robust_cost(graph, dba.errors_px(graph, found), 0.5) < 0.04
