@@ -11,8 +11,10 @@ from ba_files import outputs, write_inputs
 from numpy.testing import assert_allclose
 from synthetic import flow_arrays, make_scene, trajectory_error
 
+from stages.ba import cuts
 from stages.ba.__main__ import main
 from stages.ba.options import BAOptions
+from stages.ba.problem import Estimate, Problem
 from stages.ba.uncertainty import CORRELATION
 from stages.flow.__main__ import main as estimate_flow
 from stages.flow.options import FlowOptions
@@ -192,3 +194,22 @@ def test_a_first_round_may_do_without_masks(artifacts: dict[str, Path], tmp_path
     assert read_metadata(without["poses"])["static_share"] == 1 > read_metadata(masked["poses"])["static_share"]
     scene = make_scene(T=6, size=(64, 96), disc_radius=0.6)
     assert trajectory_error(read_cameras(without["poses"]).cam_from_world, scene.cam_from_world) < 0.02
+
+
+def test_depths_are_bounded_only_where_movers_are_masked(
+    artifacts: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Masks, or a round before that had some: a mover may lead beyond infinity, and would draw the cameras along."""
+    told: list[tuple[bool, bool | None]] = []
+
+    def listen(problem: Problem, *others: object) -> Estimate:
+        told.append((problem.graph.masked, problem.unmasked and problem.unmasked.masked))
+        return estimate_shot(problem, *others)  # type: ignore[arg-type]
+
+    estimate_shot = cuts.estimate_shot
+    monkeypatch.setattr(cuts, "estimate_shot", listen)
+    masks, options = artifacts.pop("masks"), BAOptions(stride_px=8)
+    main(**artifacts, **(first := outputs(tmp_path / "one")), options=options)
+    main(**artifacts, **outputs(tmp_path / "two"), options=options, previous_poses=first["poses"])
+    main(**artifacts, **outputs(tmp_path / "three"), options=options, masks=masks)
+    assert told == [(False, None), (True, None), (True, False)]
