@@ -42,7 +42,7 @@ def random_problem(T: int, stride: int, offsets: tuple[int, ...] = (1, 2, 3)) ->
     source, target = np.ascontiguousarray(edges[:, 0]), np.ascontiguousarray(edges[:, 1])
     weights = random.uniform(0.5, 1, (E, P)).astype(np.float32)
     data = (source, target, pointer, base.pixels, matches.astype(np.float32), weights)
-    return FlowGraph(*data, base.centre, WIDTH, HEIGHT, stride), state
+    return FlowGraph(*data, base.centre, WIDTH, HEIGHT, stride, masked=True), state
 
 
 def kernel_system(graph: FlowGraph, state: State) -> tuple[np.ndarray, np.ndarray]:

@@ -61,7 +61,7 @@ def clip(T: int, stride: int, zoom: np.ndarray | None = None) -> tuple[FlowGraph
         matches[e], weights[e] = match + noise, np.where(seen, random.uniform(0.6, 1, len(seen)), 0)
     pointer = np.searchsorted(source, np.arange(T + 1))
     data = (np.ascontiguousarray(source), np.ascontiguousarray(target), pointer, pixels, matches, weights)
-    return FlowGraph(*data, centre, WIDTH, HEIGHT, stride), poses
+    return FlowGraph(*data, centre, WIDTH, HEIGHT, stride, masked=True), poses
 
 
 def path_error(cam_from_world: np.ndarray, truth: np.ndarray) -> float:

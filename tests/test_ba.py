@@ -15,7 +15,7 @@ from stages.ba.normal_equations import depth_steps, normal_equations
 from stages.ba.options import BAOptions
 from stages.ba.problem import Problem
 from stages.ba.proposal import linear_system
-from stages.ba.state import DEPTH_PRIOR, INVERSE_DEPTHS, FocalPrior, Level, State, Unknowns
+from stages.ba.state import BEYOND_INFINITY, DEPTH_PRIOR, FocalPrior, Level, State, Unknowns
 from stages.shared import lie
 
 OPTIONS = BAOptions()
@@ -117,27 +117,22 @@ def test_derivatives_are_those_of_finite_differences(tiny: tuple[FlowGraph, Stat
     assert_allclose(dense_jacobian(*tiny), numeric, atol=1e-7 * np.abs(numeric).max())
 
 
-def at_limits(graph: FlowGraph, state: State) -> tuple[FlowGraph, State]:
-    """The state with most inverse depths at a limit, on a path so short that no point is behind a camera.
-
-    Its residuals are noise.
-    """
-    rng, (low, high) = np.random.default_rng(4), INVERSE_DEPTHS
-    inverse_depth = np.choose(rng.choice(3, state.inverse_depth.shape), [low, high, state.inverse_depth])
-    poses = state.cam_from_world.copy()
-    poses[:, :3, 3] *= 0.1
-    state = replace(state, cam_from_world=poses, inverse_depth=inverse_depth)
+def at_infinity(graph: FlowGraph, state: State) -> tuple[FlowGraph, State]:
+    """The state with most inverse depths at the lower limit, near it and above it; its residuals are noise."""
+    rng = np.random.default_rng(4)
+    values = [BEYOND_INFINITY, 0.95 * BEYOND_INFINITY, 0.5 * BEYOND_INFINITY, state.inverse_depth]
+    state = replace(state, inverse_depth=np.choose(rng.choice(4, state.inverse_depth.shape), values))
     noise = 0.3 * rng.standard_normal(graph.matches.shape)
     return replace(graph, matches=(graph.matches - residuals(graph, state) + noise).astype(np.float32)), state
 
 
-@pytest.mark.parametrize("case", ["within the limits", "at the limits", "at the limits, not masked"])
+@pytest.mark.parametrize("case", ["within the limits", "at infinity", "at infinity, not masked"])
 def test_the_reduced_system_and_its_depths_equal_a_dense_reference_to_1e_9(
     tiny: tuple[FlowGraph, State], case: str
 ) -> None:
     graph, state = replace(tiny[0], masked="not" not in case), tiny[1]
     if case != "within the limits":
-        graph, state = at_limits(graph, state)
+        graph, state = at_infinity(graph, state)
     sigma, damping = 1.5, 1e-2
     J, r = dense_jacobian(graph, state), residuals(graph, state)
     robust = graph.weights / (1 + (r**2).sum(-1) / sigma**2) ** 2
@@ -150,10 +145,9 @@ def test_the_reduced_system_and_its_depths_equal_a_dense_reference_to_1e_9(
     H[depths, depths] += DEPTH_PRIOR * np.eye(H.shape[0] - n)
     H[depths, depths] *= 1 + damping * np.eye(H.shape[0] - n)
     g[depths] += DEPTH_PRIOR * (1 - state.inverse_depth.ravel())
-    # Depths at a limit that are drawn beyond it stay there.
-    d, (low, high) = state.inverse_depth.ravel(), INVERSE_DEPTHS
-    held = graph.masked & (((d == low) & (g[depths] < 0)) | ((d == high) & (g[depths] > 0)))
-    assert held.any() == (case == "at the limits")
+    # Depths at the limit, or near it, that are drawn beyond it stay there.
+    held = graph.masked & (state.inverse_depth.ravel() < 0.9 * BEYOND_INFINITY) & (g[depths] < 0)
+    assert held.any() == (case == "at infinity")
     H[depths, :n][held], g[depths][held] = 0, 0
     S = H[:n, :n] - H[:n, depths] @ np.linalg.solve(H[depths, depths], H[depths, :n])
     rhs = g[:n] - H[:n, depths] @ np.linalg.solve(H[depths, depths], g[depths])

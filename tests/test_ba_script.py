@@ -199,7 +199,7 @@ def test_a_first_round_may_do_without_masks(artifacts: dict[str, Path], tmp_path
 def test_depths_are_bounded_only_where_movers_are_masked(
     artifacts: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Masks, or a round before that had some: a mover may lead beyond infinity, and would draw the cameras along."""
+    """A mover may lead beyond infinity, and would draw the cameras along. Empty masks may say that nothing moves."""
     told: list[tuple[bool, bool | None]] = []
 
     def listen(problem: Problem, *others: object) -> Estimate:
@@ -212,4 +212,9 @@ def test_depths_are_bounded_only_where_movers_are_masked(
     main(**artifacts, **(first := outputs(tmp_path / "one")), options=options)
     main(**artifacts, **outputs(tmp_path / "two"), options=options, previous_poses=first["poses"])
     main(**artifacts, **outputs(tmp_path / "three"), options=options, masks=masks)
-    assert told == [(False, None), (True, None), (True, False)]
+    for path in masks.glob("*.png"):
+        write_image(path, np.zeros((64, 96), bool))
+    main(**artifacts, **outputs(tmp_path / "four"), options=options, masks=masks)
+    write_json(masks / "masks.json", {"options": {"source": "none"}})
+    main(**artifacts, **outputs(tmp_path / "five"), options=options, masks=masks)
+    assert told == [(False, None), (False, None), (True, False), (True, None), (False, None)]

@@ -53,7 +53,7 @@ def main(
     named = solving.files_named(frames, options)
     inputs = [file for file in (sequence, flow, masks, previous_poses) if file is not None] + named
     with checkpoint.kept(poses, inputs, options):
-        return solving.run(frames, flow, areas, masks is not None, previous_poses, results, trajectory, options)
+        return solving.run(frames, flow, areas, masks, previous_poses, results, trajectory, options)
 
 
 if __name__ == "__main__":

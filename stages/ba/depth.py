@@ -9,7 +9,7 @@ import numpy as np
 from stages.ba import dba
 from stages.ba.graph import FlowGraph
 from stages.ba.initialise import SWEEP
-from stages.ba.state import State
+from stages.ba.state import INVERSE_DEPTHS, State
 
 MATCH_VARIANCE = 0.25
 """Variance of one component of a match, px^2. The median depth error against ground truth is then half a sigma."""
@@ -130,7 +130,7 @@ def _search(
     """Inverse depth and curvature [n, P] of the fine pixels, searched near the coarse solution and over all depths."""
     first, end = frames
     solved = state.inverse_depth[first:end].reshape(end - first, coarse.rows, coarse.columns)
-    start = graph.resample(solved, coarse.stride)
+    start = np.maximum(graph.resample(solved, coarse.stride), INVERSE_DEPTHS[0])
     around = start * SPAN[:, None, None]
     everywhere = np.broadcast_to(SWEEP[:, None, None], (len(SWEEP), *start.shape))
     leaving, fine = _beginning_with(graph, replace(state, inverse_depth=start), frames)

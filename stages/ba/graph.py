@@ -42,7 +42,7 @@ class FlowGraph:
         texture: [T, P] in 0..1, see `stages.ba.texture`; None: equal weights.
         aspect: fy / fx of the flow grid.
         times_s: [T] of the frames; None: evenly spaced.
-        masked: whether what moves is left out, so that no match leads beyond infinity but by noise or wrong cameras.
+        masked: whether what moves is taken to be left out: else a match may well lead beyond infinity.
     """
 
     source: np.ndarray
@@ -221,7 +221,7 @@ def mask_graph(graph: FlowGraph, static: np.ndarray) -> FlowGraph:
         for e in range(graph.pointer[i], graph.pointer[i + 1]):
             there = static[graph.target[e]].astype(np.float32)
             weights[e] *= here * bilinear(there, graph.on_grid(graph.matches[e]))
-    return replace(graph, weights=weights, masked=True)
+    return replace(graph, weights=weights, masked=graph.masked or bool((static < 1).any()))
 
 
 def static_areas(masks: Iterable[np.ndarray], width: int, height: int, margin_px: int = 2) -> np.ndarray:

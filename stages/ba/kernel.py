@@ -16,18 +16,14 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from stages.ba.state import INVERSE_DEPTHS
-
 PINHOLE = np.zeros(0)
 """In place of (c1, c2, radius in px) of a lens."""
 BLOCK = 256
 """Pixels per block: the Jacobian of a block stays in the L2 cache."""
 MIN_DEPTH_RATIO = 0.1
 """A point nearer to the target camera than this share of its source depth counts as behind it."""
-LOWEST_HELD, HIGHEST_HELD = 2.0 * INVERSE_DEPTHS[0], 0.99 * INVERSE_DEPTHS[1]
-"""Inverse depths beyond these that are drawn to the limit are held: the gauge moves those that are at it a little."""
 HELD = 1e30
-"""The curvature of an inverse depth that is held: finite, since FAST excludes infinity."""
+"""The curvature of an inverse depth that a step holds: finite, since FAST excludes infinity."""
 FAST = {"cache": True, "nogil": True, "fastmath": True, "error_model": "numpy"}
 
 
@@ -35,8 +31,7 @@ class EdgeMatches(NamedTuple):
     """The observations: edges pointer[i]..pointer[i + 1] leave frame i; see `stages.ba.graph.FlowGraph`.
 
     Attributes:
-        bounded: whether a step holds an inverse depth at a limit towards which it is drawn. If not, it is free there,
-            and a match that leads beyond infinity, as of what moves, has no effect along its epipolar line.
+        held_below: the inverse depth below which a step holds one that is drawn farther down.
     """
 
     pointer: np.ndarray
@@ -45,7 +40,7 @@ class EdgeMatches(NamedTuple):
     pixels: np.ndarray
     matches: np.ndarray
     weights: np.ndarray
-    bounded: bool
+    held_below: float
 
 
 class Geometry(NamedTuple):
@@ -235,9 +230,8 @@ def add_frames(
             for q in range(count):
                 coupling[n - 1, q] += depth_prior * (1.0 - at.inverse_depth[i, first + q])
                 gradients[i, first + q] = coupling[n - 1, q]
-                d, drawn = at.inverse_depth[i, first + q], coupling[n - 1, q]
-                beyond = (d < LOWEST_HELD and drawn < 0.0) or (d > HIGHEST_HELD and drawn > 0.0)
-                curvature[q] = HELD if data.bounded and beyond else curvature[q] * (1.0 + damping)
+                held = at.inverse_depth[i, first + q] < data.held_below and coupling[n - 1, q] < 0.0
+                curvature[q] = HELD if held else curvature[q] * (1.0 + damping)
                 curvatures[i, first + q] = curvature[q]
             _eliminate(coupling, curvature, scaled, schur[i])
 

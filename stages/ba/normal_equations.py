@@ -25,7 +25,8 @@ def normal_equations(
 
     Returns:
         hessians [E, 8, 8] over (twist 6, log focal, residual), symmetric; schur [T, n, n] with n = 6 k + 2 rows
-        (twists of the frame's k edges, log focal, gradient); curvature (damped) and gradient [T, P] of the depths.
+        (twists of the frame's k edges, log focal, gradient); curvature (damped, or that of a depth that is held) and
+        gradient [T, P] of the depths.
         With zoom, hessians [E, 9, 9] over (twist 6, log focal of the target, of the source, residual) and n = 7 k + 2
         (twist and log focal of the target of every edge, log focal of the source, gradient). Behind a lens its two
         coefficients stand after the last log focal.

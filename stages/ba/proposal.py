@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from stages.ba import reduced
-from stages.ba.arguments import geometry, lens_px, observations
+from stages.ba.arguments import geometry, lens_px, limits, observations
 from stages.ba.band_layout import layout
 from stages.ba.banded_system import BandedSystem
 from stages.ba.dense_system import DenseSystem
@@ -14,7 +14,6 @@ from stages.ba.normal_equations import depth_steps, normal_equations
 from stages.ba.reduced import Term
 from stages.ba.state import (
     DEPTH_PRIOR,
-    INVERSE_DEPTHS,
     LENS_PRIOR,
     SMOOTHNESS,
     FocalPrior,
@@ -64,7 +63,7 @@ def propose(
     if unknowns.translation:
         local_steps = reduced.edge_steps(graph, relative, step, state.lens is not None)
         inverse_depth = inverse_depth + depth_steps(data, at, float(sigma_px), curvatures, gradients, local_steps, lens)
-        inverse_depth = np.clip(inverse_depth, *INVERSE_DEPTHS)
+        inverse_depth = np.clip(inverse_depth, *limits(graph))
     return _moved(state, step, inverse_depth, unknowns), float(np.linalg.norm(step))
 
 

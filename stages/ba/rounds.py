@@ -13,6 +13,7 @@ from stages.shared.cameras import read_cameras, write_tum
 from stages.shared.errors import InputError
 from stages.shared.log import logger
 from stages.shared.masks import read_mask
+from stages.shared.run_inputs import mask_source
 from stages.shared.sequences import Sequence
 
 SHRANK, NOT_CONVERGED = "static area shrank", "rounds have not converged"
@@ -35,6 +36,11 @@ def read_static_areas(masks: Path | None, frames: Sequence, size: tuple[int, int
     if masks is None:
         return np.ones((len(frames.numbers), *size[::-1]), np.int8)
     return static_areas((read_mask(masks, frames, k) for k in range(len(frames.numbers))), *size)
+
+
+def tell_movers(masks: Path | None) -> bool:
+    """Whether masks say what moves, also where they say that nothing does; with `segment.source: none` they do not."""
+    return masks is not None and not ((masks / "masks.json").exists() and mask_source(masks) == "none")
 
 
 def complete(*files: Path | None) -> Results:

@@ -34,7 +34,7 @@ def run(
     frames: Sequence,
     flow: Path,
     areas: np.ndarray,
-    with_masks: bool,
+    masks: Path | None,
     previous_poses: Path | None,
     results: rounds.Results,
     trajectory: Path,
@@ -43,7 +43,7 @@ def run(
     """Estimate and write all results; these in words.
 
     Args:
-        areas: static area [T, height, width] on the flow grid; with_masks: whether masks leave it.
+        areas: static area [T, height, width] on the flow grid that the masks leave.
     """
     matches = read_matches(flow, len(frames.numbers), options)
     known = given.known_cameras(frames, options, matches.scale)
@@ -54,14 +54,14 @@ def run(
     previous = _previous(previous_poses, matches.scale)
     unmasked = everything if (static < 1).any() else None
     masked = unmasked is not None or previous is not None
-    graph = replace(mask_graph(everything, static), masked=masked)
+    graph = replace(mask_graph(everything, static), masked=rounds.tell_movers(masks))
     known, doubts = given.examine(known, graph, options.seed)
     problem = Problem(graph, masked, known.known_focal_px, previous or known.guess, unmasked, options.iterations)
     solution = _solve(problem, matches.shot, known, options)
     flags = cuts.warnings(matches.shot, frames.numbers) + doubts + solution.flags
     flags += _round_warnings(solution, static[matches.shot], ignored[matches.shot], previous_poses)
     _log(frames.name, solution, flags)
-    trusted = ~ignored & (solution.static is None or not with_masks)
+    trusted = ~ignored & (solution.static is None or masks is None)
     if solution.static is not None:
         static, graph = solution.static, mask_graph(everything, solution.static)
     maps = _depth_maps(matches, known, graph, static, solution, options)
