@@ -12,7 +12,7 @@ from stages.ba.dense_system import DenseSystem
 from stages.ba.graph import FlowGraph
 from stages.ba.normal_equations import depth_steps, normal_equations
 from stages.ba.proposal import linear_system
-from stages.ba.state import DEPTH_PRIOR, FocalPrior, Level, State, Unknowns
+from stages.ba.state import BEYOND_INFINITY, DEPTH_PRIOR, FocalPrior, Level, State, Unknowns
 from stages.shared import lie
 from stages.shared.lens import distort
 
@@ -55,8 +55,17 @@ def residuals(graph: FlowGraph, state: State) -> np.ndarray:
     return np.stack(found)
 
 
-def test_normal_equations_behind_a_lens_are_those_of_finite_differences(tiny: tuple[FlowGraph, State]) -> None:
+@pytest.mark.parametrize("at_infinity", [False, True])
+def test_normal_equations_behind_a_lens_are_those_of_finite_differences(
+    tiny: tuple[FlowGraph, State], at_infinity: bool
+) -> None:
     graph, state = tiny
+    if at_infinity:
+        third = np.arange(state.inverse_depth.size).reshape(state.inverse_depth.shape) % 3 == 0
+        state = replace(state, inverse_depth=np.where(third, BEYOND_INFINITY, state.inverse_depth))
+        noise = 0.3 * np.random.default_rng(3).standard_normal(graph.matches.shape)
+        seen = (graph.matches - residuals(graph, state) + noise).astype(np.float32)
+        graph = replace(graph, matches=seen, masked=True)
     zoom = state.zoom is not None
     n = 6 * graph.T + (graph.T if zoom else 1) + 2
     size = n + state.inverse_depth.size
@@ -69,6 +78,9 @@ def test_normal_equations_behind_a_lens_are_those_of_finite_differences(tiny: tu
     H[depths, depths] += DEPTH_PRIOR * np.eye(size - n)
     H[depths, depths] *= 1 + DAMPING * np.eye(size - n)
     g[depths] += DEPTH_PRIOR * (1 - state.inverse_depth.ravel())
+    held = at_infinity & (state.inverse_depth.ravel() == BEYOND_INFINITY) & (g[depths] < 0)
+    assert held.any() == at_infinity
+    H[depths, :n][held], g[depths][held] = 0, 0
     S = H[:n, :n] - H[:n, depths] @ np.linalg.solve(H[depths, depths], H[depths, :n])
     rhs = g[:n] - H[:n, depths] @ np.linalg.solve(H[depths, depths], g[depths])
 
