@@ -248,9 +248,9 @@ def test_the_result_does_not_depend_on_the_gauge_of_the_start() -> None:
 
 def test_steps_that_raise_the_cost_are_refused_and_damped() -> None:
     """From poses far off the full step overshoots."""
-    scene = make_scene()
-    graph = observe(scene, noise_px=0.2)
-    start = disturbed(true_state(scene, graph), 1.5)
+    scene = make_scene(disc_radius=0.8)
+    graph = observe(scene, masked=False, noise_px=0.2)
+    start = disturbed(true_state(scene, graph), 1.0)
     found, steps = dba.solve(graph, start, (Level(1.0, 30),), Unknowns(focal=True), FocalPrior(100.0), "test")
     accepted, costs, damping = (np.array([getattr(s, name) for s in steps]) for name in ("accepted", "cost", "damping"))
     assert accepted.any()

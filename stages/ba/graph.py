@@ -214,7 +214,10 @@ def favour_distance(graph: FlowGraph) -> FlowGraph:
 
 
 def mask_graph(graph: FlowGraph, static: np.ndarray) -> FlowGraph:
-    """Multiply the weights by how static [T, h, w] (0..1) the pixel is at both ends of its match."""
+    """Multiply the weights by how static [T, h, w] (0..1) the pixel is at both ends of its match.
+
+    The graph is `masked` if anything is left out.
+    """
     weights = graph.weights.copy()
     for i in np.unique(graph.source):
         here = _sample_cells(static[i].astype(np.float32)[..., None], graph.stride).ravel()
