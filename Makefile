@@ -27,9 +27,10 @@ demo: $(INSTALLED)
 
 # The whole scene library and its page of figures; begun again, it goes on where it stopped. By default Snakemake's
 # scheduler wakes once a second for every job that has ended: over these 500 jobs that took a quarter of two cores.
-# Once a minute is enough, at the price of a wait of up to a minute at the end.
+# Once a minute is enough, at the price of a wait of up to a minute at the end. One thread a job, as COLMAP has: two
+# scenes side by side keep both cores busy, where a job of two threads leaves up to half of them idle.
 results: $(INSTALLED)
-	$(BIN)/snakemake --directory $(LIBRARY) --max-jobs-per-timespan 1000/1m --config scenes=all preset=$(PRESET); ended=$$?; \
+	$(BIN)/snakemake --directory $(LIBRARY) --max-jobs-per-timespan 1000/1m --max-threads 1 --config scenes=all preset=$(PRESET); ended=$$?; \
 	$(BIN)/python -m stages.results --results $(LIBRARY)/results/simulated --manifests $(LIBRARY)/simulated \
 		--scenes stages/simulate/scenes --output docs/results.md --readme README.md \
 		--command "make results PRESET=$(PRESET)" && exit $$ended
