@@ -25,12 +25,14 @@ $(INSTALLED): requirements.lock requirements-dev.lock pyproject.toml
 demo: $(INSTALLED)
 	$(BIN)/snakemake --config preset=$(PRESET)
 
-# The whole scene library and its page of figures; begun again, it goes on where it stopped. By default Snakemake's
-# scheduler wakes once a second for every job that has ended: over these 500 jobs that took a quarter of two cores.
-# Once a minute is enough, at the price of a wait of up to a minute at the end. One thread a job, as COLMAP has: two
-# scenes side by side keep both cores busy, where a job of two threads leaves up to half of them idle.
+# By default Snakemake's scheduler wakes once a second for every job that has ended: over these 500 jobs that took a
+# quarter of two cores. Once a minute is enough, at the price of a wait of up to a minute at the end. One thread a job, as
+# COLMAP has: two scenes side by side keep both cores busy, where a job of two threads leaves up to half of them idle.
+IN_LIBRARY := $(BIN)/snakemake --directory $(LIBRARY) --max-jobs-per-timespan 1000/1m --max-threads 1
+
+# The whole scene library and its page of figures; begun again, it goes on where it stopped.
 results: $(INSTALLED)
-	$(BIN)/snakemake --directory $(LIBRARY) --max-jobs-per-timespan 1000/1m --max-threads 1 --config scenes=all preset=$(PRESET); ended=$$?; \
+	$(IN_LIBRARY) --config scenes=all preset=$(PRESET); ended=$$?; \
 	$(BIN)/python -m stages.results --results $(LIBRARY)/results/simulated --manifests $(LIBRARY)/simulated \
 		--scenes stages/simulate/scenes --output docs/results.md --readme README.md \
 		--command "make results PRESET=$(PRESET)" && exit $$ended
@@ -39,7 +41,7 @@ results: $(INSTALLED)
 # results of `make results`, whose runs it shares. Begun again, it goes on where it stopped.
 SCENES := tuned
 priced: $(INSTALLED)
-	$(BIN)/snakemake --directory $(LIBRARY) --max-jobs-per-timespan 1000/1m --config 'scenes=$(SCENES)' preset=$(PRESET) \
+	$(IN_LIBRARY) --config 'scenes=$(SCENES)' preset=$(PRESET) \
 		'sweep={sequences: all, groups: [effects]}' -- results/simulated/sweep/costs.parquet; ended=$$?; \
 	$(BIN)/python -m stages.results.priced --results $(LIBRARY)/results/simulated --output docs/priced.md \
 		--chart docs/priced.png --readme README.md --command "make priced PRESET=$(PRESET) SCENES='$(SCENES)'" && exit $$ended

@@ -75,7 +75,8 @@ def threads_of(rows: Sequence[Row]) -> str:
     ours, colmap = (
         max((row[key] for row in rows if row.get(key)), default=None) for key in ("threads", "colmap_threads")
     )
-    return f"our stages on at most {ours} threads, COLMAP on {colmap or 'none: it did not run'}"
+    most = "1 thread" if ours == 1 else f"at most {ours} threads"
+    return f"our stages on {most}, COLMAP on {colmap or 'none: it did not run'}"
 
 
 def page(rows: Sequence[Row], block: str, results: Path) -> str:
