@@ -47,15 +47,11 @@ class _Loss(torch.autograd.Function):
     def forward(ctx: Any, image: Tensor, target: Target, weight: float) -> tuple[Tensor, Tensor]:
         """Loss and mean squared difference, as `photometric_loss`."""
         x, y = image.detach().contiguous().numpy(), target.image.numpy()
-        planes, sums = ssim_kernels.products(x, y)
-        moments = ssim_kernels.blur(planes, WINDOW)
-        similar, derivative = ssim_kernels.similarity(moments, target.moments.numpy(), x.shape[1])
-        if ctx.needs_input_grad[0]:
-            blurred = ssim_kernels.blur(derivative, WINDOW)
-            factors = -weight / x.size, (1 - weight) / x.size
-            ctx.gradient = torch.from_numpy(ssim_kernels.assemble(x, y, blurred, *factors))
-        absolute, squared = sums.sum(axis=0) / x.size
-        loss = (1 - weight) * absolute + weight * (1 - similar.sum() / x.size)
+        factors = -weight / x.size, (1 - weight) / x.size
+        sums, gradient = ssim_kernels.compare(x, y, target.moments.numpy(), *factors)
+        ctx.gradient = torch.from_numpy(gradient)
+        similar, absolute, squared = sums / x.size
+        loss = (1 - weight) * absolute + weight * (1 - similar)
         squared_mean = torch.tensor(squared, dtype=torch.float32)
         ctx.mark_non_differentiable(squared_mean)
         return torch.tensor(loss, dtype=torch.float32), squared_mean

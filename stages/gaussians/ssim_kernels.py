@@ -2,19 +2,27 @@
 
 The window is an 11 x 11 Gaussian with sigma 1.5 px and zero padding. Images are [H, W, C] float32. Planes are
 [planes, H, S], S = W rounded up to whole vectors; columns from W on are zero, as the padding is.
+
+The comparison passes down a strip of one channel row by row. Between its two blurs it keeps as many rows as the window
+is high, in rings: planes of whole images would leave the cache before they are read again.
 """
+
+from typing import Any
 
 import numpy as np
 from numba import njit
 
-from stages.shared.lanes import LANES, load, store
+from stages.shared.lanes import LANES, load, store, total, where
 from stages.shared.threads import spread
 
 RADIUS = 5
 SIGMA_PX = 1.5
 C1, C2 = np.float32(0.01**2), np.float32(0.03**2)
-STRIP = 16
-"""Rows per task of the separable blur."""
+SIZE = 2 * RADIUS + 1
+STRIP = 64
+"""Rows per task."""
+NOTHING, COLUMNS = np.zeros(LANES, np.float32), np.arange(LANES, dtype=np.float32)
+ZERO, ONE, TWO = np.float32(0), np.float32(1), np.float32(2)
 FAST = {"cache": True, "nogil": True, "fastmath": True, "error_model": "numpy"}
 
 
@@ -38,20 +46,39 @@ def blur(planes: np.ndarray, weights: np.ndarray) -> np.ndarray:
 @njit(**FAST)
 def _blur(first: int, last: int, planes: np.ndarray, w: np.ndarray, strips: int, blurred: np.ndarray) -> None:
     _, H, S = planes.shape
-    row, nothing = np.zeros(S + 2 * RADIUS, np.float32), np.zeros(LANES, np.float32)
+    row = np.zeros(S + 2 * RADIUS, np.float32)
+    inside, places = np.empty(SIZE, np.float32), np.empty(SIZE, np.int64)
     for task in range(first, last):
         plane, strip = task // strips, task % strips
         for y in range(strip * STRIP, min(H, strip * STRIP + STRIP)):
-            for x in range(0, S, LANES):
-                summed, at = load(nothing, 0), (plane * H + y - RADIUS) * S + x
-                for k in range(max(0, RADIUS - y), min(2 * RADIUS + 1, H + RADIUS - y)):
-                    summed = summed + load(planes, at + k * S) * w[k]
-                store(row, x + RADIUS, summed)
-            for x in range(0, S, LANES):
-                summed = load(nothing, 0)
-                for k in range(2 * RADIUS + 1):
-                    summed = summed + load(row, x + k) * w[k]
-                store(blurred, (plane * H + y) * S + x, summed)
+            at = plane * H * S
+            _blur_row(planes, at, H, y, H, w, row, inside, places, blurred, at + y * S)
+
+
+@njit(inline="always", **FAST)
+def _blur_row(source: np.ndarray, start: int, ring: int, y: int, H: int, w: np.ndarray, row: np.ndarray,
+              inside: np.ndarray, places: np.ndarray, blurred: np.ndarray, target: int) -> None:  # fmt: skip
+    """Blur row y of a plane of H rows into the entries of `blurred` from `target` on.
+
+    Args:
+        source: the plane from `start` on, of whose rows the last `ring` are kept, row r in place r % ring.
+        row: [S + 10] to work in, with zeros at both ends.
+    """
+    S = len(row) - 2 * RADIUS
+    for k in range(SIZE):
+        above = y + k - RADIUS
+        inside[k] = w[k] if 0 <= above < H else np.float32(0)
+        places[k] = start + min(max(above, 0), H - 1) % ring * S
+    for x in range(0, S, LANES):
+        summed = load(NOTHING, 0)
+        for k in range(SIZE):
+            summed = summed + load(source, places[k] + x) * inside[k]
+        store(row, x + RADIUS, summed)
+    for x in range(0, S, LANES):
+        summed = load(NOTHING, 0)
+        for k in range(SIZE):
+            summed = summed + load(row, x + k) * w[k]
+        store(blurred, target + x, summed)
 
 
 def squares(image: np.ndarray) -> np.ndarray:
@@ -63,116 +90,105 @@ def squares(image: np.ndarray) -> np.ndarray:
     return planes
 
 
-def products(image: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Planes [3 C, H, S] of image and target [H, W, C]: image, image^2, image x target.
+def compare(
+    image: np.ndarray, target: np.ndarray, target_moments: np.ndarray, by_ssim: float, by_difference: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Sums [3] of SSIM, absolute and squared differences of images [H, W, C], and the gradient [H, W, C] of a loss.
 
-    Also the sums [H, 2] float64 of the absolute and of the squared differences in each row.
-    """
-    H, W, C = image.shape
-    planes = np.empty((3 * C, H, (W + LANES - 1) // LANES * LANES), np.float32)
-    sums = np.zeros((H, 2))
-    spread(_products, H, image, target, planes, sums)
-    return planes, sums
-
-
-@njit(**FAST)
-def _products(first: int, last: int, image: np.ndarray, target: np.ndarray, planes: np.ndarray,
-              sums: np.ndarray) -> None:  # fmt: skip
-    _, W, C = image.shape
-    for y in range(first, last):
-        for c in range(C):
-            absolute, squared = 0.0, 0.0
-            for x in range(W):
-                a, b = image[y, x, c], target[y, x, c]
-                planes[c, y, x] = a
-                planes[C + c, y, x] = a * a
-                planes[2 * C + c, y, x] = a * b
-                absolute += abs(a - b)
-                squared += (a - b) * (a - b)
-            sums[y, 0] += absolute
-            sums[y, 1] += squared
-            for plane in range(c, 3 * C, C):
-                for x in range(W, planes.shape[2]):
-                    planes[plane, y, x] = 0
-
-
-def similarity(moments: np.ndarray, target_moments: np.ndarray, W: int) -> tuple[np.ndarray, np.ndarray]:
-    """Sum of SSIM per row [H] float64, and its derivative by the image's moments [3 C, H, S].
+    The loss is by_ssim x sum of SSIM + by_difference x sum of absolute differences, its gradient that by `image`.
 
     Args:
-        moments: blurred `products`. target_moments: [2 C, H, S], blurred `squares`. W: width of the image.
+        target_moments: [2 C, H, S], blurred `squares` of the target.
 
     SSIM = a b / (d e) with a = 2 mx my + C1, b = 2 sxy + C2, d = mx^2 + my^2 + C1, e = sxx + syy + C2.
     """
-    sums, derivative = np.zeros(moments.shape[1]), np.empty_like(moments)
-    spread(_similarity, len(sums), moments, target_moments, W, sums, derivative)
-    return sums, derivative
+    H, _, C = image.shape
+    strips = (H + STRIP - 1) // STRIP
+    sums, gradient = np.zeros((C * strips, 3)), np.empty_like(image)
+    factors = np.float32(by_ssim), np.float32(by_difference)
+    spread(_compare, C * strips, image, target, target_moments, window(), strips, *factors, sums, gradient)
+    return sums.sum(axis=0), gradient
 
 
 @njit(**FAST)
-def _similarity(
-    first: int,
-    last: int,
-    moments: np.ndarray,
-    target_moments: np.ndarray,
-    W: int,
-    sums: np.ndarray,
-    derivative: np.ndarray,
-) -> None:
-    C = len(moments) // 3
-    for y in range(first, last):
-        for c in range(C):
-            total = 0.0
-            for x in range(W):
-                mx, my = moments[c, y, x], target_moments[c, y, x]
-                a = 2 * mx * my + C1
-                b = 2 * (moments[2 * C + c, y, x] - mx * my) + C2
-                d = mx * mx + my * my + C1
-                e = moments[C + c, y, x] - mx * mx + target_moments[C + c, y, x] - my * my + C2
-                inverse = 1 / (d * e)
-                value = a * b * inverse
-                total += value
-                by_xy, by_xx = 2 * a * inverse, -value / e
-                derivative[2 * C + c, y, x] = by_xy
-                derivative[C + c, y, x] = by_xx
-                derivative[c, y, x] = 2 * my * b * inverse - 2 * mx * value / d - my * by_xy - 2 * mx * by_xx
-            sums[y] += total
-            for plane in range(c, 3 * C, C):
-                for x in range(W, moments.shape[2]):
-                    derivative[plane, y, x] = 0
+def _compare(first: int, last: int, image: np.ndarray, target: np.ndarray, target_moments: np.ndarray, w: np.ndarray,
+             strips: int, by_ssim: np.float32, by_difference: np.float32, sums: np.ndarray,
+             gradient: np.ndarray) -> None:  # fmt: skip
+    """Compare strips of channels: products of row y, moments of the row RADIUS above, gradient of one as far again."""
+    H, S = image.shape[0], target_moments.shape[2]
+    row, rows = np.zeros(S + 2 * RADIUS, np.float32), np.empty((3, S), np.float32)
+    inside, places = np.empty(SIZE, np.float32), np.empty(SIZE, np.int64)
+    products, derivative = np.zeros((4, SIZE, S), np.float32), np.empty((3, SIZE, S), np.float32)
+    for task in range(first, last):
+        c, top = task // strips, task % strips * STRIP
+        bottom = min(H, top + STRIP)
+        for y in range(max(0, top - 2 * RADIUS), bottom + 2 * RADIUS):
+            if y < H:
+                _multiply(image, target, c, y, products)
+            middle, above = y - RADIUS, y - 2 * RADIUS
+            if max(0, top - RADIUS) <= middle < min(H, bottom + RADIUS):
+                for plane in range(3):
+                    _blur_row(products, plane * SIZE * S, SIZE, middle, H, w, row, inside, places, rows, plane * S)
+                similar = _similarity(rows, target_moments, c, middle, image.shape[1], derivative)
+                sums[task, 0] += similar if top <= middle < bottom else 0.0
+            if top <= above:
+                for plane in range(3):
+                    _blur_row(derivative, plane * SIZE * S, SIZE, above, H, w, row, inside, places, rows, plane * S)
+                absolute, squared = _assemble(products, above % SIZE * S, rows, by_ssim, by_difference)
+                sums[task, 1] += absolute
+                sums[task, 2] += squared
+                for x in range(image.shape[1]):
+                    gradient[above, x, c] = rows[0, x]
 
 
-def assemble(
-    image: np.ndarray, target: np.ndarray, blurred: np.ndarray, by_ssim: float, by_difference: float
-) -> np.ndarray:
-    """Gradient [H, W, C] of by_ssim x sum of SSIM + by_difference x sum of absolute differences, by the image.
+@njit(inline="always", **FAST)
+def _multiply(image: np.ndarray, target: np.ndarray, c: int, y: int, products: np.ndarray) -> None:
+    """Row y of image, image^2, image x target and target in channel c."""
+    at = y % SIZE
+    for x in range(image.shape[1]):
+        a, b = image[y, x, c], target[y, x, c]
+        products[0, at, x], products[1, at, x], products[2, at, x], products[3, at, x] = a, a * a, a * b, b
+
+
+@njit(inline="always", **FAST)
+def _similarity(rows: np.ndarray, target_moments: np.ndarray, c: int, y: int, W: int, derivative: np.ndarray) -> Any:
+    """Sum of SSIM over row y, from its moments [3, S], and its derivative by them, zero from column W on."""
+    (planes, H, S), similar, plane = target_moments.shape, load(NOTHING, 0), SIZE * rows.shape[1]
+    for x in range(0, S, LANES):
+        at = (c * H + y) * S + x
+        mx, my = load(rows, x), load(target_moments, at)
+        sxx, syy = load(rows, S + x) - mx * mx, load(target_moments, planes // 2 * H * S + at) - my * my
+        a, b = mx * my * TWO + C1, (load(rows, 2 * S + x) - mx * my) * TWO + C2
+        d, e = mx * mx + my * my + C1, sxx + syy + C2
+        inverse = ONE / (d * e)
+        value = a * b * inverse
+        by_xy, by_xx = a * inverse * TWO, ZERO - value / e
+        by_x = my * b * inverse * TWO - mx * value / d * TWO - my * by_xy - mx * by_xx * TWO
+        seen, at = load(COLUMNS, 0) < np.float32(W - x), y % SIZE * S + x
+        similar = similar + where(seen, value, ZERO)
+        store(derivative, at, where(seen, by_x, ZERO))
+        store(derivative, plane + at, where(seen, by_xx, ZERO))
+        store(derivative, 2 * plane + at, where(seen, by_xy, ZERO))
+    return total(similar)
+
+
+@njit(inline="always", **FAST)
+def _assemble(products: np.ndarray, start: int, rows: np.ndarray, by_ssim: np.float32,
+              by_difference: np.float32) -> tuple[Any, Any]:  # fmt: skip
+    """Put a row of the gradient into `rows[0]`; returns the sums of its absolute and squared differences.
 
     Args:
-        image, target: [H, W, C].
-        blurred: [3 C, H, S], the derivative by the moments, blurred: a symmetric blur is its own adjoint.
+        start: of the row in each plane of `products`, which are zero beyond the image.
+        rows: [3, S], the derivative by the moments, blurred: a symmetric blur is its own adjoint.
     """
-    gradient = np.empty_like(image)
-    factors = np.float32(by_ssim), np.float32(by_difference)
-    spread(_assemble, len(image), image, target, blurred, *factors, gradient)
-    return gradient
-
-
-@njit(**FAST)
-def _assemble(
-    first: int,
-    last: int,
-    image: np.ndarray,
-    target: np.ndarray,
-    blurred: np.ndarray,
-    by_ssim: np.float32,
-    by_difference: np.float32,
-    gradient: np.ndarray,
-) -> None:
-    _, W, C = image.shape
-    for y in range(first, last):
-        for c in range(C):
-            for x in range(W):
-                by_square = 2 * image[y, x, c] * blurred[C + c, y, x]
-                by_product = target[y, x, c] * blurred[2 * C + c, y, x]
-                side = by_difference * np.sign(image[y, x, c] - target[y, x, c])
-                gradient[y, x, c] = by_ssim * (blurred[c, y, x] + by_square + by_product) + side
+    S = rows.shape[1]
+    absolute, squared = load(NOTHING, 0), load(NOTHING, 0)
+    for x in range(0, S, LANES):
+        a, b = load(products, start + x), load(products, 3 * SIZE * S + start + x)
+        difference = a - b
+        absolute = absolute + where(difference < ZERO, ZERO - difference, difference)
+        squared = squared + difference * difference
+        by_moments = load(rows, x) + a * load(rows, S + x) * TWO + b * load(rows, 2 * S + x)
+        side = where(difference > ZERO, by_difference, where(difference < ZERO, load(NOTHING, 0) - by_difference, ZERO))
+        store(rows, x, by_moments * by_ssim + side)
+    return total(absolute), total(squared)
