@@ -73,6 +73,27 @@ def test_the_gradient_of_the_average_is_a_finite_difference() -> None:
     assert torch.autograd.gradcheck(lambda *c: shutter._Average.apply(False, *c), [c.requires_grad_() for c in colours])
 
 
+@pytest.mark.parametrize("only_one", [False, True])
+@pytest.mark.parametrize("shape", [(1, 1, 3), (7, 5, 3), (40, 96, 3)])
+def test_the_kernels_average_as_torch_does_in_double_precision(shape: tuple[int, int, int], only_one: bool) -> None:
+    """From below black, through the knee of the curve, to colours far beyond white; whole vectors of pixels or not."""
+    rng = torch.manual_seed(0)
+    ends = torch.tensor([-0.1, 0.0, 0.04044, 0.04046, 1.0, 7.8])
+    wide = [10 ** (2.9 * torch.rand(shape, generator=rng) - 2) - 0.1 for _ in range(3)]
+    for colour, where in zip(wide, (0, 1, 2), strict=True):
+        colour.view(-1)[: len(ends)] = ends[: colour.numel()].roll(where)
+    expected = [colour.double().requires_grad_() for colour in wide]
+    found = [colour.requires_grad_() for colour in wide]
+    pictures = [shutter._Average.apply(only_one, *colours) for colours in (found, expected)]
+    torch.testing.assert_close(pictures[0].double(), pictures[1], rtol=2e-6, atol=2e-7)
+    weights = torch.rand(shape, generator=rng)
+    for picture in pictures:
+        (picture * weights.to(picture)).sum().backward()
+    for single, double in zip(found, expected, strict=True):
+        assert single.grad is not None
+        torch.testing.assert_close(single.grad.double(), double.grad, rtol=5e-6, atol=1e-7)
+
+
 def gradients(scene: GaussianScene, picture: Moments, followed: int | None) -> dict[str, torch.Tensor]:
     """Of a loss that is not linear in the picture, by parameter."""
     scene.zero_grad()

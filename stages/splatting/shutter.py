@@ -7,9 +7,12 @@ import torch
 from torch import Tensor
 
 from stages.shared import lie
+from stages.shared.lanes import LANES
 from stages.shared.torch_threads import one_torch_thread
+from stages.splatting import shutter_kernels
 from stages.splatting.gaussian_model import GaussianScene
 from stages.splatting.rasterize import Rendering
+from stages.splatting.shutter_kernels import DARK, KNEE, POWER, SCALE, SLOPE
 
 SPACING_PX = 3.0
 """Distance between moments, in the image: closer than a drawn Gaussian is wide, whose deviation is at least 0.5 px."""
@@ -18,8 +21,6 @@ VISIBLE_PX = 1.0
 MAX_MOMENTS = 5
 QUANTILE = 0.95
 """The length of the smear is that of the Gaussian with this rank, among those that rest and among those that move."""
-KNEE, SLOPE, SCALE, POWER = 0.0031308, 12.92, 1.055, 2.4
-"""The curve of sRGB (IEC 61966-2-1): linear up to KNEE, then a power. Its slope is finite everywhere."""
 
 
 class Moments(NamedTuple):
@@ -131,36 +132,56 @@ def expose(
 
 
 class _Average(torch.autograd.Function):
-    """Display colours of the mean linear radiance of S pictures, on one thread: a power rounds by their number."""
+    """Display colours of the mean linear radiance of S pictures: by kernels where they are float32 on the CPU.
+
+    Torch's powers take several times as long, and run on one thread here: they round by the number of threads.
+    """
 
     @staticmethod
     def forward(ctx: Any, only_one: bool, *colours: Tensor) -> Tensor:
         """Colours [H, W, 3] of pictures [H, W, 3]; with `only_one`, its gradient is that of the mean."""
+        ctx.share, shape = 1.0 if only_one else 1 / len(colours), colours[0].shape
+        ctx.on_cpu = colours[0].device.type == "cpu" and colours[0].dtype == torch.float32
+        if ctx.on_cpu:
+            ctx.colours = [_in_lanes(colour) for colour in colours]
+            ctx.images = shutter_kernels.average(np.stack(ctx.colours))
+            return torch.from_numpy(ctx.images[0][: shape.numel()]).view(shape)
         with one_torch_thread():
             mean = torch.stack([to_linear(colour) for colour in colours]).mean(dim=0)
             ctx.save_for_backward(mean, *colours)
-            ctx.share = 1.0 if only_one else 1 / len(colours)
             return to_display(mean)
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
+        g, wanted = ctx.share * gradients[0], ctx.needs_input_grad[1:]
+        if ctx.on_cpu:
+            (shown, radiance), lanes = ctx.images, _in_lanes(g)
+            arrays = zip(ctx.colours, wanted, strict=True)
+            found = [shutter_kernels.average_adjoint(c, shown, radiance, lanes) if w else None for c, w in arrays]
+            return None, *(None if a is None else torch.from_numpy(a[: g.numel()]).view(g.shape) for a in found)
         mean, *colours = ctx.saved_tensors
         with one_torch_thread():
-            by_mean = ctx.share * gradients[0] * display_slope(mean)
-            wanted = zip(colours, ctx.needs_input_grad[1:], strict=True)
-            return None, *(by_mean * linear_slope(colour) if needed else None for colour, needed in wanted)
+            by_mean = g * display_slope(mean)
+            pairs = zip(colours, wanted, strict=True)
+            return None, *(by_mean * linear_slope(colour) if needed else None for colour, needed in pairs)
+
+
+def _in_lanes(image: Tensor) -> np.ndarray:
+    """The numbers of an image in one row, with zeros up to whole vectors."""
+    flat = image.detach().contiguous().numpy().ravel()
+    return np.pad(flat, (0, -len(flat) % LANES))
 
 
 def to_linear(colour: Tensor) -> Tensor:
     """Linear radiance of display colours, both 0..1; colours beyond 0 or 1 continue the curve."""
-    power = ((colour.clamp_min(SLOPE * KNEE) + SCALE - 1) / SCALE) ** POWER
-    return torch.where(colour <= SLOPE * KNEE, colour / SLOPE, power)
+    power = ((colour.clamp_min(DARK) + SCALE - 1) / SCALE) ** POWER
+    return torch.where(colour <= DARK, colour / SLOPE, power)
 
 
 def linear_slope(colour: Tensor) -> Tensor:
     """Derivative of `to_linear`."""
-    power = POWER / SCALE * ((colour.clamp_min(SLOPE * KNEE) + SCALE - 1) / SCALE) ** (POWER - 1)
-    return torch.where(colour <= SLOPE * KNEE, 1 / SLOPE, power)
+    power = POWER / SCALE * ((colour.clamp_min(DARK) + SCALE - 1) / SCALE) ** (POWER - 1)
+    return torch.where(colour <= DARK, 1 / SLOPE, power)
 
 
 def to_display(radiance: Tensor) -> Tensor:
