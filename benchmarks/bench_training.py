@@ -56,7 +56,7 @@ PARTS: dict[str, list[tuple[Any, str]]] = {
         )
         for suffix in ("", "_adjoint")
     ],
-    "loss with gradient": [(ssim_kernels, name) for name in ("blur", "compare")],
+    "loss with gradient": [(ssim_kernels, "compare")],
     "Adam": [(Adam, "step")],
 }
 

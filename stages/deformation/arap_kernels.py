@@ -36,7 +36,7 @@ def _best_rotation(C: np.ndarray, N: np.ndarray, V: np.ndarray, R: np.ndarray) -
             for b in range(a + 1, 4):
                 off += abs(N[a, b])
                 _rotate(N, V, a, b)
-        if off < 1e-8:  # before this sweep, which squares it
+        if off < 1e-15:
             break
     best = 0
     for a in range(1, 4):

@@ -41,7 +41,7 @@ def photometric_loss(image: Tensor, target: Target, ssim_weight: float) -> tuple
 
 
 class _Loss(torch.autograd.Function):
-    """The loss by the numba kernels. The forward pass also computes the gradient, which costs little more."""
+    """The loss by the numba kernels. The forward pass also computes the gradient, which every step asks for."""
 
     @staticmethod
     def forward(ctx: Any, image: Tensor, target: Target, weight: float) -> tuple[Tensor, Tensor]:

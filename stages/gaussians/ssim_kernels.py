@@ -1,7 +1,7 @@
 """Numba kernels of the structural similarity (Wang et al. 2004) and of absolute differences, and their gradient.
 
 The window is an 11 x 11 Gaussian with sigma 1.5 px and zero padding. Images are [H, W, C] float32. Planes are
-[planes, H, S], S = W rounded up to whole vectors; columns from W on are zero, as the padding is.
+[planes, H, S], S = W rounded up to whole vectors; before a blur their columns from W on are zero, as the padding is.
 
 The comparison passes down a strip of one channel row by row. Between its two blurs it keeps as many rows as the window
 is high, in rings: planes of whole images would leave the cache before they are read again.
@@ -20,7 +20,7 @@ SIGMA_PX = 1.5
 C1, C2 = np.float32(0.01**2), np.float32(0.03**2)
 SIZE = 2 * RADIUS + 1
 STRIP = 64
-"""Rows per task."""
+"""Rows per task. Its comparison multiplies 20 rows more; fewer strips than threads would leave some of these idle."""
 NOTHING, COLUMNS = np.zeros(LANES, np.float32), np.arange(LANES, dtype=np.float32)
 ZERO, ONE, TWO = np.float32(0), np.float32(1), np.float32(2)
 FAST = {"cache": True, "nogil": True, "fastmath": True, "error_model": "numpy"}
@@ -28,7 +28,7 @@ FAST = {"cache": True, "nogil": True, "fastmath": True, "error_model": "numpy"}
 
 def window() -> np.ndarray:
     """The normalised 1-D Gaussian [11] float32."""
-    weights = np.exp(-((np.arange(2 * RADIUS + 1) - RADIUS) ** 2) / (2 * SIGMA_PX**2))
+    weights = np.exp(-((np.arange(SIZE) - RADIUS) ** 2) / (2 * SIGMA_PX**2))
     return (weights / weights.sum()).astype(np.float32)
 
 
@@ -61,14 +61,15 @@ def _blur_row(source: np.ndarray, start: int, ring: int, y: int, H: int, w: np.n
     """Blur row y of a plane of H rows into the entries of `blurred` from `target` on.
 
     Args:
-        source: the plane from `start` on, of whose rows the last `ring` are kept, row r in place r % ring.
+        source: the plane from `start` on, of whose rows the last `ring` are kept, row r in place r % ring; those up to
+            RADIUS from y must be among them.
         row: [S + 10] to work in, with zeros at both ends.
     """
     S = len(row) - 2 * RADIUS
     for k in range(SIZE):
-        above = y + k - RADIUS
-        inside[k] = w[k] if 0 <= above < H else np.float32(0)
-        places[k] = start + min(max(above, 0), H - 1) % ring * S
+        r = y + k - RADIUS
+        inside[k] = w[k] if 0 <= r < H else np.float32(0)
+        places[k] = start + min(max(r, 0), H - 1) % ring * S  # beyond the plane a row that is kept, hence finite
     for x in range(0, S, LANES):
         summed = load(NOTHING, 0)
         for k in range(SIZE):

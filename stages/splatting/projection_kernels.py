@@ -229,9 +229,9 @@ def _project_adjoint(first: int, last: int, means: np.ndarray, quats: np.ndarray
     for block in range(first, last):
         g_view = g_views[block]
         for i in range(block * BLOCK, min(N, (block + 1) * BLOCK)):
-            drawn = g_centres[i, 0] != 0 or g_centres[i, 1] != 0 or g_depths[i] != 0
-            drawn = drawn or g_factors[i, 0] != 0 or g_factors[i, 1] != 0 or g_factors[i, 2] != 0
-            if not drawn or depths[i] == 0:  # of those in front a quarter may lie beside the image, or hidden
+            moves = g_centres[i, 0] != 0 or g_centres[i, 1] != 0 or g_depths[i] != 0
+            shapes = g_factors[i, 0] != 0 or g_factors[i, 1] != 0 or g_factors[i, 2] != 0
+            if depths[i] == 0 or not (moves or shapes):  # beside the image, or hidden: a quarter of those in front
                 continue
             mean, scale = _vector(means, i), _vector(scales, i)
             p = _to_camera(mean, viewmat)

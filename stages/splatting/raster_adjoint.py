@@ -3,11 +3,11 @@
 Let g be the gradient of the loss L by a pixel. The backward pass repeats the compositing front to back and updates
 S = g . (contribution of all that is behind the present splat), which starts at g . (final pixel). So no list of
 contributing splats is stored, and no division by a transmittance near zero occurs:
-dL/dalpha = T (g . colour) - S / (1 - alpha), with alpha <= MAX_ALPHA, at which it is constant.
+dL/dalpha = T (g . colour) - S / (1 - alpha), where alpha is below MAX_ALPHA, at which it is cut.
 
-With q = f0 dx + f1 dy, p = f2 dy, s = q^2 + p^2 and D = dL/ds = -alpha dL/dalpha, the gradients of a splat follow from
-the moments of D over its pixels: the sums of D, D q, D p, D q^2, D q p and D p^2. Both q and p are bounded where the
-splat is drawn, however elongated it is.
+With q = f0 dx + f1 dy, p = f2 dy, s = q^2 + p^2 and D = dL/ds, which is -alpha dL/dalpha, or 0 where alpha is cut, the
+gradients of a splat follow from the moments of D over its pixels: the sums of D, D q, D p, D q^2, D q p and D p^2. Both
+q and p are bounded where the splat is drawn, however elongated it is.
 """
 
 from typing import Any
@@ -62,6 +62,7 @@ def _adjoint_entry(splat: np.ndarray, mask: int, x0: int, y0: int, state: np.nda
         store(S, at, behind)
         store(T, at, t - w)
         w0, w1, w2, w3 = w0 + w * g0, w1 + w * g1, w2 + w * g2, w3 + w * g3
+        # where nothing is drawn alpha is 0, and so is D
         D = where(alpha < MAX_ALPHA, alpha * (behind / (ONE - alpha)) - w * shade, ZERO)
         Dq, Dp = D * q, D * p
         m, mq, mp, mqq, mqp, mpp = m + D, mq + Dq, mp + Dp, mqq + Dq * q, mqp + Dq * p, mpp + Dp * p

@@ -134,17 +134,19 @@ def expose(
 class _Average(torch.autograd.Function):
     """Display colours of the mean linear radiance of S pictures: by kernels where they are float32 on the CPU.
 
-    Torch's powers take several times as long, and run on one thread here: they round by the number of threads.
+    Torch's powers take several times as long, and run on one thread here, since their rounding depends on the number of
+    threads.
     """
 
     @staticmethod
     def forward(ctx: Any, only_one: bool, *colours: Tensor) -> Tensor:
         """Colours [H, W, 3] of pictures [H, W, 3]; with `only_one`, its gradient is that of the mean."""
         ctx.share, shape = 1.0 if only_one else 1 / len(colours), colours[0].shape
-        ctx.on_cpu = colours[0].device.type == "cpu" and colours[0].dtype == torch.float32
-        if ctx.on_cpu:
-            ctx.colours = [_in_lanes(colour) for colour in colours]
-            ctx.images = shutter_kernels.average(np.stack(ctx.colours))
+        ctx.by_kernels = colours[0].device.type == "cpu" and colours[0].dtype == torch.float32
+        if ctx.by_kernels:
+            rows = _in_lanes(*colours)
+            ctx.colours = [row.copy() if w else None for row, w in zip(rows, ctx.needs_input_grad[1:], strict=True)]
+            ctx.images = shutter_kernels.average(rows)
             return torch.from_numpy(ctx.images[0][: shape.numel()]).view(shape)
         with one_torch_thread():
             mean = torch.stack([to_linear(colour) for colour in colours]).mean(dim=0)
@@ -154,11 +156,13 @@ class _Average(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
         g, wanted = ctx.share * gradients[0], ctx.needs_input_grad[1:]
-        if ctx.on_cpu:
-            (shown, radiance), lanes = ctx.images, _in_lanes(g)
-            arrays = zip(ctx.colours, wanted, strict=True)
-            found = [shutter_kernels.average_adjoint(c, shown, radiance, lanes) if w else None for c, w in arrays]
-            return None, *(None if a is None else torch.from_numpy(a[: g.numel()]).view(g.shape) for a in found)
+        if ctx.by_kernels:
+            (shown, radiance), (by_shown,) = ctx.images, _in_lanes(g)
+            rows = (
+                None if row is None else shutter_kernels.average_adjoint(row, shown, radiance, by_shown)
+                for row in ctx.colours
+            )
+            return None, *(None if row is None else torch.from_numpy(row[: g.numel()]).view(g.shape) for row in rows)
         mean, *colours = ctx.saved_tensors
         with one_torch_thread():
             by_mean = g * display_slope(mean)
@@ -166,10 +170,13 @@ class _Average(torch.autograd.Function):
             return None, *(by_mean * linear_slope(colour) if needed else None for colour, needed in pairs)
 
 
-def _in_lanes(image: Tensor) -> np.ndarray:
-    """The numbers of an image in one row, with zeros up to whole vectors."""
-    flat = image.detach().contiguous().numpy().ravel()
-    return np.pad(flat, (0, -len(flat) % LANES))
+def _in_lanes(*images: Tensor) -> np.ndarray:
+    """The numbers of each image in a row, [S, n], with zeros up to whole vectors."""
+    size = images[0].numel()
+    rows = np.zeros((len(images), -(-size // LANES) * LANES), np.float32)
+    for row, image in zip(rows, images, strict=True):
+        row[:size] = image.detach().reshape(-1).numpy()
+    return rows
 
 
 def to_linear(colour: Tensor) -> Tensor:

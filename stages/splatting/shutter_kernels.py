@@ -12,10 +12,10 @@ from stages.shared.lanes import LANES, load, store, where
 from stages.shared.threads import spread
 
 FAST = {"cache": True, "nogil": True, "fastmath": True, "error_model": "numpy"}
-LARGEST = 128.0
-"""Larger numbers have the power of this one: the radiance of a display colour of 7.9."""
-DOUBLINGS = (8, 4, 2, 1)
-"""Some of them bring any number from LARGEST / 2^16 on above a half of LARGEST."""
+LARGEST = 2.0**23
+"""Larger numbers have the power of this one: the radiance of a display colour of 800."""
+DOUBLINGS = (16, 8, 4, 2, 1)
+"""Some of them bring any number from LARGEST / 2^32 on, far below KNEE, above a half of LARGEST."""
 KNEE, SLOPE, SCALE, POWER = 0.0031308, 12.92, 1.055, 2.4
 """The curve of sRGB (IEC 61966-2-1): linear up to KNEE, then a power. Its slope is finite everywhere."""
 DARK, OFFSET = SLOPE * KNEE, SCALE - 1
@@ -40,10 +40,10 @@ LIMITS = tuple(0.5**count for count in DOUBLINGS)
 
 @njit(inline="always", **FAST)
 def _power(x: Any, p: tuple[float, ...], factors: tuple[float, ...]) -> Any:
-    """x^e of a vector within LARGEST / 2^16..LARGEST, from `_fitted` and `_factors` of e."""
+    """x^e of a vector within LARGEST / 2^32..LARGEST, from `_fitted` and `_factors` of e."""
     m = where(x < LARGEST, x, LARGEST) / LARGEST
-    factor = load(NOTHING, 0) + factors[4]
-    for k in literal_unroll((0, 1, 2, 3)):
+    factor = load(NOTHING, 0) + factors[5]
+    for k in literal_unroll((0, 1, 2, 3, 4)):
         small = m < LIMITS[k]
         m, factor = where(small, m / LIMITS[k], m), where(small, factor * factors[k], factor)
     return factor * (p[0] + m * (p[1] + m * (p[2] + m * (p[3] + m * (p[4] + m * (p[5] + m * (p[6] + m * p[7])))))))
