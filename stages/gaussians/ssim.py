@@ -11,7 +11,7 @@ from torch import Tensor
 
 from stages.gaussians import ssim_kernels
 
-WINDOW = ssim_kernels.window()
+WINDOW = ssim_kernels.WINDOW
 
 
 class Target:
@@ -23,7 +23,7 @@ class Target:
             planes = self.image.movedim(-1, 0)
             self.moments = _convolve(torch.cat([planes, planes * planes]))
         else:
-            moments = ssim_kernels.blur(ssim_kernels.squares(self.image.numpy()), WINDOW)
+            moments = ssim_kernels.blur(ssim_kernels.squares(self.image.numpy()))
             self.moments = torch.from_numpy(moments)
 
 

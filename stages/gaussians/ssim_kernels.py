@@ -26,20 +26,23 @@ ZERO, ONE, TWO = np.float32(0), np.float32(1), np.float32(2)
 FAST = {"cache": True, "nogil": True, "fastmath": True, "error_model": "numpy"}
 
 
-def window() -> np.ndarray:
-    """The normalised 1-D Gaussian [11] float32."""
+def _window() -> np.ndarray:
     weights = np.exp(-((np.arange(SIZE) - RADIUS) ** 2) / (2 * SIGMA_PX**2))
     return (weights / weights.sum()).astype(np.float32)
 
 
-def blur(planes: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Separable blur of planes [P, H, S] by weights [11], zero padding: vertically into a row, then horizontally.
+WINDOW = _window()
+"""The normalised 1-D Gaussian [11] float32."""
+
+
+def blur(planes: np.ndarray) -> np.ndarray:
+    """Separable blur of planes [P, H, S] by the window, zero padding: vertically into a row, then horizontally.
 
     What the blur writes to columns from W on is not zero; none of it is read as a column of the image.
     """
     blurred = np.empty_like(planes)
     strips = (planes.shape[1] + STRIP - 1) // STRIP
-    spread(_blur, len(planes) * strips, planes, weights, strips, blurred)
+    spread(_blur, len(planes) * strips, planes, WINDOW, strips, blurred)
     return blurred
 
 
@@ -107,7 +110,7 @@ def compare(
     strips = (H + STRIP - 1) // STRIP
     sums, gradient = np.zeros((C * strips, 3)), np.empty_like(image)
     factors = np.float32(by_ssim), np.float32(by_difference)
-    spread(_compare, C * strips, image, target, target_moments, window(), strips, *factors, sums, gradient)
+    spread(_compare, C * strips, image, target, target_moments, WINDOW, strips, *factors, sums, gradient)
     return sums.sum(axis=0), gradient
 
 

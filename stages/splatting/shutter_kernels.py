@@ -6,7 +6,7 @@ A power is taken of a number between 1/2 and 1, by a polynomial; powers of two b
 from typing import Any
 
 import numpy as np
-from numba import literal_unroll, njit
+from numba import njit
 
 from stages.shared.lanes import LANES, load, store, where
 from stages.shared.threads import spread
@@ -42,8 +42,8 @@ LIMITS = tuple(0.5**count for count in DOUBLINGS)
 def _power(x: Any, p: tuple[float, ...], factors: tuple[float, ...]) -> Any:
     """x^e of a vector within LARGEST / 2^32..LARGEST, from `_fitted` and `_factors` of e."""
     m = where(x < LARGEST, x, LARGEST) / LARGEST
-    factor = load(NOTHING, 0) + factors[5]
-    for k in literal_unroll((0, 1, 2, 3, 4)):
+    factor = load(NOTHING, 0) + factors[-1]
+    for k in range(len(LIMITS)):
         small = m < LIMITS[k]
         m, factor = where(small, m / LIMITS[k], m), where(small, factor * factors[k], factor)
     return factor * (p[0] + m * (p[1] + m * (p[2] + m * (p[3] + m * (p[4] + m * (p[5] + m * (p[6] + m * p[7])))))))
