@@ -1,15 +1,21 @@
-"""docs/method.md names what exists, with the values that it has."""
+"""docs/method.md names what exists, with the values that it has; links and options of all pages lead somewhere."""
 
 import ast
 import importlib
 import re
+from pathlib import Path
 from typing import Any
 
 import pytest
 import yaml
 from conftest import REPO
 
+from stages.configuration.config import Config
+from stages.shared.errors import OptionError
+from stages.shared.options import validate
+
 METHOD = REPO / "docs/method.md"
+PAGES = sorted([*REPO.glob("*.md"), *(REPO / "docs").glob("*.md")])
 QUOTED = re.findall(r"`([^`\n]+)`", re.sub(r"^```.*?^```", "", METHOD.read_text(), flags=re.MULTILINE | re.DOTALL))
 NAME = re.compile(r"((?:stages|workflow)\.[\w.]+)(?: = (.+))?")
 OPTION = re.compile(r"(?:([a-z]\w*)\.)?([a-z]\w*): (.+)")
@@ -57,8 +63,55 @@ def test_the_method_gives_options_with_their_defaults() -> None:
         assert option == "json" or option in CONFIG[section], f"{section}.{option}"
 
 
-def test_files_that_the_method_links_to_exist() -> None:
-    links = re.findall(r"\]\(([^)#]+)\)", METHOD.read_text())
-    assert "dataflow.png" in links
-    for link in links:
-        assert link.startswith("https://") or (METHOD.parent / link).exists(), link
+def links_of(page: Path) -> list[str]:
+    """The targets of the links of a page, without the heading within it."""
+    return re.findall(r"\]\(([^)#\s]+)", page.read_text())
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_files_that_a_page_links_to_exist(page: Path) -> None:
+    for link in links_of(page):
+        assert link.startswith("https://") or (page.parent / link).exists(), link
+
+
+def test_every_page_is_reached_from_the_readme() -> None:
+    reached, waiting = {REPO / "README.md"}, [REPO / "README.md"]
+    while waiting:
+        page = waiting.pop()
+        found = {(page.parent / link).resolve() for link in links_of(page) if link.endswith(".md")} - reached
+        reached |= found
+        waiting += found
+    assert set(PAGES) <= reached
+
+
+ELSEWHERE = ("camera", "split", "cores")
+"""Keys of scene files and of Snakemake's profiles, which are no options."""
+
+
+def options_of(page: Path) -> list[str]:
+    """What a page tells the user to write into a file of options, whole, in a line or between backquotes."""
+    text = page.read_text()
+    written = re.findall(r"`([^`\n]+)`", text) + re.findall(r"^    (.+?)(?: +#.*)?$", text, flags=re.MULTILINE)
+    keys = [re.match(r"([a-z_]+): ", option) for option in written]
+    return [
+        option
+        for option, key in zip(written, keys, strict=True)
+        if key and key[1] not in ELSEWHERE and "..." not in option and option.count("{") == option.count("}")
+    ]
+
+
+@pytest.mark.parametrize("name", ["README.md", "docs/input.md", "docs/resources.md", "docs/troubleshooting.md"])
+def test_options_that_a_page_gives_are_valid(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    options = options_of(REPO / name)
+    assert options
+    (tmp_path / "mine.png").touch()  # the mask of burnt-in logos, which must exist
+    monkeypatch.chdir(tmp_path)
+    for option in options:
+        validate(Config, yaml.safe_load(option))
+
+
+def test_an_option_that_is_gone_is_seen(tmp_path: Path) -> None:
+    (tmp_path / "page.md").write_text("write `flow: {no_such_option: 3}`, not `text: ...`\n")
+    (option,) = options_of(tmp_path / "page.md")
+    with pytest.raises(OptionError, match="no_such_option"):
+        validate(Config, yaml.safe_load(option))
