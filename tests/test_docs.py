@@ -1,4 +1,4 @@
-"""docs/method.md names what exists, with the values that it has; links and options of all pages lead somewhere."""
+"""docs/method.md and experiments.md name what exists, with its values; links and options of all pages are valid."""
 
 import ast
 import importlib
@@ -14,9 +14,10 @@ from stages.configuration.config import Config
 from stages.shared.errors import OptionError
 from stages.shared.options import validate
 
-METHOD = REPO / "docs/method.md"
+METHOD = [REPO / "docs/method.md", REPO / "docs/experiments.md"]
 PAGES = sorted([*REPO.glob("*.md"), *(REPO / "docs").glob("*.md")])
-QUOTED = re.findall(r"`([^`\n]+)`", re.sub(r"^```.*?^```", "", METHOD.read_text(), flags=re.MULTILINE | re.DOTALL))
+TEXT = "\n".join(re.sub(r"^```.*?^```", "", page.read_text(), flags=re.MULTILINE | re.DOTALL) for page in METHOD)
+QUOTED = re.findall(r"`([^`\n]+)`", TEXT)
 NAME = re.compile(r"((?:stages|workflow)\.[\w.]+)(?: = (.+))?")
 OPTION = re.compile(r"(?:([a-z]\w*)\.)?([a-z]\w*): (.+)")
 CONFIG = yaml.safe_load((REPO / "config.yaml").read_text())
