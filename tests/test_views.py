@@ -6,12 +6,12 @@ import gaussian_scene as truth
 import numpy as np
 import pytest
 
-from stages.render.__main__ import seconds_per_frame
 from stages.render.options import RenderOptions
 from stages.render.shots import Shot, even_moments, planned_shots, right_cameras
 from stages.render.viewpoints import novel_path, right_eye
 from stages.shared import lie
 from stages.shared.cameras import make_cameras
+from stages.shared.pace import seconds_per_frame
 from stages.shared.sequences import Sequence
 from stages.shared.sintel import write_cam
 

@@ -54,7 +54,7 @@ def main(
         if model and options.writes("ply", "spz"):
             _write_splats(folder / "splats", clip, model, options)
         if renders and options.writes("video"):
-            _write_video(folder / "video.mp4", renders)
+            _write_video(folder / "video.mp4", renders, clip.content.times_s)
     return f"{', '.join(dict.fromkeys(options.formats))}: {int(clip.posed.sum())} of {len(clip.posed)} cameras"
 
 
@@ -162,10 +162,10 @@ def _write_splats(folder: Path, clip: "Clip", model: Path, options: ExportOption
                 write_splats(folder / f"frame_{clip.content.numbers[k]:04d}.{suffix}", scene, float(times[k]))
 
 
-def _write_video(path: Path, renders: Path) -> None:
+def _write_video(path: Path, renders: Path, times_s: list[float] | None) -> None:
     from stages.export.images import CODECS, write_video
 
-    codec = write_video(path, renders)
+    codec = write_video(path, renders, times_s)
     logger.info("video.mp4: codec %s", codec)
     if codec != CODECS[0]:
         logger.warning("export: video.mp4 has the codec %s, which most browsers do not play", codec)

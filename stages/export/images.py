@@ -11,6 +11,7 @@ from stages.shared.errors import InputError
 from stages.shared.images import numbered_frames, read_rgb, write_image
 from stages.shared.log import progress
 from stages.shared.masks import read_burnt_in
+from stages.shared.pace import seconds_per_frame
 
 LEVELS = 65535
 """The largest number in a 16-bit image; 0 stands for an unknown depth."""
@@ -18,8 +19,6 @@ FARTHEST = 20.0
 """Depths beyond this multiple of the median are left out of the 16-bit images, whose steps would be too coarse."""
 CODECS = ("vp09", "mp4v")
 """Codecs of the video in order of preference: VP9, which browsers play, then MPEG-4, which most browsers do not."""
-HZ = 12.0
-"""Frames per second of the fly-through, as in the GIF."""
 
 
 def depth_scale(clip: Clip) -> float:
@@ -59,8 +58,10 @@ def write_masks(folder: Path, clip: Clip) -> None:
         write_image(folder / f"{name}.png", ~ignored)
 
 
-def write_video(path: Path, renders: Path) -> str:
+def write_video(path: Path, renders: Path, times_s: list[float] | None) -> str:
     """Write the fly-through of `renders` as a video without its odd last row or column, and return its codec.
+
+    It has the pace of the GIF, by the time stamps [T] of the frames, if any.
 
     Raises:
         InputError: if there is no fly-through, or OpenCV has no encoder.
@@ -68,9 +69,10 @@ def write_video(path: Path, renders: Path) -> str:
     files = list(numbered_frames(renders / "novel").values())
     if not files:
         raise InputError(renders / "novel", "frames of the fly-through", "none", "run the render stage again")
+    hz = 1 / seconds_per_frame(times_s, len(files))
     height, width = (size // 2 * 2 for size in read_rgb(files[0]).shape[:2])
     for codec in CODECS:
-        video = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*codec), HZ, (width, height))
+        video = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*codec), hz, (width, height))
         if video.isOpened():
             break
     else:

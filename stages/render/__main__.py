@@ -9,12 +9,9 @@ from stages.shared.artifacts import read_metadata
 from stages.shared.cameras import read_cameras
 from stages.shared.cli import In, Out
 from stages.shared.log import progress
+from stages.shared.pace import seconds_per_frame
 from stages.shared.sequences import read_sequence
 
-SECONDS_PER_FRAME = 1 / 12
-"""Of the fly-through, if frames have no time stamps."""
-SLOWEST_S, FASTEST_S = 0.2, 0.04
-"""Of a frame of the fly-through that lasts as long as the video."""
 FILES = tuple(f"{split}/frame_*.png" for split in ("train", "test", "novel", "right"))
 
 
@@ -51,13 +48,6 @@ def main(
                 novel.append(image)
     write_gif(video, novel, len(novel) * seconds_per_frame(content.times_s, len(novel)))
     return f"{len(shots)} views"
-
-
-def seconds_per_frame(times_s: list[float] | None, count: int) -> float:
-    """How long each of `count` frames of the fly-through is shown, by the time stamps [T] of the frames, if any."""
-    if times_s is None:
-        return SECONDS_PER_FRAME
-    return min(max((times_s[-1] - times_s[0]) / (count - 1), FASTEST_S), SLOWEST_S)
 
 
 if __name__ == "__main__":
