@@ -41,11 +41,13 @@ def test_the_adapter_puts_pixel_centres_where_gsplat_has_them(monkeypatch: pytes
 
 
 def test_no_gaussian_never_reaches_gsplat(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its count of batches divides by the number of Gaussians."""
+    """Its count of batches divides by the number of Gaussians. A step of the training differentiates what is drawn."""
     monkeypatch.setitem(sys.modules, "gsplat", SimpleNamespace(rasterization=None))
-    none = [torch.zeros(0, *shape) for shape in ((3,), (4,), (3,), (), (3,))]
+    none = [torch.zeros(0, *shape, requires_grad=True) for shape in ((3,), (4,), (3,), (), (3,))]
     camera = (torch.eye(4).double(), intrinsics(), WIDTH, HEIGHT, 0.01, BACKGROUND.float())
-    colour, depth, alpha, _ = _render_cuda(*none, *camera)
+    colour, depth, alpha, centres = _render_cuda(*none, *camera)
+    centres.retain_grad()
+    colour.sum().backward()
     assert torch.equal(colour, BACKGROUND.float().expand(HEIGHT, WIDTH, 3))
     assert not depth.any()
     assert not alpha.any()

@@ -1,5 +1,8 @@
 """The rasteriser and SSIM against a float64 reference, finite differences and torch convolutions."""
 
+import sys
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import torch
@@ -178,3 +181,22 @@ def test_device_cuda_is_refused_where_there_is_none() -> None:
     assert choose_device("auto").type == "cpu"
     with pytest.raises(InputError, match="no CUDA device"):
         choose_device("cuda")
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+def test_cuda_is_taken_only_if_gsplat_is_compiled(monkeypatch: pytest.MonkeyPatch, compiled: bool) -> None:
+    """Without nvcc gsplat can be imported, but fails at its first render."""
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: name)
+    backend = SimpleNamespace(_C=object() if compiled else None)
+    for name, module in (
+        ("gsplat", SimpleNamespace()),
+        ("gsplat.cuda", SimpleNamespace()),
+        ("gsplat.cuda._backend", backend),
+    ):
+        monkeypatch.setitem(sys.modules, name, module)
+    assert choose_device("auto").type == ("cuda" if compiled else "cpu")
+    assert choose_device("cpu").type == "cpu"
+    if not compiled:
+        with pytest.raises(InputError, match="nvcc"):
+            choose_device("cuda")

@@ -72,22 +72,32 @@ def _stacked(images: tuple[Tensor, ...]) -> Tensor:
 
 
 def choose_device(device: str) -> torch.device:
-    """The device of an option "auto", "cpu" or "cuda"; auto takes CUDA if it and gsplat are available.
+    """The device of an option "auto", "cpu" or "cuda"; auto takes CUDA if it and gsplat are available and compiled.
 
     TF32 convolutions are switched off: with 10 bits of mantissa, the variances in SSIM, which are differences of nearly
     equal sums, are lost to rounding.
 
     Raises:
-        InputError: if "cuda" is chosen and CUDA or gsplat is missing.
+        InputError: if "cuda" is chosen and CUDA, gsplat or what compiles it is missing.
     """
+    torch.backends.cudnn.allow_tf32 = False
+    missing = "" if device == "cpu" else _missing()
+    if device == "cuda" and missing:
+        raise InputError("device: cuda", "a CUDA device and the package gsplat", missing, "set `device: cpu`")
+    return torch.device("cpu" if device == "cpu" or missing else "cuda")
+
+
+def _missing() -> str:
+    """What CUDA lacks, or "": gsplat is compiled when its extension is first imported, and has none without nvcc."""
     from importlib.util import find_spec
 
-    ready = torch.cuda.is_available() and find_spec("gsplat") is not None
-    if device == "cuda" and not ready:
-        found = "no CUDA device" if not torch.cuda.is_available() else "no gsplat"
-        raise InputError("device: cuda", "a CUDA device and the package gsplat", found, "set `device: cpu`")
-    torch.backends.cudnn.allow_tf32 = False
-    return torch.device("cuda" if ready and device != "cpu" else "cpu")
+    if not torch.cuda.is_available():
+        return "no CUDA device"
+    if find_spec("gsplat") is None:
+        return "no gsplat"
+    from gsplat.cuda._backend import _C
+
+    return "" if _C is not None else "a gsplat that nvcc has not compiled"
 
 
 def backend_name(device: torch.device) -> str:
@@ -135,7 +145,8 @@ def _render_cuda(
 
     if len(means) == 0:  # gsplat divides by the number of Gaussians
         empty = means.new_zeros(height, width)
-        return background.expand(height, width, 3), empty, empty, means.new_zeros(1, 0, 2)
+        nothing = means.sum()  # with history, as of any other render
+        return background.expand(height, width, 3) + nothing, empty, empty, means[None, :, :2]
     gsplat_K = K.to(means.dtype, copy=True)
     gsplat_K[:2, 2] += 0.5  # gsplat puts pixel centres at half-integers
     viewmats = viewmat.to(means.dtype)[None]  # gsplat takes all tensors to have the dtype of the means
