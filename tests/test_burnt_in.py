@@ -192,6 +192,25 @@ def test_no_gaussian_learns_it() -> None:
     assert len(start.positions) == pixels.sum()
 
 
+def test_pixels_that_it_covers_count_neither_in_loss_nor_in_psnr() -> None:
+    """The picture is off by the same everywhere: as much beside a burnt-in half as without one."""
+    seen, reached = truth.observations(TRAIN), []
+    pixels = np.ones(seen.images.shape[1:3], bool)
+    pixels[:, ::2] = False
+    for scene in (None, pixels):
+        grey = replace(seen, images=np.full_like(seen.images, 0.75), scene=scene)
+        empty = new_scene(grey, moving=False)
+        with torch.no_grad():
+            empty.gaussians["logits"].fill_(-20.0)
+        empty.background.copy_(torch.full((3,), 0.5))
+        options = OPTIONS.model_copy(update={"steps": 1, "ssim_weight": 0.0})
+        trainer = Trainer(empty, grey, options, arap_weight=0.0)
+        trainer.run(lambda _: None)
+        reached.append((trainer.history.loss[0], trainer.history.psnr[0]))
+    assert reached[0] == pytest.approx((0.25, -20 * np.log10(0.25)), rel=1e-3)
+    assert reached[1] == pytest.approx(reached[0], rel=1e-3)
+
+
 def test_surroundings_are_continued_over_it() -> None:
     image, burnt_in = np.full((40, 60, 3), 90, np.uint8), np.zeros((40, 60), bool)
     burnt_in[10:20, 20:40] = True

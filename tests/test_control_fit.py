@@ -13,7 +13,7 @@ from stages.control.options import ControlOptions
 from stages.control.rest import LONG_FRAMES, rest_positions
 from stages.control.sightings import Sightings
 from stages.deformation import lbs
-from stages.deformation.motion_models import Deformation, TableDeformation
+from stages.deformation.motion_models import LONG_KNOTS, Deformation, TableDeformation
 from stages.shared.cameras import centred_intrinsics, make_cameras, project, unproject
 from stages.shared.split import SplitOptions, held_out
 
@@ -122,6 +122,27 @@ def test_motion_that_cannot_be_explained_is_reported_after_another_attempt(T: in
     assert report["status"] == "stuck"
     assert report["attempts"] == 2
     assert report["control_points"] == 64
+
+
+def test_a_mover_that_only_passes_is_not_tried_from_a_frame_without_it() -> None:
+    """A frame a quarter of the clip away sees none of its tracks, and no control point could start there."""
+    T, frames = 20, np.arange(20)
+    rng = np.random.default_rng(0)
+    moved = turning_body(frames / (T - 1), 40)[0] + np.cumsum(rng.normal(0, 0.1, (40, T, 3)), axis=1)
+    K, visible = centred_intrinsics(200.0, 256, 192), np.tile(frames < 4, (40, 1))
+    uv, depth = project(moved, np.eye(4), K)
+    seen = sightings(frames, frames / (T - 1), visible, uv, depth, np.full(depth.shape, 0.02), moved)
+    cameras = make_cameras(np.tile(np.eye(4), (T, 1, 1)), K, np.arange(1, T + 1))
+    model, report = stage1.fit_sightings(seen, cameras, 0.05, ControlOptions(steps=10, control_points=8))
+    assert model is not None
+    assert (report["status"], report["attempts"]) == ("stuck", 1)
+
+
+def test_motion_at_the_frames_of_a_long_clip_is_looked_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Times in single precision lie beside the knots: each step would weigh all frames of the clip."""
+    monkeypatch.delattr("stages.deformation.motion_models.at_times")  # what weighs them
+    report = fit_body(T=2 * LONG_KNOTS, steps=2, control_points=8)[1]
+    assert report["control_points"] == 8
 
 
 def test_a_noisy_fit_is_more_rigid_and_never_beyond_the_scene() -> None:

@@ -49,8 +49,7 @@ def regrow(table: TableDeformation, kept: Tensor, places: Tensor, K: int) -> Tab
     The new points start with the motion blended from the K nearest old ones, so the deformation changes little. Their
     radii follow the closer spacing; kept points keep their radii.
     """
-    times = table.knots.to(torch.float32)
-    quats, translations = table(times)
+    quats, translations = table(table.knots)
     index, sq_dist = lbs.neighbours(table.points, places, K)
     weights = lbs.lbs_weights(sq_dist, table.log_radii, index)
     unturned = places.new_tensor([1.0, 0.0, 0.0, 0.0]).repeat(len(places), 1)

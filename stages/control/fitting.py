@@ -43,7 +43,7 @@ class TrackPositions:
         canonical: [n, 3] float32, the tracked points in the canonical frame.
         track, frame: [M] int64, point and training frame of each observation.
         uv: [M, 2] float32 in pixels of the full frame. depth: [M] float32. depth_std: [M] float32, relative.
-        times: [F] float32 in 0..1. cam_from_world: [F, 4, 4] float32. Ks: [F, 3, 3] float32.
+        times: [F] float64 in 0..1, as the knots are. cam_from_world: [F, 4, 4] float32. Ks: [F, 3, 3] float32.
     """
 
     canonical: Tensor

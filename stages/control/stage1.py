@@ -60,13 +60,15 @@ def fit_sightings(
 
 
 def _canonical_frames(sightings: Sightings) -> list[int]:
-    """The training frame to fit from, and the one to try if that fit is stuck.
+    """The training frame to fit from, and the one to try if that fit is stuck: one that sees tracks.
 
     In a long clip a canonical frame of another visit of a mover would come with the same moments (`rest_positions`): it
     is not tried.
     """
     worth = worth_of(sightings)
     first, second = canonical.choose_frames(worth)
+    if worth[second] == 0:
+        return [first]
     same_visit = bool(worth[min(first, second) : max(first, second)].all())
     return [first, second] if same_visit or len(sightings.frames) <= LONG_FRAMES else [first]
 
@@ -164,7 +166,7 @@ def _observations(rest: np.ndarray, sightings: Sightings, cameras: Cameras) -> T
         tensor(sightings.uv),
         tensor(sightings.depth),
         tensor(sightings.depth_std),
-        tensor(sightings.times),
+        torch.from_numpy(np.asarray(sightings.times, np.float64)),
         tensor(cameras.cam_from_world[sightings.frames]),
         tensor(cameras.Ks[sightings.frames]),
     )

@@ -99,6 +99,7 @@ class Trainer:
         self.sharp_pictures = [instant(*own) for own in zip(seen.times, seen.cam_from_world, seen.Ks, strict=True)]
         self.height, self.width = seen.size
         self.seen_pixels = None if seen.scene is None else torch.as_tensor(seen.scene, device=self.device)[..., None]
+        self.per_seen = 1.0 if seen.scene is None else seen.scene.size / max(int(seen.scene.sum()), 1)
         self.optimiser = self.new_optimiser()
         self.record = GradientRecord.empty(len(scene.anchors), self.device)
         self.step, self.history = 0, History()
@@ -143,7 +144,8 @@ class Trainer:
         if self.seen_pixels is not None:  # what is burnt in has neither residual nor gradient
             image = torch.where(self.seen_pixels, image, target.image)
         rigid = beside(rigidity, self.motion, self.arap_weight, self._arap_times(f))
-        loss, squared = photometric_loss(image, target, self.options.ssim_weight)
+        means = photometric_loss(image, target, self.options.ssim_weight)
+        loss, squared = (self.per_seen * mean for mean in means)
         if self.scene.poses is not None:
             loss = loss + POSE_WEIGHT * self.scene.poses.size()
         loss.backward()  # type: ignore[no-untyped-call]
@@ -185,7 +187,7 @@ class Trainer:
 
     def _arap_times(self, f: int) -> Tensor:
         other = self._drawn(1).integers(len(self.targets))
-        return torch.tensor([self.times[f], self.times[other]], dtype=torch.float32, device=self.device)
+        return torch.tensor([self.times[f], self.times[other]], dtype=torch.float64)
 
     def _drawn(self, what: int) -> np.random.Generator:
         """Random numbers of this step for one use of them, by seed."""

@@ -126,7 +126,7 @@ class GaussianScene(torch.nn.Module):
             return means, quats, sh_dc
         index = self.index if rows is None else self.index[rows[n:] - n]
         with torch.set_grad_enabled(torch.is_grad_enabled() and not detach):
-            point_quats, translations = self.deformation(means.new_tensor([time]))
+            point_quats, translations = self.deformation(torch.tensor([time], dtype=torch.float64))
             weights = self.skinning_weights(means[n:], index)
         motion = (self.deformation.points, point_quats[0], translations[0], weights, index)
         parts = [n, len(means) - n]  # the backward pass of a split copies once, that of two slices five times
@@ -183,7 +183,7 @@ class GaussianScene(torch.nn.Module):
         motion = None
         if self.deformation is not None:
             with torch.set_grad_enabled(torch.is_grad_enabled() and not detach):
-                quats, translations = self.deformation(self.anchors.new_tensor([time]))
+                quats, translations = self.deformation(torch.tensor([time], dtype=torch.float64))
             radii = self.deformation.log_radii.detach() if detach else self.deformation.log_radii
             colours = None if self.colours is None else self.colours.of_points(time)
             motion = Motion(self.deformation.points, quats[0], translations[0], radii, colours)
