@@ -118,11 +118,18 @@ def _write_flow(flow: Path, pairs: Path, pinhole: Pinhole) -> None:
 
 
 def _share(flow: Path, pairs: Path) -> None:
-    """Make `pairs` another name of the file of the flow; a copy where the file system has no hard links."""
+    """Make `pairs` another name of the file of the flow; a copy where it has one already, or can have none.
+
+    Snakemake touches what a job has written. With a name for each setting of a sweep the job of one would make the flow
+    newer than the results of all others, which would run again, one after the other, for ever.
+    """
     with atomic(pairs) as partial:
         try:
             os.link(flow, partial)
         except OSError:
+            shutil.copyfile(flow, partial)
+        if partial.stat().st_nlink > 2:
+            partial.unlink()
             shutil.copyfile(flow, partial)
 
 
