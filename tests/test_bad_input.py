@@ -56,6 +56,10 @@ def refuse(folder: Path, options: str, *phrases: str) -> None:
         ("holdout_every: eight", ("holdout_every", "integer", "'eight'")),
         ("pass: finale", ("pass", "'clean' or 'final'", "'finale'")),
         ("ba: 3", ("ba", "dictionary", "3")),
+        (
+            "dataset: data\nshots: no\ninspect: {max_frames: 3}\nholdout_every: 2\nholdout_first: 0",
+            ("mine.yaml: holdout_every", "at least 2 frames to train on", "1 of 3"),
+        ),
         ("dataset: data\nshots: no\nintrinsics: truth", ("mine.yaml: intrinsics", "camdata_left", "to 'estimate'")),
         ("dataset: data\nshots: no\nsegment: {source: truth}", ("segment.source", "motion_mask", "to 'refined'")),
         ("seed: 2147483648", ("seed", "less than or equal to 2147483647", "2147483648")),

@@ -84,6 +84,11 @@ def test_one_file_for_several_sequences_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=expected):
         given_inputs.check([(setting, [one, two])])
     given_inputs.check([(settings.configured({"intrinsics": 60}), [one, two])])
+    given_inputs.check(
+        [(setting, [one, two])], {"one": Path("clip.mp4"), "two": Path("clip.mp4")}
+    )  # shots of one video
+    with pytest.raises(InputError, match=expected):
+        given_inputs.check([(setting, [one, two])], {"one": Path("a.mp4"), "two": Path("b.mp4")})
 
 
 @pytest.mark.parametrize(

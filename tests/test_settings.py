@@ -213,6 +213,21 @@ def test_a_run_that_takes_truth_needs_it_for_every_frame_that_it_uses(
         check()
 
 
+def test_a_setting_that_takes_true_flow_needs_a_lens_without_distortion() -> None:
+    """The flow stage refuses the truth of a distorted lens: one such run would cost the sweep its table."""
+    runs = {"inputs": {"flow": {"flow.source": "truth"}, "masks": {"segment.source": "truth"}}}
+    wanted = settings.compared({"sweep": {"runs": runs, "presets": [], "knobs": {}}})[0]
+    files = {number: Path(f"{number}") for number in (1, 2, 3)}
+    truth = dict.fromkeys(("flow", "depth", "camdata_left", "motion_mask"), files)
+    straight = Sequence("clip", list(files.values()), list(files), 4, 4, truth)
+    distorted = replace(straight, truth=truth | {"distortion": files})
+    lacking = [[required_truth.lacks_truth(s, sequence) for s in wanted] for sequence in (straight, distorted)]
+    assert lacking == [[False, False], [True, False]]
+    assert [required_truth.takes_straight_lens(s) for s in wanted] == [True, False]
+    simulated = configuration.load({"scenes": ["demo", "wide_playground"]})
+    assert [datasets.distorts(simulated, name) for name in simulated.scenes] == [False, True]
+
+
 def test_a_setting_that_takes_true_cameras_needs_one_focal_length(tmp_path: Path) -> None:
     """The adjustment refuses them where it changes: one such run would cost the sweep its table."""
     runs = {"inputs": {"focal": {"intrinsics": "truth"}, "poses": {"ba.poses_from": "truth"}}}

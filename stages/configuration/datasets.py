@@ -2,7 +2,7 @@
 
 import functools
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -212,11 +212,25 @@ def _split(scene: Path) -> str | None:
     return load_scene(scene).split
 
 
+def used(config: Config, sequence: Sequence) -> Sequence:
+    """The part of a sequence that is used."""
+    limit = None if config.inspect.max_frames == "all" else config.inspect.max_frames
+    times_s = sequence.times_s and sequence.times_s[:limit]
+    return replace(sequence, frames=sequence.frames[:limit], numbers=sequence.numbers[:limit], times_s=times_s)
+
+
 def zooms(config: Config, name: str) -> bool:
     """Whether the camera of a simulated sequence changes its focal length."""
     from stages.simulate.scene import load_scene
 
     return len({key.zoom for key in load_scene(scene_files(config)[name]).camera.keys}) > 1
+
+
+def distorts(config: Config, name: str) -> bool:
+    """Whether the lens of a simulated sequence distorts."""
+    from stages.simulate.scene import load_scene
+
+    return load_scene(scene_files(config)[name]).camera.distortion is not None
 
 
 def decoded_folder(config: Config) -> Path:

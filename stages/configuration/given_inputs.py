@@ -9,6 +9,7 @@ from pathlib import Path
 from stages.ba.options import BAOptions
 from stages.configuration.config import Config, keys_of
 from stages.configuration.config import section as section_of
+from stages.configuration.datasets import used
 from stages.configuration.settings import Setting
 from stages.given import depth, flow, masks
 from stages.given.cameras_files import find_cameras, read_intrinsics, read_poses, require_lens
@@ -39,8 +40,11 @@ def given(config: Config, section: str = "") -> dict[str, str]:
     return found
 
 
-def check(runs: Iterable[tuple[Setting, Iterable[Sequence]]]) -> None:
+def check(runs: Iterable[tuple[Setting, Iterable[Sequence]]], videos: Mapping[str, Path] | None = None) -> None:
     """Find the files that the user hands in for the sequences of every setting, and read those of cameras.
+
+    Args:
+        videos: of each sequence that is a shot of a video, by name.
 
     Raises:
         InputError: for a path that does not exist, one path for several sequences, a frame without its file or pose,
@@ -63,7 +67,7 @@ def check(runs: Iterable[tuple[Setting, Iterable[Sequence]]]) -> None:
             advice = f"did you mean '{near[0]}'?" if near else f"correct '{name}'"
             expected = ", ".join([*allowed, "or a path that exists"]) if allowed else "a path that exists"
             raise setting.error(option, expected, f"'{path}'", advice)
-        if PLACEHOLDER not in path and len(set(map(_clip, of_name.values()))) > 1:
+        if PLACEHOLDER not in path and len({_clip(sequence, videos or {}) for sequence in of_name.values()}) > 1:
             expected = f"{PLACEHOLDER} in the path, for the names of {len(of_name)} sequences"
             advice = f"write it where the names differ, as in folder/{PLACEHOLDER}, or choose one of `sequences:`"
             raise setting.error(option, expected, f"'{path}'", advice)
@@ -89,17 +93,10 @@ def digest(config: Config, section: str, sequence: Sequence) -> str:
     return frames_digest(found) if found else ""
 
 
-def _clip(sequence: Sequence) -> str:
-    """What tells clips apart: the folder of the frames, which shots of one clip share; of scenes their name."""
-    folder = sequence.frames[0].parent
-    return sequence.name if folder == Path() else str(folder)
-
-
-def used(config: Config, sequence: Sequence) -> Sequence:
-    """The part of a sequence that is used."""
-    limit = None if config.inspect.max_frames == "all" else config.inspect.max_frames
-    times_s = sequence.times_s and sequence.times_s[:limit]
-    return replace(sequence, frames=sequence.frames[:limit], numbers=sequence.numbers[:limit], times_s=times_s)
+def _clip(sequence: Sequence, videos: Mapping[str, Path]) -> str:
+    """What tells clips apart: the video or folder of the frames, which shots of a clip share; of scenes their name."""
+    source = videos.get(sequence.name, sequence.frames[0].parent)
+    return sequence.name if source == Path() else str(source)
 
 
 def _check_cameras(setting: Setting, frames: Sequence) -> None:

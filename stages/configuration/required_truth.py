@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from stages.configuration.config import Config, keys_of, section
-from stages.configuration.given_inputs import used
+from stages.configuration.datasets import used
 from stages.configuration.settings import Setting
 from stages.shared import sintel
 from stages.shared.errors import InputError
@@ -22,6 +22,10 @@ TRUTH = {
 """The kinds of ground truth that each option needs when it is set to "truth"."""
 ONE_CAMERA = ("ba.intrinsics", "ba.poses_from")
 """Options that, set to "truth", need a true camera with one focal length throughout."""
+
+
+STRAIGHT = ("flow.source",)
+"""Options that, set to "truth", need frames of a pinhole: the flow is found before the lens is."""
 
 
 def check(setting: Setting, sequences: Mapping[str, Sequence], folders: Mapping[str, str]) -> None:
@@ -60,6 +64,11 @@ def takes_one_camera(setting: Setting) -> bool:
     return any(option in ONE_CAMERA for option in _taken(setting))
 
 
+def takes_straight_lens(setting: Setting) -> bool:
+    """Whether a setting takes truth that there is of a pinhole alone."""
+    return any(option in STRAIGHT for option in _taken(setting))
+
+
 @functools.cache
 def _taken(setting: Setting) -> list[str]:
     """The options that take ground truth; cached, since every sequence asks."""
@@ -68,8 +77,11 @@ def _taken(setting: Setting) -> list[str]:
 
 
 def _missing(option: str, sequence: Sequence) -> list[str]:
-    """The kinds of ground truth that an option needs and a frame lacks."""
-    return [kind for kind in TRUTH[option] if not sequence.has_truth(kind)]
+    """What an option needs and a sequence lacks: kinds of ground truth, or a lens that does not distort."""
+    lacking = [kind for kind in TRUTH[option] if not sequence.has_truth(kind)]
+    if option in STRAIGHT and sequence.truth.get("distortion"):
+        lacking.append("a lens without distortion")
+    return lacking
 
 
 def _default(config: Config, option: str) -> str:

@@ -3,7 +3,7 @@
 import numpy as np
 from pydantic import Field
 
-from stages.shared.errors import InputError
+from stages.shared.errors import OptionError
 from stages.shared.options import Options
 
 
@@ -20,14 +20,14 @@ def held_out(T: int, options: SplitOptions) -> np.ndarray:
     Flow, masks, poses and depth are estimated from all frames, these included.
 
     Raises:
-        InputError: if fewer than two frames are left to train on.
+        OptionError: if fewer than two frames are left to train on.
     """
     index = np.arange(T)
     late_enough = index >= options.holdout_first
     found = late_enough & ((index - options.holdout_first) % options.holdout_every == 0)
     if T - found.sum() < 2:
         left = f"{T - found.sum()} of {T}, with frame {options.holdout_first + 1} held out first"
-        raise InputError("holdout_every", "at least 2 frames to train on", left, "raise it, or `holdout_first`")
+        raise OptionError(["holdout_every"], "at least 2 frames to train on", left, "raise it, or `holdout_first`")
     return np.asarray(found)
 
 

@@ -104,7 +104,7 @@ try:
             logger.warning(
                 f"video: has no effect: {CONFIG.dataset} holds no video; inspect.max_frames takes the first frames"
             )
-        given_inputs.check(
+        planned = [
             (setting, [SEQUENCES[name] for name in names])
             for listed, names in (
                 ([CONFIGURED], SEQUENCES),
@@ -112,6 +112,12 @@ try:
                 (SCALED, SCALED_SEQUENCES),
             )
             for setting in listed
+        ]
+        for setting, sequences in planned:
+            used = (datasets.used(setting.config, of) for of in sequences)
+            settings.check_split(setting, (len(of.frames) for of in used))
+        given_inputs.check(
+            planned, {name: of.video for name, of in VIDEO_SHOTS.items()}
         )
         if CONFIG.dataset != configuration.SIMULATED:
             required_truth.check(CONFIGURED, SEQUENCES, FOLDERS)

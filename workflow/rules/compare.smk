@@ -18,12 +18,15 @@ def with_truth(sequence):
 def can_run(sequence, setting):
     """Whether the sequence has the ground truth that the setting takes as input.
 
-    Simulated sequences have all of it, but the focal length may change.
+    Simulated sequences have all of it, but the focal length may change, and the lens distort.
     """
     if CONFIG.dataset == configuration.SIMULATED:
+        scene = Path(FOLDERS[sequence]).name
+        if required_truth.takes_one_camera(setting) and datasets.zooms(CONFIG, scene):
+            return False
         return not (
-            required_truth.takes_one_camera(setting)
-            and datasets.zooms(CONFIG, Path(FOLDERS[sequence]).name)
+            required_truth.takes_straight_lens(setting)
+            and datasets.distorts(CONFIG, scene)
         )
     return not required_truth.lacks_truth(setting, with_truth(sequence))
 
