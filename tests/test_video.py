@@ -4,6 +4,7 @@ import re
 import struct
 from pathlib import Path
 
+import av
 import cv2
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from stages.shared.errors import InputError
 from stages.shared.images import read_rgb
 from stages.shared.sequences import read_sequence
 from stages.video import __main__ as video_stage
+from stages.video.decode import _deinterlaced
 from stages.video.index import Index, make_index
 from stages.video.options import VideoOptions
 
@@ -118,6 +120,18 @@ def test_fields_of_interlaced_frames_are_taken_apart(tmp_path: Path) -> None:
     assert any("interlaced" in warning for warning in indexed(video).warnings)
 
 
+def test_frames_are_taken_apart_from_the_first_interlaced_one_on(tmp_path: Path) -> None:
+    """Joined material begins with whole frames."""
+    frames, stream = [], None
+    for name, options in (("whole", {}), ("fields", {"x264-params": "tff=1"})):
+        video = av.open(str(encode(tmp_path / f"{name}.mkv", moving(4), pix_fmt="yuv420p", **options)))
+        stream = video.streams.video[0]
+        frames += list(video.decode(stream))
+    for k, frame in enumerate(frames):
+        frame.pts = 40 * k
+    assert [was for _, was in _deinterlaced(iter(frames), stream)] == [False] * 4 + [True] * 4
+
+
 def test_a_cut_makes_two_sequences(tmp_path: Path) -> None:
     first, second = moving(5), moving(6, seed=1)
     video = encode(tmp_path / "clip.mp4", first + second)
@@ -168,6 +182,8 @@ def test_options_choose_frames_and_size(tmp_path: Path) -> None:
     first = indexed(video, max_frames=8)
     assert len(first.shots["clip"].pts) == 8
     assert any("0.280 s of 0.800 s: `video: {every: 3}`" in warning for warning in first.warnings)
+    half = indexed(video, max_frames=10)
+    assert any("0.360 s of 0.800 s: `video: {every: 2}`" in warning for warning in half.warnings)
     assert not indexed(video, max_frames=20).warnings
     beyond = indexed(video, max_frames=8, end=100)  # the video ends before
     assert any("0.280 s of 0.800 s: `video: {every: 3}`" in warning for warning in beyond.warnings)

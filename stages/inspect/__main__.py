@@ -22,6 +22,9 @@ from stages.shared.log import logger, progress
 from stages.shared.masks import read_burnt_in, read_sized_mask
 from stages.shared.sequences import Sequence, check_sequence, sequence_to_json
 
+BORDER_PX = 5
+"""A mask of the user's must leave pixels of the scene further inside, where SSIM has its whole window."""
+
 
 def main(
     frames: Annotated[Path, In("folder of PNG or JPG frames; MPI-Sintel truth is found beside it")],
@@ -154,8 +157,9 @@ def _given(sequence: Sequence, options: InspectOptions) -> Found | None:
         return None
     advice = f"draw it over a frame of {sequence.frames[0].parent}"
     mask = read_sized_mask(options.burnt_in, (sequence.width, sequence.height), advice)
-    if mask.all():
-        raise InputError(options.burnt_in, "a mask that is black where the scene shows", "white everywhere", advice)
+    if mask[BORDER_PX:-BORDER_PX, BORDER_PX:-BORDER_PX].all():
+        found = "white everywhere but at the border"
+        raise InputError(options.burnt_in, "a mask that is black where the scene shows", found, advice)
     return Found(mask, ((0, 0), (0, 0)), True)
 
 

@@ -220,13 +220,13 @@ def _quarter_turns(image: av.VideoFrame) -> int:
 
 
 def _deinterlaced(frames: Iterator[av.VideoFrame], stream: av.VideoStream) -> Iterator[tuple[av.VideoFrame, bool]]:
-    """Every frame, deinterlaced if it is marked as interlaced, and whether it was."""
-    first = next(frames, None)
-    if first is None:
-        return
-    frames = itertools.chain([first], frames)
-    if not first.interlaced_frame:
-        yield from ((frame, False) for frame in frames)
+    """Every frame, deinterlaced if it is marked as interlaced, and whether it, or one before it, was."""
+    for first in frames:
+        if first.interlaced_frame:
+            frames = itertools.chain([first], frames)
+            break
+        yield first, False
+    else:
         return
     graph = av.filter.Graph()
     graph.link_nodes(

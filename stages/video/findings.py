@@ -82,11 +82,13 @@ def of_frames(
 def _cut_off(header: decode.Header, found: Found, options: VideoOptions) -> str:
     """That `max_frames` ended the video early, and which `every` would take in all of it."""
     until = found.shots[-1].times_s[-1]
-    said = f"the first {options.max_frames} frames are used, up to {until:.3f} s"
+    used = sum(len(shot.times_s) for shot in found.shots)
+    said = f"the first {used} frames are used, up to {until:.3f} s"
     end = min((time for time in (options.end, header.length_s) if time), default=None)
     if end is None or end <= until:
         return f"{said}: see `video: {{max_frames: ...}}`"
-    every = int(np.ceil(options.every * (end - options.start) / (until - options.start)))
+    covered = until + options.every * interval_s(header, found) - options.start  # the last frame lasts as well
+    every = int(np.ceil(options.every * (end - options.start) / covered - 1e-3))
     return f"{said} of {end:.3f} s: `video: {{every: {every}}}` covers all of it, `max_frames: all` uses all"
 
 

@@ -53,9 +53,6 @@ def find_ranges(images: list[np.ndarray], numbers: list[int]) -> list[tuple[int,
 
 
 def _look(path: Path) -> np.ndarray | None:
-    """The brightness of a frame [h, w] uint8, CUT_WIDTH_PX wide; None if it cannot be read.
-
-    A JPEG of a large frame is decoded at a quarter of its size, which takes a fraction of the time.
-    """
+    """The brightness of a frame [h, w] uint8, CUT_WIDTH_PX wide; None if it cannot be read."""
     image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
     return None if image is None else reduce(image, reduced_size(image.shape[1], image.shape[0], CUT_WIDTH_PX))
