@@ -23,7 +23,6 @@ from stages.shared.dataset_folders import sequence_folders
 from stages.shared.errors import InputError
 from stages.shared.images import read_rgb
 from stages.shared.sequences import check_sequence, read_sequence
-from stages.shared.split import SplitOptions, held_out
 
 
 def refuse(folder: Path, options: str, *phrases: str) -> None:
@@ -299,9 +298,3 @@ def test_a_truncated_jpeg_is_refused(tmp_path: Path) -> None:
     (tmp_path / "frame_0003.jpg").write_bytes(whole[: len(whole) // 2])
     with pytest.raises(InputError, match=r"frame_0003\.jpg"):
         check_sequence("clip", tmp_path)
-
-
-def test_held_out_frames_leave_two_to_train_on() -> None:
-    with pytest.raises(InputError, match=r"holdout_every: expected at least 2 frames to train on, found 1 of 3"):
-        held_out(3, SplitOptions(holdout_every=2, holdout_first=0))
-    assert held_out(3, SplitOptions(holdout_every=2, holdout_first=1)).tolist() == [False, True, False]

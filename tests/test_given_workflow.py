@@ -84,11 +84,10 @@ def test_one_file_for_several_sequences_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=expected):
         given_inputs.check([(setting, [one, two])])
     given_inputs.check([(settings.configured({"intrinsics": 60}), [one, two])])
-    given_inputs.check(
-        [(setting, [one, two])], {"one": Path("clip.mp4"), "two": Path("clip.mp4")}
-    )  # shots of one video
+    shots_of_one = {"one": Path("clip.mp4"), "two": Path("clip.mp4")}
+    given_inputs.check([(setting, [one, two])], shots_of_one)
     with pytest.raises(InputError, match=expected):
-        given_inputs.check([(setting, [one, two])], {"one": Path("a.mp4"), "two": Path("b.mp4")})
+        given_inputs.check([(setting, [one, two])], shots_of_one | {"two": Path("other.mp4")})
 
 
 @pytest.mark.parametrize(

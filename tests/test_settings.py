@@ -10,7 +10,7 @@ import yaml
 from conftest import REPO, write_frames
 
 from stages.configuration import config as configuration
-from stages.configuration import datasets, plan, required_truth, settings
+from stages.configuration import datasets, plan, required_truth, settings, training_frames
 from stages.configuration.presets import PRESETS, override, value_of
 from stages.shared import sintel
 from stages.shared.cameras import centred_intrinsics
@@ -211,6 +211,19 @@ def test_a_run_that_takes_truth_needs_it_for_every_frame_that_it_uses(
     said = f"{option}: expected {kind} of every frame of 'clip' .* found {missing} missing .* '{option}' to '{default}'"
     with pytest.raises(InputError, match=said):
         check()
+
+
+def test_a_setting_of_a_sweep_leaves_two_frames_to_train_on() -> None:
+    """The configured run does; the setting alone would stop, after flow and adjustment."""
+    files = [Path(f"{number}.png") for number in (1, 2, 3)]
+    clip = Sequence("clip", files, [1, 2, 3], 4, 4)
+    runs = {
+        "splits": {"few": {"holdout_every": 2, "holdout_first": 0}, "two": {"holdout_every": 2, "holdout_first": 1}}
+    }
+    few, two = settings.compared({"sweep": {"runs": runs, "presets": [], "knobs": {}}})[0]
+    training_frames.check([(two, [clip])])
+    with pytest.raises(InputError, match=r"'few' of 'splits': holdout_every: expected at least 2 frames to train on, found 1 of 3"):
+        training_frames.check([(two, [clip]), (few, [clip])])
 
 
 def test_a_setting_that_takes_true_flow_needs_a_lens_without_distortion() -> None:

@@ -22,8 +22,6 @@ TRUTH = {
 """The kinds of ground truth that each option needs when it is set to "truth"."""
 ONE_CAMERA = ("ba.intrinsics", "ba.poses_from")
 """Options that, set to "truth", need a true camera with one focal length throughout."""
-
-
 STRAIGHT = ("flow.source",)
 """Options that, set to "truth", need frames of a pinhole: the flow is found before the lens is."""
 

@@ -12,7 +12,6 @@ from stages.configuration.presets import Overrides, override, value_of
 from stages.shared.chain import MEASURED
 from stages.shared.errors import OptionError
 from stages.shared.options import validate
-from stages.shared.split import SplitOptions, held_out
 
 BUILT_IN = ("presets", "knobs")
 """Groups of the sweep that are not under `runs`."""
@@ -44,21 +43,6 @@ class Setting:
         keys = configuration.keys_of(self.config, option)
         wrong = OptionError(keys, expected, found, advice)
         return wrong.of_setting(self.place, _title(self)) if wrong.name in self.overrides else wrong
-
-
-def check_split(setting: Setting, frames: Iterable[int]) -> None:
-    """Refuse a setting that holds out so many of these numbers of frames that fewer than two are left to train on.
-
-    Raises:
-        OptionError: for the first of them.
-    """
-    split = configuration.section(setting.config, "scene")
-    assert isinstance(split, SplitOptions), "the section of scene"
-    for T in frames:
-        try:
-            held_out(T, split)
-        except OptionError as error:
-            raise setting.error("scene.holdout_every", *error.words) from error
 
 
 def configured(raw: Mapping[str, Any], mine: Mapping[str, Any] | None = None) -> Setting:

@@ -88,7 +88,7 @@ def _cut_off(header: decode.Header, found: Found, options: VideoOptions) -> str:
     if end is None or end <= until:
         return f"{said}: see `video: {{max_frames: ...}}`"
     covered = until + options.every * interval_s(header, found) - options.start  # the last frame lasts as well
-    every = int(np.ceil(options.every * (end - options.start) / covered - 1e-3))
+    every = int(np.ceil(options.every * (end - options.start) / covered - 1e-3))  # lengths are declared in ms
     return f"{said} of {end:.3f} s: `video: {{every: {every}}}` covers all of it, `max_frames: all` uses all"
 
 

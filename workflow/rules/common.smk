@@ -29,6 +29,7 @@ from stages.configuration import (
     settings,
     sizes,
     sources,
+    training_frames,
 )
 from stages.flow.edges import most_edges, most_loops
 from stages.shared.artifacts import write_json
@@ -113,9 +114,7 @@ try:
             )
             for setting in listed
         ]
-        for setting, sequences in planned:
-            used = (datasets.used(setting.config, of) for of in sequences)
-            settings.check_split(setting, (len(of.frames) for of in used))
+        training_frames.check(planned)
         given_inputs.check(
             planned, {name: of.video for name, of in VIDEO_SHOTS.items()}
         )
