@@ -1,5 +1,7 @@
 """Guesses at the camera's path: planes, wrong masks, and objects that could be taken for the scene."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -8,7 +10,7 @@ from synthetic import PLANE, make_scene, observe, trajectory_error
 from stages.ba import dba, planar, start
 from stages.ba.classify import longest_step, measure
 from stages.ba.estimate import estimate
-from stages.ba.graph import build_graph, favour_distance, mask_graph, thin_graph
+from stages.ba.graph import MIN_WEIGHT, build_graph, favour_distance, mask_graph, thin_graph
 from stages.ba.guesses import Observed
 from stages.ba.initialise import Candidate, adjust, initial_state, pair_chain
 from stages.ba.options import BAOptions
@@ -61,6 +63,19 @@ def test_masks_over_the_scene_itself_do_not_win() -> None:
     solution = estimate(problem, OPTIONS)
     assert trajectory_error(solution.state.cam_from_world, scene.cam_from_world) < 0.01
     assert solution.flags
+
+
+def test_pixels_without_sure_matches_say_nothing_of_which_motion_is_the_background() -> None:
+    """Around a mover, as in its blur, uncertain matches follow it: counted, it would cover more of the border."""
+    scene, blurred = make_scene(size=(96, 160), disc_radius=0.5), make_scene(size=(96, 160), disc_radius=1.2)
+    everything, mover = observe(blurred, masked=False), mask_graph(observe(scene, masked=False), scene.dynamic)
+    around = mask_graph(everything, blurred.dynamic & ~scene.dynamic).weights > 0
+    weights = np.where(around & (mover.weights == 0), MIN_WEIGHT / 2, everything.weights)
+    unmasked = replace(everything, weights=weights)
+    problem = Problem(mask_graph(unmasked, ~blurred.dynamic), True, scene.focal_px, unmasked=unmasked)
+    solution = estimate(problem, OPTIONS)
+    assert trajectory_error(solution.state.cam_from_world, scene.cam_from_world) < 1e-4
+    assert not any("two motions" in flag for flag in solution.flags)
 
 
 def test_thinned_observations_are_those_of_wider_cells() -> None:

@@ -136,7 +136,7 @@ def _check(observed: Observed, plain: FlowGraph, candidates: list[Candidate]) ->
             ignored = f"masks ignored: without them the path is {best.roughness / rival.roughness:.0f} times as smooth"
             best, candidates = rival, unmasked
     fits = explained(plain, best.state)
-    if fits.mean() < EXPLAINED:
+    if two_motions.share(fits, two_motions.matched_pixels(plain)) < EXPLAINED:
         second = _second_motion(replace(observed, focals_px=[best.state.focal_px], previous=None), plain, fits)
         if second:
             return second
@@ -147,16 +147,14 @@ def _check(observed: Observed, plain: FlowGraph, candidates: list[Candidate]) ->
 
 
 def explained(graph: FlowGraph, state: State) -> np.ndarray:
-    """Which pixels [T, P] fit the poses of `state` at some depth: half of their matches, within 3 median errors."""
+    """Which pixels [T, P] fit the poses of `state` at some depth: half of their matches, within 3 median errors.
+
+    So do those without matches, as of blurred movers: shares are to be taken among matched pixels.
+    """
     state = initialise.initial_state(graph, state.cam_from_world, state.focal_px, FITTING_PX[1], state.zoom)
     errors = dba.errors_px(graph, state)
     sigma_px = np.clip(3 * np.median(errors[graph.weights > MIN_WEIGHT]), *FITTING_PX)
     return dba.fitting_pixels(graph, errors, float(sigma_px), 0.5)
-
-
-def border_share(graph: FlowGraph, chosen: np.ndarray) -> float:
-    """Share of the pixels along the image border that are among `chosen` [T, P]."""
-    return float(chosen[:, two_motions.border(graph)].mean())
 
 
 def _costs_no_more(plain: FlowGraph, rival: Candidate, best: Candidate, sigma_px: float) -> bool:
@@ -178,9 +176,10 @@ def _second_motion(observed: Observed, plain: FlowGraph, fits: np.ndarray) -> St
     unexplained = mask_graph(plain, _areas(plain, ~fits))
     candidates = guess(observed, unexplained)
     rival = initialise.choose(candidates)
-    own = explained(plain, rival.state)
-    shares = border_share(plain, fits), border_share(plain, own)
-    same = (own & fits).sum() > SAME_PIXELS * fits.sum()
+    own, matched = explained(plain, rival.state), two_motions.matched_pixels(plain)
+    along = matched & two_motions.border(plain)
+    shares = two_motions.share(fits, along), two_motions.share(own, along)
+    same = two_motions.share(own, fits & matched) > SAME_PIXELS
     if same or shares[1] <= shares[0]:
         return None
     reason = f"two motions: the one taken follows {shares[1]:.2f} of the image border, the other {shares[0]:.2f}"

@@ -79,7 +79,7 @@ def background(plain: FlowGraph, masked: FlowGraph, found: State, prior: FocalPr
     matched, along = matched_pixels(graph), border(graph)
     start = initialise.initial_state(used, found.cam_from_world, found.focal_px, zoom=found.zoom)
     single = _fits(graph, _adjusted(used, start, WIDE, prior))
-    alone = _share(single, matched)
+    alone = share(single, matched)
     if alone >= EXPLAINED:
         return None
     start = replace(start, zoom=None)
@@ -87,7 +87,7 @@ def background(plain: FlowGraph, masked: FlowGraph, found: State, prior: FocalPr
     pair = max((pair for pair in pairs if pair), key=lambda pair: pair.share, default=None)
     if pair is None:
         return None
-    motions = sorted(pair[:2], key=lambda motion: _share(motion.fits, matched & along))
+    motions = sorted(pair[:2], key=lambda motion: share(motion.fits, matched & along))
     mover, world = (motion.fits & matched for motion in motions)
     both = (mover & world).sum() / max(1, min(mover.sum(), world.sum()))
     confirmed = masked is not plain and (single & world).sum() >= SAME * world.sum()
@@ -116,7 +116,7 @@ def _pair(
     if (first.fits & single & matched).sum() >= SAME * ((first.fits | single) & matched).sum():
         return None
     second = _motion(graph, ~smooth(graph, first.fits), start, prior)
-    return Pair(first, second, _share(first.fits ^ second.fits, matched))
+    return Pair(first, second, share(first.fits ^ second.fits, matched))
 
 
 def _motion(graph: FlowGraph, chosen: np.ndarray, start: State, prior: FocalPrior) -> Motion:
@@ -154,7 +154,7 @@ def smooth(graph: FlowGraph, chosen: np.ndarray) -> np.ndarray:
     return np.stack([cv2.medianBlur(frame, 3) for frame in maps]).reshape(chosen.shape) > 0
 
 
-def _share(chosen: np.ndarray, among: np.ndarray) -> float:
+def share(chosen: np.ndarray, among: np.ndarray) -> float:
     """Share of the pixels `among` [T, P] that are chosen."""
     return float((chosen & among).sum() / max(1, among.sum()))
 
