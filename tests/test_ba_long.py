@@ -42,7 +42,7 @@ def test_a_long_path_takes_few_passes_and_its_loops_wait(
 ) -> None:
     """From a focal length of 1.2 times the true one. There were 89 passes, with loops in each; now 54.
 
-    Paths of a part of it at other focal lengths take the edges of 16 more.
+    Paths of a part of it at other focal lengths take the edges of 16 more, rotations on a thinner grid those of 12.
     """
     graph, truth = clip(T, STRIDE)
     graph, visited, before_loops = joined(graph), [], []
@@ -67,7 +67,7 @@ def test_a_long_path_takes_few_passes_and_its_loops_wait(
     assert all(k <= n for k, n in told)
     assert path_error(found.state.cam_from_world, truth) < 2e-4
     assert found.state.focal_px == pytest.approx(FOCAL_PX, rel=2e-3)
-    assert sum(edges for edges, _ in visited) < 80 * len(graph.source)
+    assert sum(edges for edges, _ in visited) < 90 * len(graph.source)
     assert max(reach for _, reach in before_loops) < LOOP
     assert found.zoom.decision == "constant"
 

@@ -7,7 +7,7 @@ import pytest
 from synthetic import make_scene, observe
 from test_ba_start import true_state
 
-from stages.ba.estimate import PARALLAX, _shows_parallax
+from stages.ba.estimate import NOISE_LEAVES, PARALLAX, _doubted, _shows_parallax
 from stages.ba.problem import Estimate
 from stages.ba.refinement import CONSISTENT_SHARE
 from stages.ba.state import State
@@ -39,3 +39,18 @@ def test_a_path_counts_by_the_residual_that_it_leaves_of_the_turns(left: float, 
     state = true_state(scene, graph)
     turns = replace(state, cam_from_world=np.stack([np.eye(4)] * 5))
     assert _shows_parallax(estimate_of(state, left, []), estimate_of(turns, 1.0, []), graph) == taken
+
+
+@pytest.mark.parametrize("failed", [[], ROUGH])
+@pytest.mark.parametrize(("left", "told"), [(0.3, True), (NOISE_LEAVES - 0.02, True), (NOISE_LEAVES + 0.02, False)])
+def test_turns_are_doubted_where_a_path_that_is_not_taken_explains_more_than_noise(
+    failed: list[str], left: float, told: bool
+) -> None:
+    scene = make_scene(T=5)
+    graph = observe(scene)
+    state = true_state(scene, graph)
+    turns = estimate_of(replace(state, cam_from_world=np.stack([np.eye(4)] * 5)), 1.0, [])
+    doubted = _doubted(turns, estimate_of(state, left, failed), graph)
+    assert doubted.failed_checks == []
+    assert any("may translate" in flag for flag in doubted.flags) == told
+    assert any(ROUGH[0] in flag for flag in doubted.flags) == (told and failed == ROUGH)

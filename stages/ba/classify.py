@@ -30,6 +30,9 @@ STILL_PX = 1.0
 """A camera whose flow fits a rotation and is below this per frame is called near-still."""
 FLOOR_PX = 0.05
 """Two-view residuals below this do not tell models apart."""
+AT_REST, MOVES = 0.2, 0.1
+"""Shares of `stages.ba.ground.at_rest` from which on ground rests, and below which it moves: measured .3 and more, .06
+and less."""
 MOST = 80
 """Percentile of the residuals that represents most matches: movers and outliers may lie above it."""
 RESIDUAL_RATIO = 3.0
@@ -54,6 +57,7 @@ class Statistics:
         homography_px: the same of a homography, over the long baseline.
         most_sampson_px, most_homography_px: their 80th percentiles, over the long baseline.
         parallax: whether a path was found to explain the matches far better than a doubtful rotation.
+        ground: what `stages.ba.ground.at_rest` gives; None too where it was not asked for.
     """
 
     offset: int
@@ -66,6 +70,7 @@ class Statistics:
     most_sampson_px: float
     most_homography_px: float
     parallax: bool = False
+    ground: float | None = None
 
     @property
     def camera(self) -> str:
@@ -75,15 +80,23 @@ class Statistics:
         residual of the same matches, so it grows with the length of the flow as the rotation residual does. Both the
         neighbours and the long baseline can decide: near points that a fast camera passes are matched between
         neighbours alone; over several frames only far points are matched, whose flow is nearly a rotation. It is moving
-        too if a path is known to explain the matches far better.
+        too if a path is known to explain the matches far better. It is not if the ground before it rests: then movers
+        travel together, which looks like a path among things that are all far away.
         """
-        if self.parallax or self._exceeds(RESIDUAL_RATIO, FLOOR_PX):
+        if self.parallax or (self._exceeds(RESIDUAL_RATIO, FLOOR_PX) and not self.by_ground):
             return "moving"
         return "rotating" if self.flow_px > STILL_PX else "near-still"
 
     @property
+    def by_ground(self) -> bool:
+        """Whether ground at rest outweighs the residual of a rotation, which movers leave then."""
+        return self.ground is not None and self.ground >= AT_REST and self._exceeds(RESIDUAL_RATIO, FLOOR_PX)
+
+    @property
     def doubtful(self) -> bool:
-        """Whether the residual of a rotation is more than most noise leaves, small as it may be against FLOOR_PX."""
+        """Whether the ground moves, or a rotation leaves more than most noise does, small as it is against FLOOR_PX."""
+        if self.ground is not None and self.ground < MOVES:
+            return True
         return max(self.rotation_1_px, self.rotation_px) > FLOOR_PX and self._exceeds(DOUBT, 0.0)
 
     def _exceeds(self, ratio: float, floor_px: float) -> bool:

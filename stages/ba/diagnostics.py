@@ -63,6 +63,17 @@ def of_rotations(graph: FlowGraph, errors_px: np.ndarray) -> list[str]:
     ]
 
 
+def of_ground(statistics: Statistics) -> list[str]:
+    """A warning where a path explains the flow, too, were it not that the ground before the camera rests."""
+    if not statistics.by_ground:
+        return []
+    rests = f"as {100 * (statistics.ground or 0.0):.0f} % of the lower border rests"
+    return [
+        f"the camera is taken for one that does not move, {rests}: if no ground is near there, it may move, and what "
+        "seems to be movers may be all that is near"
+    ]
+
+
 def of_focal(camera: str, focal: Mapping[str, Any]) -> list[str]:
     """A warning about the focal length decision, as stored in the artifact, for a camera of this class."""
     if focal["decision"] == "weakly observed":

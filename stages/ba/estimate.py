@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from stages.ba import classify, diagnostics
+from stages.ba import classify, diagnostics, ground
 from stages.ba.classify import Statistics
 from stages.ba.graph import MIN_MATCHES, FlowGraph, mask_graph, shared_matches
 from stages.ba.options import BAOptions
@@ -25,6 +25,8 @@ pixel, falls to .85 to .92 of it (pure_rotation, with and without a zoom of 1.3,
 cars; two rounds), and to .75 in three synthetic frames. Where a camera follows fast cars before a far wall, whose blur
 hides the parallax of what is near, .32 to .46 are left; .61 where it dollies towards a hall without texture, while vans
 pass between."""
+NOISE_LEAVES = 0.85
+"""Where a path leaves less than this share, but is not taken, the camera may move: less than noise leaves."""
 
 
 def estimate(problem: Problem, options: BAOptions) -> Estimate:
@@ -56,9 +58,11 @@ def _estimate(problem: Problem, options: BAOptions) -> Estimate:
     prior = FocalPrior(PRIOR_FOCAL * graph.width)
     if not _observed(graph):
         return failure(graph, known or prior.focal_px)
-    statistics = classify.measure(graph, known, options.seed)
+    statistics = replace(classify.measure(graph, known, options.seed), ground=ground.at_rest(graph, prior, known))
     if statistics.camera == "rotating":
         rotations = estimate_rotations(problem, statistics, prior, options)
+        if statistics.by_ground:
+            return rotations
         if rotations.failed_checks:
             focal_px = rotations.state.focal_px
             statistics = classify.measure(graph, focal_px, options.seed, classify.longest_step(graph))
@@ -70,7 +74,7 @@ def _estimate(problem: Problem, options: BAOptions) -> Estimate:
     path = estimate_path(problem, statistics, prior, options, turning.zoom)
     if turning.zoom.decision != "changing":
         return path
-    return path if _shows_parallax(path, turning, graph) else turning
+    return path if _shows_parallax(path, turning, graph) else _doubted(turning, path, graph)
 
 
 def _unless_parallax(
@@ -80,19 +84,36 @@ def _unless_parallax(
     if not statistics.doubtful:
         return rotations
     path = estimate_path(problem, replace(statistics, parallax=True), prior, options, None)
-    return path if _shows_parallax(path, rotations, problem.graph) else rotations
+    return path if _shows_parallax(path, rotations, problem.graph) else _doubted(rotations, path, problem.graph)
 
 
 def _shows_parallax(path: Estimate, turning: Estimate, graph: FlowGraph) -> bool:
-    """Whether a path explains far more of the matches than turns do, also of those alone that it takes for static.
+    """Whether a path explains far more of the matches than turns do, and of the ground if that seems to rest.
 
     One that fails a check, as that of a shaking hand which is rough, must explain nearly all matches.
     """
     if path.failed_checks and consistent_share(graph, path.state) < CONSISTENT_SHARE:
         return False
+    ground_left = ground.share_left(graph, path.state, turning.state)
+    return max(_share_left(path, turning, graph), ground_left) < PARALLAX
+
+
+def _share_left(path: Estimate, turning: Estimate, graph: FlowGraph) -> float:
+    """What a path leaves of the residual of turns, also of the matches alone that it takes for static."""
     kept = graph if path.static is None else mask_graph(graph, path.static)
     turning_px = min(turning.residual_px, median_residual(kept, turning.state))
-    return path.residual_px < PARALLAX * turning_px
+    return path.residual_px / max(turning_px, 1e-12)
+
+
+def _doubted(turning: Estimate, path: Estimate, graph: FlowGraph) -> Estimate:
+    """The solution as a camera that turns, with a warning where a path that is not taken explains more than noise."""
+    left = _share_left(path, turning, graph)
+    ground_left = ground.share_left(graph, path.state, turning.state)
+    if max(left, ground_left) >= NOISE_LEAVES and left >= PARALLAX:
+        return turning
+    warning = f"the camera may translate: a path would leave {left:.2f} of the residual of turns"
+    but = [*path.failed_checks[:1], *([f"{ground_left:.2f} of it where the ground is"] if ground_left else [])]
+    return replace(turning, flags=[*turning.flags, ", but ".join([warning, " and ".join(but)] if but else [warning])])
 
 
 def _observed(graph: FlowGraph) -> bool:

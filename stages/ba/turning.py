@@ -27,7 +27,8 @@ def estimate_rotations(problem: Problem, statistics: Statistics, prior: FocalPri
     focal = known or Focal("weakly observed" if sigma > WEAK_FOCAL else "estimated", sigma)
     against = diagnostics.of_rotations(graph, dba.errors_px(graph, state))
     solution = finish(replace(problem, graph=graph), statistics, state, focal, against, steps)
-    return replace(solution, rolling=rolling, flags=solution.flags + diagnostics.of_shutter(rolling))
+    warnings = diagnostics.of_ground(statistics) + diagnostics.of_shutter(rolling)
+    return replace(solution, rolling=rolling, flags=solution.flags + warnings)
 
 
 def estimate_turning_zoom(problem: Problem, statistics: Statistics, prior: FocalPrior) -> Estimate:

@@ -44,6 +44,12 @@ STATISTICS: Mapping[str, tuple[str, str, str]] = {
         "px",
         "The noise of the flow: the other residuals are compared with it.",
     ),
+    "ground": (
+        "lower border at rest for a camera that turns",
+        "share",
+        "A camera that moves shows parallax where the ground is. From 0.2 on it does not move, whatever passes; below "
+        "0.1 a path is solved beside the rotations, and taken if it leaves far less.",
+    ),
     "homography_px": (
         "residual of a homography, long baseline, median",
         "px",

@@ -1,0 +1,61 @@
+"""Ground before the camera: it rests where the camera only turns, whatever passes, and moves where that translates."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from synthetic import make_scene, observe
+
+from stages.ba import classify, ground
+from stages.ba.estimate import estimate
+from stages.ba.graph import FlowGraph, mask_graph
+from stages.ba.options import BAOptions
+from stages.ba.problem import Problem
+from stages.ba.state import FocalPrior
+
+SIZE = (96, 160)
+PRIOR = FocalPrior(1.1 * SIZE[1])
+
+
+def observed(motion: str, disc_radius: float) -> FlowGraph:
+    return observe(make_scene(size=SIZE, motion=motion, disc_radius=disc_radius), noise_px=0.05, masked=False)
+
+
+@pytest.mark.parametrize("disc_radius", [0.0, 0.5, 0.75])
+def test_ground_rests_before_a_camera_that_turns_whatever_passes(disc_radius: float) -> None:
+    share = ground.at_rest(observed("rotate", disc_radius), PRIOR, None)
+    assert share is not None
+    assert share > classify.AT_REST
+
+
+@pytest.mark.parametrize("disc_radius", [0.0, 0.5, 1.0])
+@pytest.mark.parametrize("motion", ["curve", "drift"])
+def test_ground_moves_before_a_camera_that_translates(motion: str, disc_radius: float) -> None:
+    share = ground.at_rest(observed(motion, disc_radius), PRIOR, None)
+    assert share is not None
+    assert share < classify.MOVES
+
+
+def test_ground_without_sure_matches_says_nothing() -> None:
+    graph = observed("rotate", 0.0)
+    low = graph.pixels[:, 1] > 0.6 * SIZE[0]
+    assert ground.at_rest(replace(graph, weights=np.where(low, 0.0, graph.weights)), PRIOR, None) is None
+
+
+def test_movers_that_travel_together_past_a_tripod_are_no_path() -> None:
+    """All that rests would be at infinity before that path, the ground too, and nothing would be left to move."""
+    scene = make_scene(size=SIZE, motion="rotate", disc_radius=0.5)
+    plain_above = scene.dynamic | (np.arange(SIZE[0])[:, None] > 0.7 * SIZE[0])
+    graph = mask_graph(observe(scene, noise_px=0.05, masked=False), plain_above)
+    assert classify.measure(graph, None, 0).camera == "moving"
+    solution = estimate(Problem(graph, masked=False), BAOptions())
+    assert solution.camera == "rotating"
+    assert solution.state.focal_px == pytest.approx(scene.focal_px, rel=0.02)
+    assert any("lower border rests" in flag for flag in solution.flags)
+
+
+def test_a_camera_that_seems_to_turn_is_doubted_where_the_ground_moves() -> None:
+    measured = classify.measure(observed("rotate", 0.0), None, 0)
+    assert not measured.doubtful
+    assert replace(measured, ground=classify.MOVES / 2).doubtful
+    assert not replace(measured, ground=classify.MOVES).doubtful
