@@ -12,6 +12,7 @@ from stages.ba.graph import FlowGraph, mask_graph
 from stages.ba.options import BAOptions
 from stages.ba.problem import Problem
 from stages.ba.state import FocalPrior
+from stages.shared import lie
 
 SIZE = (96, 160)
 PRIOR = FocalPrior(1.1 * SIZE[1])
@@ -32,6 +33,15 @@ def test_ground_rests_before_a_camera_that_turns_whatever_passes(disc_radius: fl
 @pytest.mark.parametrize("motion", ["curve", "drift"])
 def test_ground_moves_before_a_camera_that_translates(motion: str, disc_radius: float) -> None:
     share = ground.at_rest(observed(motion, disc_radius), PRIOR, None)
+    assert share is not None
+    assert share < classify.MOVES
+
+
+def test_ground_moves_where_a_camera_turns_first_and_then_walks() -> None:
+    steps = np.arange(16)
+    twists = np.stack([np.maximum(steps - 8, 0) * 0.08, *np.zeros((3, 16)), steps * 0.03, np.zeros(16)], axis=1)
+    scene = make_scene(T=16, size=SIZE, path=lie.exp_se3(twists))
+    share = ground.at_rest(observe(scene, noise_px=0.05), PRIOR, None)
     assert share is not None
     assert share < classify.MOVES
 

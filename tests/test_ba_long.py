@@ -42,7 +42,7 @@ def test_a_long_path_takes_few_passes_and_its_loops_wait(
 ) -> None:
     """From a focal length of 1.2 times the true one. There were 89 passes, with loops in each; now 54.
 
-    Paths of a part of it at other focal lengths take the edges of 16 more, rotations on a thinner grid those of 12.
+    Paths of a part of it at other focal lengths take the edges of 16 more, rotations on a thinner grid those of 17.
     """
     graph, truth = clip(T, STRIDE)
     graph, visited, before_loops = joined(graph), [], []
