@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from synthetic import make_scene, observe
 
-from stages.ba import classify, ground
+from stages.ba import classify, diagnostics, ground
 from stages.ba.estimate import estimate
 from stages.ba.graph import FlowGraph, mask_graph
 from stages.ba.options import BAOptions
@@ -69,3 +69,15 @@ def test_a_camera_that_seems_to_turn_is_doubted_where_the_ground_moves() -> None
     assert not measured.doubtful
     assert replace(measured, ground=classify.MOVES / 2).doubtful
     assert not replace(measured, ground=classify.MOVES).doubtful
+
+
+@pytest.mark.parametrize(("height", "told"), [(1.0, False), (0.7, True), (0.0, True)])
+def test_masks_over_all_that_is_near_are_told_of(height: float, told: bool) -> None:
+    """Masks below a share of the height, over a ground that truly rests."""
+    scene = make_scene(size=SIZE)
+    plain = observe(scene, noise_px=0.05)
+    masks = np.broadcast_to(np.arange(SIZE[0])[:, None] >= height * SIZE[0], scene.dynamic.shape)
+    masked = mask_graph(plain, ~masks)
+    warnings = diagnostics.of_near(ground.share_kept(masked, plain))
+    assert bool(warnings) == told
+    assert ground.share_kept(plain, plain) is None

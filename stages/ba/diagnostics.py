@@ -20,6 +20,8 @@ SAME_COST, SAME_PATH, SAME_ROUGHNESS = 0.05, 0.05, 2.0
 limit, and its path differs by more than the second (share of the path length)."""
 SHRINKING = 0.7
 """A static area below this share of that of the previous round suggests that masks grow without bound."""
+KEPT = 0.25
+"""Below this share of the lower border the masks are doubted (`stages.ba.ground.share_kept`)."""
 WEAK_PATH = 0.05
 """Predicted error of the camera centres, as a share of the path, from which on the path is weakly observed. It is
 0.028 and less in all scenes that limits are chosen on but dark_fog, whose path is wrong: there it is 0.097."""
@@ -71,6 +73,16 @@ def of_ground(statistics: Statistics) -> list[str]:
     return [
         f"the camera is taken for one that does not move, {rests}: if no ground is near there, it may move, and what "
         "seems to be movers may be all that is near"
+    ]
+
+
+def of_near(kept: float | None) -> list[str]:
+    """A warning where masks leave hardly any of the lower border, a share `kept`, where the ground is near."""
+    if kept is None or kept >= KEPT:
+        return []
+    return [
+        f"masks leave {100 * kept:.0f} % of the lower border: all that is near seems to move, as before wrong cameras "
+        "and focal lengths: look at the masks, or give the focal length (`intrinsics`)"
     ]
 
 

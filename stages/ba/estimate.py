@@ -36,7 +36,10 @@ def estimate(problem: Problem, options: BAOptions) -> Estimate:
     more harm than movers, which the robust kernel downweights in part.
     """
     solution = _best(problem, options)
-    return replace(solution, flags=solution.flags + diagnostics.of_options(solution, options))
+    warnings = diagnostics.of_options(solution, options)
+    if problem.unmasked is not None and solution.static is None:
+        warnings += diagnostics.of_near(ground.share_kept(problem.graph, problem.unmasked))
+    return replace(solution, flags=solution.flags + warnings)
 
 
 def _best(problem: Problem, options: BAOptions) -> Estimate:

@@ -41,6 +41,16 @@ def at_rest(graph: FlowGraph, prior: FocalPrior, known_focal_px: float | None) -
     return min(shares, default=None)
 
 
+def share_kept(masked: FlowGraph, plain: FlowGraph) -> float | None:
+    """Share of the matched pixels of the lower border that masks leave; None: few are matched, or there are no masks.
+
+    Wrong cameras take for a mover what is near. Measured in the last round: .04 and .14 with cameras that are wrong for
+    movers over 40 % of the view, .4 and more in 30 other clips, right ones and wrong.
+    """
+    near = _near(plain)
+    return None if masked is plain or near.sum() < ENOUGH else share(matched_pixels(masked), near)
+
+
 def _spans(T: int) -> list[slice]:
     """All frames; of a long clip FRAMES in all, at its beginning, in its middle and at its end."""
     if T <= FRAMES:
