@@ -54,3 +54,14 @@ def test_turns_are_doubted_where_a_path_that_is_not_taken_explains_more_than_noi
     assert doubted.failed_checks == []
     assert any("may translate" in flag for flag in doubted.flags) == told
     assert any(ROUGH[0] in flag for flag in doubted.flags) == (told and failed == ROUGH)
+
+
+def test_a_path_that_explains_no_more_of_resting_ground_than_turns_is_not_taken() -> None:
+    """Movers that travel together before a camera that turns: the path explains them, and the ground no better."""
+    scene = make_scene(size=(96, 160), motion="rotate")
+    graph = observe(scene, noise_px=0.05)
+    turns = true_state(scene, graph)
+    path = estimate_of(turns, 0.01, [])  # of 0.03 px
+    assert not _shows_parallax(path, estimate_of(turns, 1.0, []), graph)
+    unmatched = replace(graph, weights=graph.weights * (graph.pixels[:, 1] < 60))
+    assert _shows_parallax(path, estimate_of(turns, 1.0, []), unmatched)
