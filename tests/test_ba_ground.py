@@ -46,6 +46,16 @@ def test_ground_moves_where_a_camera_turns_first_and_then_walks() -> None:
     assert share < classify.MOVES
 
 
+def test_what_the_camera_carries_along_is_no_ground_at_rest() -> None:
+    """The bonnet of a car fills the lower quarter of the image: a turning camera that hardly turns fits it."""
+    graph = observed("curve", 0.0)
+    bonnet = graph.pixels[:, 1] > 0.75 * SIZE[0]
+    carried = replace(graph, matches=np.where(bonnet[:, None], graph.pixels, graph.matches).astype(np.float32))
+    share = ground.at_rest(carried, PRIOR, None)
+    assert share is None or share < classify.MOVES
+    assert estimate(Problem(carried, masked=False), BAOptions()).camera == "moving"
+
+
 def test_ground_without_sure_matches_says_nothing() -> None:
     graph = observed("rotate", 0.0)
     low = graph.pixels[:, 1] > 0.6 * SIZE[0]

@@ -31,8 +31,7 @@ STILL_PX = 1.0
 FLOOR_PX = 0.05
 """Two-view residuals below this do not tell models apart."""
 AT_REST, MOVES = 0.2, 0.1
-"""Shares of `stages.ba.ground.at_rest` from which on ground rests, and below which it moves: measured .3 and more, .06
-and less."""
+"""Shares of `stages.ba.ground.at_rest` from which on ground rests, and below which it moves, as measured there."""
 MOST = 80
 """Percentile of the residuals that represents most matches: movers and outliers may lie above it."""
 RESIDUAL_RATIO = 3.0

@@ -61,7 +61,9 @@ def _estimate(problem: Problem, options: BAOptions) -> Estimate:
     prior = FocalPrior(PRIOR_FOCAL * graph.width)
     if not _observed(graph):
         return failure(graph, known or prior.focal_px)
-    statistics = replace(classify.measure(graph, known, options.seed), ground=ground.at_rest(graph, prior, known))
+    statistics = classify.measure(graph, known, options.seed)
+    if not (problem.previous and problem.previous.alone):
+        statistics = replace(statistics, ground=ground.at_rest(graph, prior, known))
     if statistics.camera == "rotating":
         rotations = estimate_rotations(problem, statistics, prior, options)
         if statistics.by_ground:

@@ -7,7 +7,7 @@ path explains all of it. But then the ground before it would be at infinity, too
 import numpy as np
 
 from stages.ba import dba, rotation
-from stages.ba.classify import AT_REST
+from stages.ba.classify import AT_REST, STILL_PX
 from stages.ba.graph import MIN_WEIGHT, FlowGraph, cut_out, thin_graph, without_loops
 from stages.ba.part import FRAMES
 from stages.ba.state import FocalPrior, State
@@ -74,9 +74,16 @@ def share_left(graph: FlowGraph, path: State, turns: State) -> float:
 
 
 def _near(graph: FlowGraph) -> np.ndarray:
-    """The matched pixels [T, P] of the lower border."""
+    """The matched pixels [T, P] of the lower border, but for those that stay in the image.
+
+    What is carried along, as the bonnet of a car, rests before the camera, wherever that goes.
+    """
     low = graph.pixels[:, 1] * graph.aspect >= LOWER * graph.height
-    return matched_pixels(graph) & border(graph) & low
+    flow_px, weights = np.zeros((2, graph.T, len(graph.pixels)))
+    apart = np.abs(graph.target - graph.source)[:, None]
+    np.add.at(flow_px, graph.source, graph.weights * np.linalg.norm(graph.matches - graph.pixels, axis=2) / apart)
+    np.add.at(weights, graph.source, graph.weights)
+    return matched_pixels(graph) & border(graph) & low & (flow_px > STILL_PX * weights)
 
 
 def _resting(graph: FlowGraph, turns: State) -> np.ndarray:
