@@ -47,7 +47,7 @@ STATISTICS: Mapping[str, tuple[str, str, str]] = {
     "ground": (
         "lower border at rest for a camera that turns",
         "share",
-        "A camera that moves shows parallax where the ground is. From 0.2 on a rotation may leave more than noise; below "
+        "A moving camera shows parallax where the ground is. From 0.2 on a rotation may leave more than noise; below "
         "0.1 a path is solved beside the rotations, and taken if it leaves far less.",
     ),
     "homography_px": (
