@@ -88,6 +88,7 @@ def test_masks_over_all_that_is_near_are_told_of(height: float, told: bool) -> N
     plain = observe(scene, noise_px=0.05)
     masks = np.broadcast_to(np.arange(SIZE[0])[:, None] >= height * SIZE[0], scene.dynamic.shape)
     masked = mask_graph(plain, ~masks)
-    warnings = diagnostics.of_near(ground.share_kept(masked, plain))
-    assert bool(warnings) == told
+    kept = ground.share_kept(masked, plain)
+    assert bool(diagnostics.of_near(kept, known_focal=False)) == told
+    assert not any("intrinsics" in warning for warning in diagnostics.of_near(kept, known_focal=True))
     assert ground.share_kept(plain, plain) is None

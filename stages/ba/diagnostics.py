@@ -76,14 +76,13 @@ def of_ground(statistics: Statistics) -> list[str]:
     ]
 
 
-def of_near(kept: float | None) -> list[str]:
+def of_near(kept: float | None, known_focal: bool) -> list[str]:
     """A warning where masks leave hardly any of the lower border, a share `kept`, where the ground is near."""
     if kept is None or kept >= KEPT:
         return []
-    return [
-        f"masks leave {100 * kept:.0f} % of the lower border: all that is near seems to move, as before wrong cameras "
-        "and focal lengths: look at the masks, or give the focal length (`intrinsics`)"
-    ]
+    advice = "look at the masks" if known_focal else "look at the masks, or give the focal length (`intrinsics`)"
+    seems = "all that is near seems to move, as before wrong cameras and focal lengths"
+    return [f"masks leave {100 * kept:.0f} % of the lower border: {seems}: {advice}"]
 
 
 def of_focal(camera: str, focal: Mapping[str, Any]) -> list[str]:

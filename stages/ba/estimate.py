@@ -37,8 +37,9 @@ def estimate(problem: Problem, options: BAOptions) -> Estimate:
     """
     solution = _best(problem, options)
     warnings = diagnostics.of_options(solution, options)
-    if problem.unmasked is not None and solution.static is None:
-        warnings += diagnostics.of_near(ground.share_kept(problem.graph, problem.unmasked))
+    if problem.unmasked is not None and solution.static is None and solution.camera != "failed":
+        kept = ground.share_kept(problem.graph, problem.unmasked)
+        warnings += diagnostics.of_near(kept, problem.known_focal_px is not None)
     return replace(solution, flags=solution.flags + warnings)
 
 

@@ -18,22 +18,22 @@ LOWER = 2 / 3
 ENOUGH = 12
 """So many matched pixels say something."""
 PARTS = 3
-"""Parts of a clip in each of which the ground must rest: a camera may turn first, and then walk."""
+"""Parts of a clip; in each where it is matched the ground must rest: a camera may turn first, and then walk."""
 
 
 def at_rest(graph: FlowGraph, prior: FocalPrior, known_focal_px: float | None) -> float | None:
     """Share of the matched pixels of the lower border that fit a turning camera to the noise; None: too few tell.
 
-    The least of those in the parts of the clip. Measured without masks: 0 to .06 in 33 clips whose camera moves, .35 to
-    .96 in five whose camera only turns, movers over up to half of the view in three of them, .08 in a sixth where these
-    are at the border; .26 before a wall in near-still hands.
+    The least of those in the parts of the clip, of pixels that do not stay in the image. Measured without masks: 0 to
+    .06 in 33 clips whose camera moves, .35 to .96 in five whose camera only turns, movers over up to half of the view
+    in three of them, .03 in a sixth where these are at the border.
     """
     factor = max(1, int(np.sqrt(len(graph.pixels) / PIXELS)))
     coarse = thin_graph(without_loops(graph), factor)
     shares = []
     for inside in _spans(coarse.T):
         part = cut_out(coarse, inside)
-        near = np.array_split(_near(part), PARTS)
+        near = np.array_split(_passing(part), PARTS)
         if any(chosen.sum() >= ENOUGH for chosen in near):
             turns, _ = rotation.solve_rotations(part, prior, known_focal_px)
             resting = np.array_split(_resting(part, turns), PARTS)
@@ -64,7 +64,7 @@ def share_left(graph: FlowGraph, path: State, turns: State) -> float:
 
     Where the ground rests the path has nothing to explain. A slow camera is seen to move there, by less than SHARP_PX.
     """
-    near = _near(graph)
+    near = _passing(graph)
     resting = near & _resting(graph, turns)
     if near.sum() < ENOUGH or share(resting, near) < AT_REST:
         return 0.0
@@ -74,16 +74,18 @@ def share_left(graph: FlowGraph, path: State, turns: State) -> float:
 
 
 def _near(graph: FlowGraph) -> np.ndarray:
-    """The matched pixels [T, P] of the lower border, but for those that stay in the image.
-
-    What is carried along, as the bonnet of a car, rests before the camera, wherever that goes.
-    """
+    """The matched pixels [T, P] of the lower border."""
     low = graph.pixels[:, 1] * graph.aspect >= LOWER * graph.height
+    return matched_pixels(graph) & border(graph) & low
+
+
+def _passing(graph: FlowGraph) -> np.ndarray:
+    """Those of them that do not stay in the image, as does what is carried along: the bonnet of a car, say."""
     flow_px, weights = np.zeros((2, graph.T, len(graph.pixels)))
     apart = np.abs(graph.target - graph.source)[:, None]
     np.add.at(flow_px, graph.source, graph.weights * np.linalg.norm(graph.matches - graph.pixels, axis=2) / apart)
     np.add.at(weights, graph.source, graph.weights)
-    return matched_pixels(graph) & border(graph) & low & (flow_px > STILL_PX * weights)
+    return _near(graph) & (flow_px > STILL_PX * weights)
 
 
 def _resting(graph: FlowGraph, turns: State) -> np.ndarray:

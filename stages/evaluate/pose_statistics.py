@@ -26,8 +26,8 @@ STATISTICS: Mapping[str, tuple[str, str, str]] = {
         "residual of a rotation, neighbouring frames",
         "px",
         "At the focal length that fits a rotation best. Up to seven times the epipolar residual of the same frames can "
-        "be noise. If it is more, here or on the next line, the camera is moving; from half of that and 0.05 px on a "
-        "path is solved beside the rotations, and taken if it leaves far less.",
+        "be noise. If it is more, here or on the next line, the camera is moving, unless the ground rests; from half "
+        "of that and 0.05 px on a path is solved beside the rotations, and taken if it leaves far less.",
     ),
     "rotation_px": (
         "residual of a rotation, long baseline",
