@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from synthetic import make_scene, observe
+from synthetic import Scene, make_scene, observe
 
 from stages.ba import classify, diagnostics, ground
 from stages.ba.estimate import estimate
@@ -37,11 +37,32 @@ def test_ground_moves_before_a_camera_that_translates(motion: str, disc_radius: 
     assert share < classify.MOVES
 
 
+def walk(T: int, frames: slice) -> Scene:
+    """A camera that turns, and walks sideways in some frames."""
+    step, turn, none = np.zeros(T), np.cumsum(np.where(np.arange(T) % 20 < 10, 0.03, -0.03)), np.zeros((5, T))
+    step[frames] = 0.08
+    walked = lie.exp_se3(np.stack([-np.cumsum(step), *none], axis=1))
+    return make_scene(T=T, size=SIZE, path=lie.exp_se3(np.stack([*none[:4], turn, none[0]], axis=1)) @ walked)
+
+
 def test_ground_moves_where_a_camera_turns_first_and_then_walks() -> None:
-    steps = np.arange(16)
-    twists = np.stack([np.maximum(steps - 8, 0) * 0.08, *np.zeros((3, 16)), steps * 0.03, np.zeros(16)], axis=1)
-    scene = make_scene(T=16, size=SIZE, path=lie.exp_se3(twists))
-    share = ground.at_rest(observe(scene, noise_px=0.05), PRIOR, None)
+    share = ground.at_rest(observe(walk(16, slice(9, 16)), noise_px=0.05), PRIOR, None)
+    assert share is not None
+    assert share < classify.MOVES
+
+
+def test_ground_that_is_not_matched_while_a_camera_walks_says_nothing() -> None:
+    graph = observe(walk(18, slice(12, 18)), noise_px=0.05)
+    share = ground.at_rest(graph, PRIOR, None)
+    assert share is not None
+    assert share < classify.MOVES
+    unseen = (graph.source >= 11)[:, None] & (graph.pixels[:, 1] > 0.6 * SIZE[0])
+    assert ground.at_rest(replace(graph, weights=np.where(unseen, 0.0, graph.weights)), PRIOR, None) is None
+
+
+def test_a_walk_in_a_long_clip_is_seen() -> None:
+    """In an eighth of its frames, neither at its beginning nor in its middle or at its end."""
+    share = ground.at_rest(observe(walk(200, slice(44, 69)), noise_px=0.05), PRIOR, None)
     assert share is not None
     assert share < classify.MOVES
 
@@ -92,3 +113,11 @@ def test_masks_over_all_that_is_near_are_told_of(height: float, told: bool) -> N
     assert bool(diagnostics.of_near(kept, known_focal=False)) == told
     assert not any("intrinsics" in warning for warning in diagnostics.of_near(kept, known_focal=True))
     assert ground.share_kept(plain, plain) is None
+
+
+def test_masks_of_what_passes_leave_weakly_textured_ground() -> None:
+    """A match counts by its weight: pixels that are hardly matched are not lost where one match in three is masked."""
+    plain = observe(make_scene(size=SIZE), noise_px=0.05)
+    plain = replace(plain, weights=np.full_like(plain.weights, 0.4))
+    masked = replace(plain, weights=plain.weights * (np.arange(len(plain.source)) % 3 > 0)[:, None])
+    assert ground.share_kept(masked, plain) == pytest.approx(2 / 3, abs=0.05)

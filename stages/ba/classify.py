@@ -30,7 +30,7 @@ STILL_PX = 1.0
 """A camera whose flow fits a rotation and is below this per frame is called near-still."""
 FLOOR_PX = 0.05
 """Two-view residuals below this do not tell models apart."""
-AT_REST, MOVES = 0.2, 0.1
+AT_REST, MOVES = 0.1, 0.05
 """Shares of `stages.ba.ground.at_rest` from which on ground rests, and below which it moves, as measured there."""
 MOST = 80
 """Percentile of the residuals that represents most matches: movers and outliers may lie above it."""
@@ -89,7 +89,8 @@ class Statistics:
     @property
     def by_ground(self) -> bool:
         """Whether ground at rest outweighs the residual of a rotation, which movers leave then."""
-        return self.ground is not None and self.ground >= AT_REST and self._exceeds(RESIDUAL_RATIO, FLOOR_PX)
+        rests = self.ground is not None and self.ground >= AT_REST
+        return rests and not self.parallax and self._exceeds(RESIDUAL_RATIO, FLOOR_PX)
 
     @property
     def doubtful(self) -> bool:

@@ -20,7 +20,7 @@ SAME_COST, SAME_PATH, SAME_ROUGHNESS = 0.05, 0.05, 2.0
 limit, and its path differs by more than the second (share of the path length)."""
 SHRINKING = 0.7
 """A static area below this share of that of the previous round suggests that masks grow without bound."""
-KEPT = 0.25
+KEPT = 0.2
 """Below this share of the lower border the masks are doubted (`stages.ba.ground.share_kept`)."""
 WEAK_PATH = 0.05
 """Predicted error of the camera centres, as a share of the path, from which on the path is weakly observed. It is

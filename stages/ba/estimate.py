@@ -67,20 +67,17 @@ def _estimate(problem: Problem, options: BAOptions) -> Estimate:
         statistics = replace(statistics, ground=ground.at_rest(graph, prior, known))
     if statistics.camera == "rotating":
         rotations = estimate_rotations(problem, statistics, prior, options)
-        if statistics.by_ground:
-            return rotations
-        if rotations.failed_checks:
+        if rotations.failed_checks and not statistics.by_ground:
             focal_px = rotations.state.focal_px
-            statistics = classify.measure(graph, focal_px, options.seed, classify.longest_step(graph))
+            again = classify.measure(graph, focal_px, options.seed, classify.longest_step(graph))
+            statistics = replace(again, ground=statistics.ground)
         if statistics.camera == "rotating":
             return _unless_parallax(rotations, problem, statistics, prior, options)
     if not statistics.planar or options.zoom == "no" or known:
         return estimate_path(problem, statistics, prior, options, None)
     turning = estimate_turning_zoom(problem, statistics, prior)
     path = estimate_path(problem, statistics, prior, options, turning.zoom)
-    if turning.zoom.decision != "changing":
-        return path
-    return path if _shows_parallax(path, turning, graph) else _doubted(turning, path, graph)
+    return path if turning.zoom.decision != "changing" else better(path, turning, graph)
 
 
 def _unless_parallax(
@@ -90,18 +87,25 @@ def _unless_parallax(
     if not statistics.doubtful:
         return rotations
     path = estimate_path(problem, replace(statistics, parallax=True), prior, options, None)
-    return path if _shows_parallax(path, rotations, problem.graph) else _doubted(rotations, path, problem.graph)
+    found = better(path, rotations, problem.graph)
+    return rotations if statistics.by_ground and found is not path else found
 
 
-def _shows_parallax(path: Estimate, turning: Estimate, graph: FlowGraph) -> bool:
-    """Whether a path explains far more of the matches than turns do, and of the ground if that seems to rest.
+def better(path: Estimate, turning: Estimate, graph: FlowGraph) -> Estimate:
+    """The path if it explains far more of the matches than turns do, and of the ground if that seems to rest.
 
-    One that fails a check, as that of a shaking hand which is rough, must explain nearly all matches.
+    One that fails a check, as that of a shaking hand which is rough, must explain nearly all matches. The turns have a
+    warning where a path that is not taken explains more than noise.
     """
-    if path.failed_checks and consistent_share(graph, path.state) < CONSISTENT_SHARE:
-        return False
-    ground_left = ground.share_left(graph, path.state, turning.state)
-    return max(_share_left(path, turning, graph), ground_left) < PARALLAX
+    left, ground_left = _share_left(path, turning, graph), ground.share_left(graph, path.state, turning.state)
+    sound = not path.failed_checks or consistent_share(graph, path.state) >= CONSISTENT_SHARE
+    if sound and max(left, ground_left) < PARALLAX:
+        return path
+    if max(left, ground_left) >= NOISE_LEAVES and left >= PARALLAX:
+        return turning
+    warning = f"the camera may translate: a path would leave {left:.2f} of the residual of turns"
+    but = [*path.failed_checks[:1], *([f"{ground_left:.2f} of it where the ground is"] if ground_left else [])]
+    return replace(turning, flags=[*turning.flags, ", but ".join([warning, " and ".join(but)] if but else [warning])])
 
 
 def _share_left(path: Estimate, turning: Estimate, graph: FlowGraph) -> float:
@@ -109,17 +113,6 @@ def _share_left(path: Estimate, turning: Estimate, graph: FlowGraph) -> float:
     kept = graph if path.static is None else mask_graph(graph, path.static)
     turning_px = min(turning.residual_px, median_residual(kept, turning.state))
     return path.residual_px / max(turning_px, 1e-12)
-
-
-def _doubted(turning: Estimate, path: Estimate, graph: FlowGraph) -> Estimate:
-    """The solution as a camera that turns, with a warning where a path that is not taken explains more than noise."""
-    left = _share_left(path, turning, graph)
-    ground_left = ground.share_left(graph, path.state, turning.state)
-    if max(left, ground_left) >= NOISE_LEAVES and left >= PARALLAX:
-        return turning
-    warning = f"the camera may translate: a path would leave {left:.2f} of the residual of turns"
-    but = [*path.failed_checks[:1], *([f"{ground_left:.2f} of it where the ground is"] if ground_left else [])]
-    return replace(turning, flags=[*turning.flags, ", but ".join([warning, " and ".join(but)] if but else [warning])])
 
 
 def _observed(graph: FlowGraph) -> bool:

@@ -4,14 +4,16 @@ Movers that travel together past a camera on a tripod look as if it travelled, w
 path explains all of it. But then the ground before it would be at infinity, too.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from stages.ba import dba, rotation
-from stages.ba.classify import AT_REST, STILL_PX
+from stages.ba.classify import AT_REST, MOVES, STILL_PX
 from stages.ba.graph import MIN_WEIGHT, FlowGraph, cut_out, thin_graph, without_loops
 from stages.ba.part import FRAMES
 from stages.ba.state import FocalPrior, State
-from stages.ba.two_motions import AGREEING, PIXELS, SHARP_PX, border, matched_pixels, share
+from stages.ba.two_motions import AGREEING, SHARP_PX, border, coarseness, matched_pixels, share
 
 LOWER = 2 / 3
 """The lower border begins at this share of the height."""
@@ -24,39 +26,44 @@ PARTS = 3
 def at_rest(graph: FlowGraph, prior: FocalPrior, known_focal_px: float | None) -> float | None:
     """Share of the matched pixels of the lower border that fit a turning camera to the noise; None: too few tell.
 
-    The least of those in the parts of the clip, of pixels that do not stay in the image. Measured without masks: 0 to
-    .06 in 33 clips whose camera moves, .35 to .96 in five whose camera only turns, movers over up to half of the view
-    in three of them, .03 in a sixth where these are at the border.
+    The least of those in the parts of the clip, of pixels that do not stay in the image. A part without matches there
+    may hide a walk: then None, too, but where the ground moves in another. Measured without masks: 0 to .001 in 30
+    clips whose camera moves, .18 to .95 in four whose camera only turns, movers over up to half of the view in two of
+    them, .04 in a fifth where these are at the border.
     """
-    factor = max(1, int(np.sqrt(len(graph.pixels) / PIXELS)))
-    coarse = thin_graph(without_loops(graph), factor)
-    shares = []
-    for inside in _spans(coarse.T):
-        part = cut_out(coarse, inside)
-        near = np.array_split(_passing(part), PARTS)
-        if any(chosen.sum() >= ENOUGH for chosen in near):
-            turns, _ = rotation.solve_rotations(part, prior, known_focal_px)
-            resting = np.array_split(_resting(part, turns), PARTS)
-            shares += [share(*pair) for pair in zip(resting, near, strict=True) if pair[1].sum() >= ENOUGH]
-    return min(shares, default=None)
+    plain = without_loops(graph)
+    shares, everywhere = [], True
+    for inside, parts in _spans(graph.T):
+        span = cut_out(plain, inside)
+        passing, near = (np.array_split(chosen, parts) for chosen in (_passing(span), _near(span)))
+        everywhere &= all(chosen.sum() >= ENOUGH for chosen in near)
+        if any(chosen.sum() >= ENOUGH for chosen in passing):
+            turns, _ = rotation.solve_rotations(thin_graph(span, coarseness(span)), prior, known_focal_px)
+            resting = np.array_split(_resting(span, turns), parts)
+            shares += [share(*pair) for pair in zip(resting, passing, strict=True) if pair[1].sum() >= ENOUGH]
+    least = min(shares, default=1.0)
+    return least if shares and (everywhere or least < MOVES) else None
 
 
 def share_kept(masked: FlowGraph, plain: FlowGraph) -> float | None:
-    """Share of the matched pixels of the lower border that masks leave; None: few are matched, or there are no masks.
+    """Share of the matches of the lower border that masks leave; None: few are matched, or there are no masks.
 
-    Wrong cameras take for a mover what is near. Measured in the last round: .04 and .14 with cameras that are wrong for
-    movers over 40 % of the view, .4 and more in 30 other clips, right ones and wrong.
+    By their weights. Wrong cameras take for a mover what is near. Measured in the last round: .06 and .13 with cameras
+    that are wrong for movers over 40 % of the view, .30 and more in 35 other clips, right ones and wrong.
     """
     near = _near(plain)
-    return None if masked is plain or near.sum() < ENOUGH else share(matched_pixels(masked), near)
+    if masked is plain or near.sum() < ENOUGH:
+        return None
+    kept, before = (float(graph.weights[near[graph.source]].sum(dtype=float)) for graph in (masked, plain))
+    return kept / before
 
 
-def _spans(T: int) -> list[slice]:
-    """All frames; of a long clip FRAMES in all, at its beginning, in its middle and at its end."""
+def _spans(T: int) -> list[tuple[slice, int]]:
+    """Frames to look at, and in how many parts: all in PARTS; of a long clip FRAMES in all, spread over it."""
     if T <= FRAMES:
-        return [slice(0, T)]
-    length = FRAMES // PARTS
-    return [slice(int(first), int(first) + length) for first in np.linspace(0, T - length, PARTS)]
+        return [(slice(0, T), PARTS)]
+    length = FRAMES // PARTS**2
+    return [(slice(int(first), int(first) + length), 1) for first in np.linspace(0, T - length, PARTS**2)]
 
 
 def share_left(graph: FlowGraph, path: State, turns: State) -> float:
@@ -76,7 +83,7 @@ def share_left(graph: FlowGraph, path: State, turns: State) -> float:
 def _near(graph: FlowGraph) -> np.ndarray:
     """The matched pixels [T, P] of the lower border."""
     low = graph.pixels[:, 1] * graph.aspect >= LOWER * graph.height
-    return matched_pixels(graph) & border(graph) & low
+    return matched_pixels(graph) & border(graph, coarseness(graph)) & low
 
 
 def _passing(graph: FlowGraph) -> np.ndarray:
@@ -89,5 +96,6 @@ def _passing(graph: FlowGraph) -> np.ndarray:
 
 
 def _resting(graph: FlowGraph, turns: State) -> np.ndarray:
-    """Which pixels [T, P] fit a camera that turns."""
+    """Which pixels [T, P] fit a camera that turns, found on any grid."""
+    turns = replace(turns, inverse_depth=np.zeros((graph.T, len(graph.pixels))))
     return dba.fitting_pixels(graph, dba.errors_px(graph, turns), SHARP_PX, AGREEING)

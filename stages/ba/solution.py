@@ -28,6 +28,7 @@ def finish(
     flags = list(against)
     if statistics.planar:
         flags.append("planar scene: one homography explains the flow, so that depth and motion rest on one plane")
+    flags += diagnostics.of_ground(statistics)
     flags += diagnostics.of_focal(statistics.camera, decision)
     flags += diagnostics.of_path(state.cam_from_world, covariance)
     numbers = asdict(statistics) | {"camera": statistics.camera, "planar": statistics.planar}

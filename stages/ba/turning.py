@@ -27,8 +27,7 @@ def estimate_rotations(problem: Problem, statistics: Statistics, prior: FocalPri
     focal = known or Focal("weakly observed" if sigma > WEAK_FOCAL else "estimated", sigma)
     against = diagnostics.of_rotations(graph, dba.errors_px(graph, state))
     solution = finish(replace(problem, graph=graph), statistics, state, focal, against, steps)
-    warnings = diagnostics.of_ground(statistics) + diagnostics.of_shutter(rolling)
-    return replace(solution, rolling=rolling, flags=solution.flags + warnings)
+    return replace(solution, rolling=rolling, flags=solution.flags + diagnostics.of_shutter(rolling))
 
 
 def estimate_turning_zoom(problem: Problem, statistics: Statistics, prior: FocalPrior) -> Estimate:

@@ -74,7 +74,7 @@ def background(plain: FlowGraph, masked: FlowGraph, found: State, prior: FocalPr
     """
     if len(plain.pixels) < PIXELS:
         return None
-    factor = max(1, int(np.sqrt(len(plain.pixels) / PIXELS)))
+    factor = coarseness(plain)
     graph, used = thin_graph(plain, factor), thin_graph(masked, factor)
     matched, along = matched_pixels(graph), border(graph)
     start = initialise.initial_state(used, found.cam_from_world, found.focal_px, zoom=found.zoom)
@@ -159,8 +159,13 @@ def share(chosen: np.ndarray, among: np.ndarray) -> float:
     return float((chosen & among).sum() / max(1, among.sum()))
 
 
-def border(graph: FlowGraph) -> np.ndarray:
-    """Pixels [P] along the image border."""
+def coarseness(graph: FlowGraph) -> int:
+    """By which factor to thin a graph to about PIXELS pixels per frame."""
+    return max(1, int(np.sqrt(len(graph.pixels) / PIXELS)))
+
+
+def border(graph: FlowGraph, width: int = 1) -> np.ndarray:
+    """Pixels [P] along the image border, `width` of them deep."""
     along = np.ones((graph.rows, graph.columns), bool)
-    along[1:-1, 1:-1] = False
+    along[width:-width, width:-width] = False
     return along.ravel()

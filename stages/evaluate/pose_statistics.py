@@ -47,8 +47,8 @@ STATISTICS: Mapping[str, tuple[str, str, str]] = {
     "ground": (
         "lower border at rest for a camera that turns",
         "share",
-        "A moving camera shows parallax where the ground is. From 0.2 on a rotation may leave more than noise; below "
-        "0.1 a path is solved beside the rotations, and taken if it leaves far less.",
+        "A moving camera shows parallax where the ground is. From 0.1 on a rotation may leave more than noise, unless "
+        "a path leaves far less, of the ground too; below 0.05 such a path is looked for at any residual.",
     ),
     "homography_px": (
         "residual of a homography, long baseline, median",
