@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 from synthetic import Scene, make_scene, observe, rotation_error_deg, trajectory_error
 
 from stages.ba import classify, dba, twoview
-from stages.ba.depth import CUT_OFF, contact_inverse_depth, depth_maps, fill, joined
+from stages.ba.depth import depth_maps, joined
 from stages.ba.estimate import estimate
 from stages.ba.graph import FlowGraph, static_areas
 from stages.ba.guesses import PoseGuess
@@ -219,28 +219,6 @@ def test_depth_measured_block_by_block_is_that_of_all_frames_at_once() -> None:
         parts.append(depth_maps(replace(graph, **of_edges, pointer=pointer), graph, state, static, True, frames))
     for found, expected in zip(vars(joined(parts)).values(), vars(at_once).values(), strict=True):
         assert (found == expected).all()
-
-
-def test_a_moving_object_stands_where_it_touches_the_ground() -> None:
-    # Ground whose inverse depth grows downwards; far wall above; an object whose feet are at row 14.
-    inverse_depth = np.where(np.arange(20) < 10, 0.1, 0.1 * (np.arange(20) - 8))[:, None] * np.ones((1, 24))
-    region = np.zeros((20, 24), bool)
-    region[4:15, 8:14] = True
-    assert contact_inverse_depth(region, inverse_depth, ~region) == pytest.approx(0.7)
-    filled = fill(inverse_depth, region, region)
-    assert_allclose(filled[region], 0.7)
-    assert_allclose(filled[~region], inverse_depth[~region])
-
-
-def test_what_the_image_cuts_off_stands_before_the_ground_beside_it() -> None:
-    """A walker without feet: at the depth of what is around it, its legs would be under the ground."""
-    inverse_depth = np.where(np.arange(20) < 10, 0.1, 0.1 * (np.arange(20) - 8))[:, None] * np.ones((1, 24))
-    region = np.zeros((20, 24), bool)
-    region[4:, 8:14] = True
-    assert contact_inverse_depth(region, inverse_depth, ~region) == pytest.approx(CUT_OFF * 1.1)
-    assert CUT_OFF > 1
-    region[-1] = False  # its feet are seen: it stands on row 19
-    assert contact_inverse_depth(region, inverse_depth, ~region) == pytest.approx(1.1)
 
 
 def test_masks_from_flow_alone_do_not_free_an_unusual_focal_length() -> None:

@@ -18,10 +18,6 @@ MAX_VARIANCE = 1.0
 SIGMA_PX = 0.5
 SPAN = np.array([0.5, 0.7, 1.0, 1.4, 2.0])
 """Factors on the coarse inverse depth from which the search for a pixel's inverse depth starts."""
-CUT_OFF = 1.6
-"""Inverse depth of what the lower edge of the image cuts off, in units of that of the ground at the edge. The true one
-is 1.3 to 1.9 (four tuned scenes); with 1.25 right-eye views of three of them are .4, 1.6 and 3.3 dB worse, movers in
-held-out frames .5 and .6 better and .5 worse."""
 
 
 @dataclass(frozen=True)
@@ -51,17 +47,20 @@ def depth_maps(
     """
     first, end = frames or (0, graph.T)
     shape = (end - first, graph.rows, graph.columns)
-    covered = static[first:end, : graph.rows * graph.stride, : graph.columns * graph.stride]
-    shares = (cv2.resize(frame.astype(np.float32), shape[:0:-1], interpolation=cv2.INTER_AREA) for frame in covered)
-    dynamic = np.stack([share < 0.5 for share in shares])
     if not observable:
         return DepthMaps(np.ones(shape), np.full(shape, MAX_VARIANCE), np.ones(shape, bool))
     inverse_depth, curvature = _search(graph, coarse, state, (first, end))
     variance = MATCH_VARIANCE / np.maximum(curvature, MATCH_VARIANCE / MAX_VARIANCE).reshape(shape)
-    filled = dynamic | (variance >= MAX_VARIANCE)
-    maps = inverse_depth.reshape(shape)
-    complete = np.stack([fill(*frame) for frame in zip(maps, filled, dynamic, strict=True)])
+    filled = dynamic_pixels(static[first:end], graph.stride) | (variance >= MAX_VARIANCE)
+    complete = np.stack([fill(*frame) for frame in zip(inverse_depth.reshape(shape), filled, strict=True)])
     return DepthMaps(complete, np.where(filled, MAX_VARIANCE, variance), filled)
+
+
+def dynamic_pixels(static: np.ndarray, stride: int) -> np.ndarray:
+    """Which cells [n, rows, columns] of `stride` px are dynamic by `static` [n, height, width], 1 where static."""
+    rows, columns = (length // stride for length in static.shape[1:])
+    covered = static[:, : rows * stride, : columns * stride].astype(np.float32)
+    return np.stack([cv2.resize(frame, (columns, rows), interpolation=cv2.INTER_AREA) < 0.5 for frame in covered])
 
 
 def joined(parts: Sequence[DepthMaps]) -> DepthMaps:
@@ -70,12 +69,8 @@ def joined(parts: Sequence[DepthMaps]) -> DepthMaps:
     return DepthMaps(*(np.concatenate(column) for column in columns))
 
 
-def fill(inverse_depth: np.ndarray, missing: np.ndarray, dynamic: np.ndarray) -> np.ndarray:
-    """Inverse depth [h, w] with its missing pixels filled.
-
-    A dynamic region is assumed to stand where it touches the static ground: it gets one inverse depth, that of its
-    contact. Other holes take the value of the nearest measured pixel.
-    """
+def fill(inverse_depth: np.ndarray, missing: np.ndarray) -> np.ndarray:
+    """Inverse depth [h, w] with the nearest measured one where it is missing; 1 if none is measured."""
     if missing.all():
         return np.ones_like(inverse_depth)
     _, nearest = cv2.distanceTransformWithLabels(
@@ -83,45 +78,7 @@ def fill(inverse_depth: np.ndarray, missing: np.ndarray, dynamic: np.ndarray) ->
     )
     measured = np.empty(nearest.max() + 1)
     measured[nearest[~missing]] = inverse_depth[~missing]
-    filled = measured[nearest]
-    count, regions = cv2.connectedComponents(dynamic.astype(np.uint8), connectivity=4)
-    for label in range(1, count):
-        region = regions == label
-        filled[region] = contact_inverse_depth(region, inverse_depth, ~missing)
-    return np.asarray(filled)
-
-
-def contact_inverse_depth(region: np.ndarray, inverse_depth: np.ndarray, measured: np.ndarray) -> float:
-    """Inverse depth at which a region [h, w] touches the static scene.
-
-    The median over the measured pixels just below its lowest quarter. What the lower edge of the image cuts off touches
-    the ground outside of the image, nearer than the near end (90th percentile) of the ground at the edge beside it: by
-    how much nobody knows. At the depth of its surroundings it would lie behind the ground at its feet. If nothing is
-    measured there, the near end (80th percentile) of the measurements around it, since the region occludes them.
-    """
-    ground = inverse_depth[_beside_cut(region) & measured]
-    if ground.size:
-        return CUT_OFF * float(np.percentile(ground, 90))
-    rows = np.flatnonzero(region.any(axis=1))
-    below = np.zeros_like(region)
-    below[1:] = region[:-1] & ~region[1:]
-    below[: rows[-1] + 2 - max(1, (rows[-1] - rows[0] + 1) // 4)] = False
-    contact = inverse_depth[below & measured]
-    if contact.size:
-        return float(np.median(contact))
-    cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
-    around = inverse_depth[(cv2.dilate(region.astype(np.uint8), cross, iterations=2) > 0) & measured]
-    return float(np.percentile(around if around.size else inverse_depth[measured], 80))
-
-
-def _beside_cut(region: np.ndarray) -> np.ndarray:
-    """The lowest rows [h, w] beside a region that the lower edge of the image cuts off; false where it does not."""
-    h, beside = len(region), np.zeros_like(region)
-    cut = np.flatnonzero(region[-1])
-    if cut.size:
-        reach = max(8, cut.size)
-        beside[h - max(2, h // 16) :, max(0, cut[0] - reach) : cut[-1] + 1 + reach] = True
-    return beside & ~region
+    return np.asarray(measured[nearest])
 
 
 def _search(

@@ -6,10 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
-from stages.ba import checkpoint, cuts, diagnostics, from_truth, given, outputs, rounds, shutter
-from stages.ba.depth import DepthMaps, depth_maps, joined
+from stages.ba import checkpoint, cuts, diagnostics, from_truth, given, mover_depth, outputs, rounds, shutter
+from stages.ba.depth import DepthMaps, depth_maps, dynamic_pixels, joined
 from stages.ba.given_depth import given_depth_maps
-from stages.ba.graph import FlowGraph, mask_graph, trusted_static_areas, with_texture
+from stages.ba.graph import FlowGraph, mask_graph, trusted_static_areas, with_texture, without_loops
+from stages.ba.growth import Links, link_regions, number_regions
 from stages.ba.guesses import PoseGuess
 from stages.ba.options import BAOptions
 from stages.ba.problem import Estimate, Problem
@@ -148,7 +149,21 @@ def _depth_maps(
         return np.stack([maps.inverse_depth, maps.variance, maps.filled])
 
     blocks = (checkpoint.array(partial(of_block, first)) for first in progress(range(0, T, BLOCK), "depth"))
-    return joined([DepthMaps(inverse_depth, variance, filled > 0) for inverse_depth, variance, filled in blocks])
+    maps = joined([DepthMaps(inverse_depth, variance, filled > 0) for inverse_depth, variance, filled in blocks])
+    return maps if static.all() or not observable else _with_movers(maps, matches, known, static, state, options)
+
+
+def _with_movers(
+    maps: DepthMaps, matches: Matches, known: given.Known, static: np.ndarray, state: State, options: BAOptions
+) -> DepthMaps:
+    """The maps with the depth of what moves, followed from frame to frame."""
+    T, stride = len(static), options.depth_stride_px
+    numbers = number_regions(dynamic_pixels(static, stride))
+    blocks = ((first, min(first + BLOCK, T)) for first in range(0, T, BLOCK))
+    graphs = (without_loops(matches.graph(stride, known, frames)) for frames in blocks)
+    found = [link_regions(graph, numbers) for graph in graphs]
+    links = Links(*(np.concatenate(columns) for columns in zip(*found, strict=True)))
+    return mover_depth.placed(maps, numbers, links, state.focals_px)
 
 
 def _previous(poses: Path | None, scale: float) -> PoseGuess | None:

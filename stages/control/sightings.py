@@ -75,7 +75,7 @@ def smooth_log_depth(log_depth: np.ndarray, std: np.ndarray, visible: np.ndarray
 
     Minimises sum_f visible ((z_f - y_f) / std_f)^2 + sum_f (second difference / DEPTH_ACCELERATION)^2 (Whittaker) and
     (first difference / DEPTH_SPEED)^2. For fewer than 3 frames it is the weighted mean.
-    The depth of dynamic pixels is estimated from the border of the mask, with a large std; smoothing averages it.
+    The depth of dynamic pixels is a guess (`stages.ba.mover_depth`), with a large std; smoothing averages it.
 
     Args:
         log_depth: [n, F] measurements. std: [n, F] > 0, of log depth. visible: [n, F], each row at least once true.

@@ -245,7 +245,7 @@ def test_the_script_survives_and_says_so(tmp_path: Path, dynamic: bool, confiden
 
 def test_depth_without_any_measured_pixel_is_filled() -> None:
     shape = (6, 8)
-    assert_allclose(fill(np.full(shape, 3.0), np.ones(shape, bool), np.zeros(shape, bool)), 1.0)
+    assert_allclose(fill(np.full(shape, 3.0), np.ones(shape, bool)), 1.0)
     scene = make_scene(T=3, size=(24, 32), motion="rotate")
     graph = observe(scene, stride=4)
     state = State(scene.cam_from_world, np.zeros((3, len(graph.pixels))), scene.focal_px)

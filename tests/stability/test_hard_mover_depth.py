@@ -1,0 +1,55 @@
+"""Depth of what moves where next to nothing tells it."""
+
+import numpy as np
+from numpy.testing import assert_allclose
+
+from stages.ba.depth import DepthMaps
+from stages.ba.growth import Links, number_regions
+from stages.ba.mover_depth import consistent, placed
+
+NONE = Links(*np.zeros((3, 0), int), *np.zeros((2, 0)), np.zeros(0, int))
+
+
+def moving(T: int = 3) -> np.ndarray:
+    regions = np.zeros((T, 8, 12), bool)
+    regions[:, 2:5, 3:7] = True
+    return regions
+
+
+def test_a_region_without_links_stands_by_its_own_contact() -> None:
+    regions = moving()
+    maps = DepthMaps(np.full(regions.shape, 0.5), np.ones(regions.shape), regions)
+    assert_allclose(placed(maps, number_regions(regions), NONE, np.ones(3)).inverse_depth, 0.5, rtol=1e-6)
+
+
+def test_frames_without_any_measured_pixel_follow_their_neighbours() -> None:
+    regions, missing = moving(), moving()
+    missing[1] = True
+    numbers, pixels = (np.array([1, 2]), np.array([2, 3])), np.full(2, 12)
+    links = Links(*numbers, np.ones(2, int), np.log([2.0, 2.0]), np.full(2, 0.01), pixels)
+    depths = np.broadcast_to(np.array([0.25, 1.0, 1.0])[:, None, None], regions.shape)
+    found = placed(DepthMaps(depths, np.ones(regions.shape), missing), number_regions(regions), links, np.ones(3))
+    assert_allclose([found.inverse_depth[k, 3, 4] for k in range(3)], [0.25, 0.5, 1.0], rtol=0.02)
+
+
+def test_nothing_measured_at_all_is_finite() -> None:
+    regions = moving()
+    maps = DepthMaps(np.ones(regions.shape), np.ones(regions.shape), np.ones(regions.shape, bool))
+    assert_allclose(placed(maps, number_regions(regions), NONE, np.ones(3)).inverse_depth, 1.0)
+
+
+def test_ground_at_infinity_is_no_logarithm_of_zero() -> None:
+    regions = moving()
+    maps = DepthMaps(np.zeros(regions.shape), np.ones(regions.shape), regions)
+    found = placed(maps, number_regions(regions), NONE, np.ones(3)).inverse_depth[regions]
+    assert np.isfinite(found).all()
+    assert (found > 0).all()
+
+
+def test_no_region_at_all_changes_nothing() -> None:
+    maps = DepthMaps(np.full((2, 4, 4), 0.3), np.ones((2, 4, 4)), np.zeros((2, 4, 4), bool))
+    assert placed(maps, np.zeros((2, 4, 4), np.int32), NONE, np.ones(2)) is maps
+
+
+def test_contacts_of_vanishing_area_do_not_divide_by_zero() -> None:
+    assert np.isfinite(consistent(np.zeros(3), np.zeros(3, bool), np.zeros(3), NONE)).all()
