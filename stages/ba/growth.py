@@ -1,11 +1,12 @@
 """How the parts of the image that move grow over time: what comes nearer grows as its inverse depth does."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 
-from stages.ba.graph import MIN_WEIGHT, FlowGraph
+from stages.ba.graph import EDGES, MIN_WEIGHT, FlowGraph
 
 FEWEST = 8
 """Shared pixels of two regions from which on they are linked."""
@@ -47,8 +48,20 @@ def link_regions(graph: FlowGraph, numbers: np.ndarray) -> Links:
     The growth of a link is the scale of the similarity that maps the shared pixels of both: y = a x + t of complex
     numbers x, y, by iteratively reweighted least squares.
     """
+    blocks = (np.arange(first, first + EDGES) for first in range(0, len(graph.source), EDGES))
+    return join_links([_linked(graph, numbers, block[block < len(graph.source)]) for block in blocks])
+
+
+def join_links(parts: Sequence[Links]) -> Links:
+    """The links of several blocks of edges, of which there is at least one."""
+    return Links(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+
+
+def _linked(graph: FlowGraph, numbers: np.ndarray, edges: np.ndarray) -> Links:
+    """The links along some edges."""
     flat = numbers.reshape(graph.T, -1)
-    edge, pixel = np.nonzero((flat[graph.source] > 0) & (graph.weights > MIN_WEIGHT))
+    edge, pixel = np.nonzero((flat[graph.source[edges]] > 0) & (graph.weights[edges] > MIN_WEIGHT))
+    edge = edges[edge]
     ends = graph.matches[edge, pixel]
     u, v = np.rint((graph.on_grid(ends) - (graph.stride - 1) / 2) / graph.stride).astype(int).T
     inside = (u >= 0) & (v >= 0) & (u < graph.columns) & (v < graph.rows)

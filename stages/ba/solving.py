@@ -10,7 +10,7 @@ from stages.ba import checkpoint, cuts, diagnostics, from_truth, given, mover_de
 from stages.ba.depth import DepthMaps, depth_maps, dynamic_pixels, joined
 from stages.ba.given_depth import given_depth_maps
 from stages.ba.graph import FlowGraph, mask_graph, trusted_static_areas, with_texture, without_loops
-from stages.ba.growth import Links, link_regions, number_regions
+from stages.ba.growth import join_links, link_regions, number_regions
 from stages.ba.guesses import PoseGuess
 from stages.ba.options import BAOptions
 from stages.ba.problem import Estimate, Problem
@@ -161,8 +161,7 @@ def _with_movers(
     numbers = number_regions(dynamic_pixels(static, stride))
     blocks = ((first, min(first + BLOCK, T)) for first in range(0, T, BLOCK))
     graphs = (without_loops(matches.graph(stride, known, frames)) for frames in blocks)
-    found = [link_regions(graph, numbers) for graph in graphs]
-    links = Links(*(np.concatenate(columns) for columns in zip(*found, strict=True)))
+    links = join_links([link_regions(graph, numbers) for graph in graphs if len(graph.source)])
     return mover_depth.placed(maps, numbers, links, state.focals_px)
 
 

@@ -2,9 +2,10 @@
 
 import numpy as np
 from numpy.testing import assert_allclose
+from synthetic import make_scene, observe
 
 from stages.ba.depth import DepthMaps
-from stages.ba.growth import Links, number_regions
+from stages.ba.growth import Links, link_regions, number_regions
 from stages.ba.mover_depth import consistent, placed
 
 NONE = Links(*np.zeros((3, 0), int), *np.zeros((2, 0)), np.zeros(0, int))
@@ -53,3 +54,9 @@ def test_no_region_at_all_changes_nothing() -> None:
 
 def test_contacts_of_vanishing_area_do_not_divide_by_zero() -> None:
     assert np.isfinite(consistent(np.zeros(3), np.zeros(3, bool), np.zeros(3), NONE)).all()
+
+
+def test_frames_in_which_nothing_moves_have_no_links() -> None:
+    scene = make_scene(T=3, size=(24, 32))
+    links = link_regions(observe(scene, masked=False), np.zeros((3, 6, 8), np.int32))
+    assert all(len(values) == 0 for values in links)
