@@ -7,6 +7,7 @@ import pytest
 from synthetic import Scene, make_scene, observe
 
 from stages.ba import classify, diagnostics, ground
+from stages.ba import estimate as hypotheses
 from stages.ba.estimate import estimate
 from stages.ba.graph import FlowGraph, mask_graph
 from stages.ba.options import BAOptions
@@ -93,6 +94,16 @@ def test_movers_that_travel_together_past_a_tripod_are_no_path() -> None:
     assert solution.camera == "rotating"
     assert solution.state.focal_px == pytest.approx(scene.focal_px, rel=0.02)
     assert any("lower border rests" in flag for flag in solution.flags)
+
+
+def test_ground_at_rest_still_counts_where_rotations_fail_a_check(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A look over more frames then seems to show that the camera moves, as slow movers would."""
+    graph, solve = observed("rotate", 0.0), hypotheses.estimate_rotations
+    turns = classify.measure(graph, None, 0)
+    looks = iter([turns])
+    monkeypatch.setattr(classify, "measure", lambda *_: next(looks, replace(turns, rotation_px=10.0)))
+    monkeypatch.setattr(hypotheses, "estimate_rotations", lambda *a: replace(solve(*a), failed_checks=["grows"]))
+    assert estimate(Problem(graph, masked=False), BAOptions()).camera == "rotating"
 
 
 def test_a_camera_that_seems_to_turn_is_doubted_where_the_ground_moves() -> None:

@@ -79,8 +79,8 @@ class Statistics:
         residual of the same matches, so it grows with the length of the flow as the rotation residual does. Both the
         neighbours and the long baseline can decide: near points that a fast camera passes are matched between
         neighbours alone; over several frames only far points are matched, whose flow is nearly a rotation. It is moving
-        too if a path is known to explain the matches far better. It is not if the ground before it rests: then movers
-        travel together, which looks like a path among things that are all far away.
+        too if a path is known to explain the matches far better. As long as none is, it is not if the ground before it
+        rests: movers that travel together look like a path among things that are all far away.
         """
         if self.parallax or (self._exceeds(RESIDUAL_RATIO, FLOOR_PX) and not self.by_ground):
             return "moving"
@@ -88,7 +88,7 @@ class Statistics:
 
     @property
     def by_ground(self) -> bool:
-        """Whether ground at rest outweighs the residual of a rotation, which movers leave then."""
+        """Whether ground at rest outweighs the residual of a rotation, which movers may leave, and no path is known."""
         rests = self.ground is not None and self.ground >= AT_REST
         return rests and not self.parallax and self._exceeds(RESIDUAL_RATIO, FLOOR_PX)
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from stages.ba import classify, dba, held_out, initialise, rotation, zoom
 from stages.ba.arguments import undistorted
-from stages.ba.graph import MIN_MATCHES, FlowGraph, favour_distance, shared_matches, thin_graph
+from stages.ba.graph import MIN_MATCHES, FlowGraph, favour_distance, shared_matches, thin_graph, thinning
 from stages.ba.guesses import MAX_PAIR_PX, Observed, guess
 from stages.ba.held_out import Fit
 from stages.ba.start import COARSE_PIXELS
@@ -85,7 +85,7 @@ def find_lens(graph: FlowGraph, prior: FocalPrior, seed: int, assumed: bool = Fa
     shared = shared_matches(graph.source, graph.target, graph.weights, graph.T)
     if np.median(np.diagonal(shared, 1)) < MIN_MATCHES:
         return Lens(None, Evidence("not observable", "neighbouring frames share too few confident matches"))
-    factor = max(1, int(np.sqrt(len(graph.pixels) / COARSE_PIXELS)))
+    factor = thinning(graph, COARSE_PIXELS)
     coarse = thin_graph(graph, factor)
     statistics = classify.measure(coarse, None, seed)
     if statistics.camera == "near-still":

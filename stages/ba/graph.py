@@ -170,6 +170,11 @@ def thin_graph(graph: FlowGraph, factor: int) -> FlowGraph:
     return replace(graph, pixels=pixels, matches=matches, weights=weights, stride=stride, texture=texture)
 
 
+def thinning(graph: FlowGraph, pixels: int) -> int:
+    """The factor for `thin_graph` that leaves about so many pixels per frame."""
+    return max(1, int(np.sqrt(len(graph.pixels) / pixels)))
+
+
 def with_edges(graph: FlowGraph, kept: np.ndarray) -> FlowGraph:
     """The graph of some of its edges, [E] bool."""
     source, arrays = graph.source[kept], {name: getattr(graph, name)[kept] for name in ("target", "matches", "weights")}

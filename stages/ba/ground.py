@@ -10,17 +10,17 @@ import numpy as np
 
 from stages.ba import dba, rotation
 from stages.ba.classify import AT_REST, MOVES, STILL_PX
-from stages.ba.graph import MIN_WEIGHT, FlowGraph, cut_out, thin_graph, without_loops
+from stages.ba.graph import MIN_WEIGHT, FlowGraph, cut_out, thin_graph, thinning, without_loops
 from stages.ba.part import FRAMES
 from stages.ba.state import FocalPrior, State
-from stages.ba.two_motions import AGREEING, SHARP_PX, border, coarseness, matched_pixels, share
+from stages.ba.two_motions import AGREEING, PIXELS, SHARP_PX, border, matched_pixels, share
 
 LOWER = 2 / 3
 """The lower border begins at this share of the height."""
 ENOUGH = 12
 """So many matched pixels say something."""
 PARTS = 3
-"""Parts of a clip; in each where it is matched the ground must rest: a camera may turn first, and then walk."""
+"""Parts of a clip; in each the ground must be matched, and rest: a camera may turn first, and then walk."""
 
 
 def at_rest(graph: FlowGraph, prior: FocalPrior, known_focal_px: float | None) -> float | None:
@@ -35,10 +35,11 @@ def at_rest(graph: FlowGraph, prior: FocalPrior, known_focal_px: float | None) -
     shares, everywhere = [], True
     for inside, parts in _spans(graph.T):
         span = cut_out(plain, inside)
-        passing, near = (np.array_split(chosen, parts) for chosen in (_passing(span), _near(span)))
+        found = _near(span)
+        passing, near = (np.array_split(chosen, parts) for chosen in (_passing(span, found), found))
         everywhere &= all(chosen.sum() >= ENOUGH for chosen in near)
         if any(chosen.sum() >= ENOUGH for chosen in passing):
-            turns, _ = rotation.solve_rotations(thin_graph(span, coarseness(span)), prior, known_focal_px)
+            turns, _ = rotation.solve_rotations(thin_graph(span, thinning(span, PIXELS)), prior, known_focal_px)
             resting = np.array_split(_resting(span, turns), parts)
             shares += [share(*pair) for pair in zip(resting, passing, strict=True) if pair[1].sum() >= ENOUGH]
     least = min(shares, default=1.0)
@@ -71,7 +72,7 @@ def share_left(graph: FlowGraph, path: State, turns: State) -> float:
 
     Where the ground rests the path has nothing to explain. A slow camera is seen to move there, by less than SHARP_PX.
     """
-    near = _passing(graph)
+    near = _passing(graph, _near(graph))
     resting = near & _resting(graph, turns)
     if near.sum() < ENOUGH or share(resting, near) < AT_REST:
         return 0.0
@@ -83,16 +84,16 @@ def share_left(graph: FlowGraph, path: State, turns: State) -> float:
 def _near(graph: FlowGraph) -> np.ndarray:
     """The matched pixels [T, P] of the lower border."""
     low = graph.pixels[:, 1] * graph.aspect >= LOWER * graph.height
-    return matched_pixels(graph) & border(graph, coarseness(graph)) & low
+    return matched_pixels(graph) & border(graph, thinning(graph, PIXELS)) & low
 
 
-def _passing(graph: FlowGraph) -> np.ndarray:
-    """Those of them that do not stay in the image, as does what is carried along: the bonnet of a car, say."""
+def _passing(graph: FlowGraph, near: np.ndarray) -> np.ndarray:
+    """Those of the pixels `near` [T, P] that do not stay in the image, as the bonnet of a car does."""
     flow_px, weights = np.zeros((2, graph.T, len(graph.pixels)))
     apart = np.abs(graph.target - graph.source)[:, None]
     np.add.at(flow_px, graph.source, graph.weights * np.linalg.norm(graph.matches - graph.pixels, axis=2) / apart)
     np.add.at(weights, graph.source, graph.weights)
-    return _near(graph) & (flow_px > STILL_PX * weights)
+    return near & (flow_px > STILL_PX * weights)
 
 
 def _resting(graph: FlowGraph, turns: State) -> np.ndarray:

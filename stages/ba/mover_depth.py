@@ -1,7 +1,7 @@
 """Depth of what moves, which no flow triangulates: from where it touches the ground, and from how it grows.
 
 A region of the image that moves is taken for upright, at one depth. From frame to frame its size tells how this
-changes, to about a per cent. Its scale is that of the ground where the region touches it; one such scale holds for all
+changes, to a per cent or two. Its scale is that of the ground where the region touches it; one such scale holds for all
 frames in which the region is followed, whichever show its feet.
 """
 
@@ -74,7 +74,7 @@ def consistent(contact: np.ndarray, cut: np.ndarray, area: np.ndarray, links: Li
     between = _differences(links, len(contact))
     followed, grown = between.T @ sparse.diags_array(stiff) @ between, between.T @ (stiff * links.log_growth)
     trust = known * area / max(float(area.mean()), 1e-12) / CONTACT
-    if_behind, if_before = (np.where(always_cut, 1.0, 2 * share) for share in (IN_FRONT, 1 - IN_FRONT))
+    if_behind, if_before = (np.where(always_cut, 1.0, 2 * tail) for tail in (IN_FRONT, 1 - IN_FRONT))
     pull = np.where(cut == always_cut, trust / NEAR, 0.0) + 1e-9
     for _ in range(ITERATIONS):
         z = spsolve((followed + sparse.diags_array(pull)).tocsc(), grown + pull * measured)

@@ -8,7 +8,7 @@ and focal length leads back, at any scale of the kernel: the path has to be chai
 import numpy as np
 
 from stages.ba import dba, initialise
-from stages.ba.graph import FlowGraph, cut_out, thin_graph, without_loops
+from stages.ba.graph import FlowGraph, cut_out, thin_graph, thinning, without_loops
 from stages.ba.guesses import ENOUGH, MAX_PAIR_PX, Observed
 from stages.ba.initialise import COST_MARGIN, Candidate, Hypothesis
 from stages.ba.part import FRAMES, best_part, flow_px
@@ -38,7 +38,7 @@ def better_focal(observed: Observed, coarse: FlowGraph, best: Candidate) -> floa
     if graph.T > FRAMES:
         inside = best_part(flow_px(graph))
         graph, coarse, path = cut_out(graph, inside), cut_out(coarse, inside), path[inside]
-    graph = thin_graph(without_loops(graph), max(1, int(np.sqrt(len(graph.pixels) / PIXELS))))
+    graph = thin_graph(without_loops(graph), thinning(graph, PIXELS))
 
     def adjusted(cam_from_world: np.ndarray, focal_px: float, name: str) -> State:
         state = initialise.initial_state(graph, cam_from_world, focal_px, FINE_PX[0])

@@ -2,12 +2,10 @@
 
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from stages.ba import classify, diagnostics, initialise, loops, shutter, zoom
 from stages.ba.classify import Statistics
 from stages.ba.first_focal import focals_of_part
-from stages.ba.graph import thin_graph, without_loops
+from stages.ba.graph import thin_graph, thinning, without_loops
 from stages.ba.guesses import Observed
 from stages.ba.initialise import Candidate
 from stages.ba.loops import Closed
@@ -118,7 +116,7 @@ def _with_one_focal(
     graph, one = problem.graph, replace(changing, state=replace(changing.state, zoom=None))
     one, focal = refine(problem, statistics, one, prior)
     rolling = rolling_evidence(graph, one.state, focal, prior, options)
-    factor = max(1, int(np.sqrt(len(graph.pixels) / COARSE_PIXELS)))
+    factor = thinning(graph, COARSE_PIXELS)
     coarse = thin_graph(without_loops(shutter.correct(graph, one.state, rolling.readout)), factor)
     fixed, other = (shutter.resampled(found.state, graph, coarse) for found in (one, changing))
     density = len(coarse.pixels) / len(graph.pixels)

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stages.ba import held_out, reduced
-from stages.ba.graph import MIN_WEIGHT, FlowGraph, cut_out, thin_graph
+from stages.ba.graph import MIN_WEIGHT, FlowGraph, cut_out, thin_graph, thinning
 from stages.ba.held_out import SHARP, SHARP_PX, Fit
 from stages.ba.kernel import MIN_DEPTH_RATIO
 from stages.ba.part import FRAMES, best_part, state_of_part
@@ -122,7 +122,7 @@ def weigh(graph: FlowGraph, state: State, unknowns: Unknowns, prior: FocalPrior,
     if graph.T > FRAMES:
         inside = best_part(_shakes(graph, state))
         graph, state = cut_out(graph, inside), state_of_part(state, inside)
-    factor = max(1, int(np.sqrt(len(graph.pixels) / PIXELS)))
+    factor = thinning(graph, PIXELS)
     coarse = thin_graph(graph, factor)
     density = len(coarse.pixels) / len(graph.pixels)
     state = resampled(state, graph, coarse)

@@ -10,7 +10,7 @@ import numpy as np
 from stages.ba import dba, initialise, two_motions, zoom
 from stages.ba.classify import longest_step
 from stages.ba.diagnostics import ROUGH_PATH, of_zoom
-from stages.ba.graph import MIN_WEIGHT, FlowGraph, mask_graph, thin_graph, without_loops
+from stages.ba.graph import MIN_WEIGHT, FlowGraph, mask_graph, thin_graph, thinning, without_loops
 from stages.ba.guesses import ENOUGH, MAX_PAIR_PX, Observed, guess
 from stages.ba.initialise import Candidate
 from stages.ba.other_focals import better_focal
@@ -53,7 +53,7 @@ class Start:
 
 def find_start(observed: Observed) -> Start:
     """Adjust guesses, also without masks if the path is rough, and look for a second motion in unexplained pixels."""
-    factor = max(1, int(np.sqrt(len(observed.graph.pixels) / COARSE_PIXELS)))
+    factor = thinning(observed.graph, COARSE_PIXELS)
     plain, coarse = (thin_graph(without_loops(graph), factor) for graph in (observed.unmasked, observed.graph))
     candidates = guess(observed, coarse)
     if observed.free and not (observed.previous and observed.previous.alone):

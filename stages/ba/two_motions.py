@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from stages.ba import dba, initialise
-from stages.ba.graph import MIN_WEIGHT, FlowGraph, thin_graph
+from stages.ba.graph import MIN_WEIGHT, FlowGraph, thin_graph, thinning
 from stages.ba.state import FocalPrior, Level, State, Unknowns
 
 PIXELS = 150
@@ -74,7 +74,7 @@ def background(plain: FlowGraph, masked: FlowGraph, found: State, prior: FocalPr
     """
     if len(plain.pixels) < PIXELS:
         return None
-    factor = coarseness(plain)
+    factor = thinning(plain, PIXELS)
     graph, used = thin_graph(plain, factor), thin_graph(masked, factor)
     matched, along = matched_pixels(graph), border(graph)
     start = initialise.initial_state(used, found.cam_from_world, found.focal_px, zoom=found.zoom)
@@ -157,11 +157,6 @@ def smooth(graph: FlowGraph, chosen: np.ndarray) -> np.ndarray:
 def share(chosen: np.ndarray, among: np.ndarray) -> float:
     """Share of the pixels `among` [T, P] that are chosen."""
     return float((chosen & among).sum() / max(1, among.sum()))
-
-
-def coarseness(graph: FlowGraph) -> int:
-    """By which factor to thin a graph to about PIXELS pixels per frame."""
-    return max(1, int(np.sqrt(len(graph.pixels) / PIXELS)))
 
 
 def border(graph: FlowGraph, width: int = 1) -> np.ndarray:
