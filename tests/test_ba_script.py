@@ -56,6 +56,20 @@ def test_the_script_writes_every_artifact_and_continues_a_round(artifacts: dict[
     assert metadata["covariance_std_factor"] == CORRELATION > 1
 
 
+def test_a_mover_has_one_depth_in_a_frame_and_it_changes_as_the_mover_grows(tmp_path: Path) -> None:
+    scene = make_scene(T=6, size=(64, 96), disc_radius=0.6, velocity=(0.05, 0.0, 0.25))
+    files, paths = write_inputs(tmp_path, flow_arrays(scene), scene.dynamic), outputs(tmp_path / "out")
+    main(**files, **paths, options=BAOptions(stride_px=4, depth_stride_px=2))
+    inverse_depth = read_dense(paths["depth"])["inverse_depth"]
+    inner = [cv2.erode(mask[1::2, 1::2].astype(np.uint8), np.ones((3, 3))) > 0 for mask in scene.dynamic]
+    found = [frame[mask] for frame, mask in zip(inverse_depth, inner, strict=True)]
+    true = [1 / np.median(depth[1::2, 1::2][mask]) for depth, mask in zip(scene.depth, inner, strict=True)]
+    assert all(np.ptp(values) == 0 for values in found)
+    ratios = np.log([values[0] for values in found]) - np.log(true)
+    assert np.ptp(np.log(true)) > 0.2
+    assert np.ptp(ratios) < 0.03
+
+
 def test_a_round_is_held_against_the_one_before(artifacts: dict[str, Path], tmp_path: Path) -> None:
     options, (first, second) = BAOptions(stride_px=4), (outputs(tmp_path / name) for name in ("one", "two"))
     main(**artifacts, **first, options=options)

@@ -59,8 +59,12 @@ def depth_maps(
 def dynamic_pixels(static: np.ndarray, stride: int) -> np.ndarray:
     """Which cells [n, rows, columns] of `stride` px are dynamic by `static` [n, height, width], 1 where static."""
     rows, columns = (length // stride for length in static.shape[1:])
-    covered = static[:, : rows * stride, : columns * stride].astype(np.float32)
-    return np.stack([cv2.resize(frame, (columns, rows), interpolation=cv2.INTER_AREA) < 0.5 for frame in covered])
+
+    def of_frame(frame: np.ndarray) -> np.ndarray:
+        covered = frame[: rows * stride, : columns * stride].astype(np.float32)
+        return np.asarray(cv2.resize(covered, (columns, rows), interpolation=cv2.INTER_AREA) < 0.5)
+
+    return np.stack([of_frame(frame) for frame in static])
 
 
 def joined(parts: Sequence[DepthMaps]) -> DepthMaps:

@@ -5,6 +5,8 @@ changes, to a per cent or two. Its scale is that of the ground where the region 
 frames in which the region is followed, whichever show its feet.
 """
 
+from enum import IntEnum
+
 import cv2
 import numpy as np
 from scipy import sparse
@@ -19,16 +21,24 @@ CUT_OFF = 1.6
 """Inverse depth of what the lower edge of the image always cuts off, over that of the ground at the edge beside it. The
 true one is 1.3 to 1.9 (eight movers of tuned scenes)."""
 SEEN = 0.1
-"""If a smaller share of what is followed, by area, is not cut off, it counts as always cut off."""
+"""Share, by area, of the regions of a thing that have a kind of contact, from which on it decides."""
 CONTACT = 0.2
-"""Standard deviation of the logarithm of the inverse depth of a contact: of a region of mean area."""
+"""Standard deviation of the logarithm of the inverse depth of a contact: of a region of mean area, by cells."""
 NEAR = 0.05
 """Errors of contacts count by their square up to here, then by their size: of many a quantile decides."""
 IN_FRONT = 0.8
 """Quantile of the contacts of what is not always cut off: it may leave the ground, but is never behind it."""
 BENDS = 0.02
 """Change of log size over a frame that is none of depth: things bend and turn."""
-ITERATIONS = 30
+ITERATIONS, CONVERGED = 30, 1e-3
+
+
+class Contact(IntEnum):
+    """What is known of where a region touches the ground; what comes first decides if there is enough of it."""
+
+    FEET = 0  # the ground that it stands on
+    EDGE = 1  # the lower edge of the image cuts it off: the ground at the edge beside it
+    AROUND = 2  # no ground is measured there: what it hides
 
 
 def placed(maps: DepthMaps, numbers: np.ndarray, links: Links, focals_px: np.ndarray) -> DepthMaps:
@@ -40,57 +50,62 @@ def placed(maps: DepthMaps, numbers: np.ndarray, links: Links, focals_px: np.nda
     if not numbers.any():
         return maps
     count = int(numbers.max()) + 1
-    contact, cut, area, frame = np.full(count, np.nan), np.zeros(count, bool), np.zeros(count), np.zeros(count, int)
+    contact, kind, frame = np.full(count, np.nan), np.full(count, Contact.AROUND), np.zeros(count, int)
     for k, regions in enumerate(numbers):
-        for region in np.unique(regions[regions > 0]):
-            frame[region], area[region] = k, (regions == region).sum()
+        for number in np.unique(regions[regions > 0]):
+            frame[number] = k
             if not maps.filled[k].all():
-                found = contact_inverse_depth(regions == region, maps.inverse_depth[k], ~maps.filled[k])
-                contact[region], cut[region] = np.log(max(found[0], INVERSE_DEPTHS[0])), found[1]
+                found, kind[number] = contact_inverse_depth(regions == number, maps.inverse_depth[k], ~maps.filled[k])
+                contact[number] = np.log(max(found, INVERSE_DEPTHS[0]))
     zoomed = np.log(focals_px[frame[links.target]] / focals_px[frame[links.source]])
-    logs = consistent(contact, cut, area, links._replace(log_growth=links.log_growth - zoomed))
-    inverse_depth = np.where(numbers > 0, np.exp(logs)[numbers], maps.inverse_depth)
+    area = np.bincount(numbers.ravel()) * (np.arange(count) > 0)
+    logs = consistent(contact, kind, area, links._replace(log_growth=links.log_growth - zoomed))
+    inverse_depth = np.where(numbers > 0, np.exp(logs).clip(*INVERSE_DEPTHS)[numbers], maps.inverse_depth)
     return DepthMaps(inverse_depth, maps.variance, maps.filled)
 
 
-def consistent(contact: np.ndarray, cut: np.ndarray, area: np.ndarray, links: Links) -> np.ndarray:
+def consistent(contact: np.ndarray, kind: np.ndarray, area: np.ndarray, links: Links) -> np.ndarray:
     """Log inverse depth [n] of regions: near that of their contacts, and changing as they grow.
 
-    Minimises sum_i w_i |z_i - c_i| + sum_ij v_ij (z_j - z_i - g_ij)^2 by iteratively reweighted least squares, w_i such
-    that of several contacts the quantile IN_FRONT decides. Of what is seen to touch the ground in some frames, the
+    Minimises sum_i w_i |z_i - c_i| + 1/2 sum_ij v_ij (z_j - z_i - g_ij)^2 by iteratively reweighted least squares, w_i
+    such that of several contacts the quantile IN_FRONT decides. Of what is seen to touch the ground in some frames, the
     others only say that it is not behind the ground at the edge that cuts it off. What is cut off always is nearer than
-    that, by CUT_OFF. Things that meet in one region come out at one depth, or between theirs.
+    that, by CUT_OFF. Of what has no measured ground beside it either, the surroundings decide, which it hides.
 
     Args:
-        contact: [n] log inverse depth of the ground where a region touches it, or at the edge that cuts it off, `cut`;
-            NaN: nothing is known of it.
+        contact: [n] log inverse depth, NaN where nothing is known. kind: [n] `Contact`.
         area: [n] of the regions in pixels.
     """
     known = np.isfinite(contact)
-    always_cut = _always(cut, known * area, links)
-    measured = np.where(known, contact + np.where(always_cut, np.log(CUT_OFF), 0.0), 0.0)
+    deciding = _deciding(kind, known * area, links)
+    always_cut = deciding == Contact.EDGE
+    measured = np.where(known, contact + np.where(always_cut & (kind == deciding), np.log(CUT_OFF), 0.0), 0.0)
     share = links.pixels / np.maximum(1, np.maximum(area[links.source], area[links.target]))
     stiff = share / (BENDS**2 * links.gap + links.sigma**2)
     between = _differences(links, len(contact))
     followed, grown = between.T @ sparse.diags_array(stiff) @ between, between.T @ (stiff * links.log_growth)
-    trust = known * area / max(float(area.mean()), 1e-12) / CONTACT
+    trust = known * area / max(float((area**2).sum() / max(area.sum(), 1e-12)), 1e-12) / CONTACT
     if_behind, if_before = (np.where(always_cut, 1.0, 2 * tail) for tail in (IN_FRONT, 1 - IN_FRONT))
-    pull = np.where(cut == always_cut, trust / NEAR, 0.0) + 1e-9
+    pull, z = np.where(kind == deciding, trust / NEAR, 0.0) + 1e-9, measured
     for _ in range(ITERATIONS):
+        before = z
         z = spsolve((followed + sparse.diags_array(pull)).tocsc(), grown + pull * measured)
+        if np.abs(z - before).max() < CONVERGED:
+            break
         behind = z < measured
         weight = trust * np.where(behind, if_behind, if_before) / np.maximum(np.abs(z - measured), NEAR)
-        pull = np.where((cut == always_cut) | (cut & behind), weight, 0.0) + 1e-9
+        pull = np.where((kind == deciding) | ((kind == Contact.EDGE) & behind), weight, 0.0) + 1e-9
     return np.asarray(z)
 
 
-def _always(cut: np.ndarray, area: np.ndarray, links: Links) -> np.ndarray:
-    """Which regions [n] are of something that the lower edge always cuts off, but for a share SEEN of its area."""
-    n = len(cut)
+def _deciding(kind: np.ndarray, area: np.ndarray, links: Links) -> np.ndarray:
+    """The kind [n] of contact that decides on the thing of each region: the first that a share SEEN of its area has."""
+    n = len(kind)
     pairs = sparse.coo_array((np.ones(len(links.gap)), (links.source, links.target)), (n, n))
     _, things = connected_components(pairs, directed=False)
-    seen, whole = (np.bincount(things, values, n)[things] for values in (area * ~cut, area))
-    return np.asarray(seen < SEEN * whole)
+    whole = np.bincount(things, area)
+    enough = np.stack([np.bincount(things, area * (kind == one)) >= SEEN * whole for one in Contact])
+    return np.asarray(enough.argmax(axis=0)[things])
 
 
 def _differences(links: Links, n: int) -> sparse.csr_array:
@@ -101,26 +116,23 @@ def _differences(links: Links, n: int) -> sparse.csr_array:
     return sparse.coo_array((values, at), (len(rows), n)).tocsr()
 
 
-def contact_inverse_depth(region: np.ndarray, inverse_depth: np.ndarray, measured: np.ndarray) -> tuple[float, bool]:
-    """Inverse depth of the ground where a region [h, w] touches it, and whether the lower edge cuts the region off.
+def contact_inverse_depth(region: np.ndarray, inverse_depth: np.ndarray, measured: np.ndarray) -> tuple[float, Contact]:
+    """Inverse depth of the ground where a region [h, w] touches it, and which ground that is.
 
     The median over the measured pixels just below its lowest quarter. What the lower edge of the image cuts off touches
     the ground outside of the image: then it is the median of the ground at the edge beside it. If nothing is measured
     there, it is the near end (80th percentile) of the measurements around it, since the region occludes them.
     """
-    ground = inverse_depth[_beside_cut(region) & measured]
-    if ground.size:
-        return float(np.median(ground)), True
-    rows = np.flatnonzero(region.any(axis=1))
-    below = np.zeros_like(region)
-    below[1:] = region[:-1] & ~region[1:]
-    below[: rows[-1] + 2 - max(1, (rows[-1] - rows[0] + 1) // 4)] = False
-    contact = inverse_depth[below & measured]
-    if contact.size:
-        return float(np.median(contact)), False
+    kind, ground = Contact.EDGE, _beside_cut(region)
+    if not region[-1].any():
+        kind, rows = Contact.FEET, np.flatnonzero(region.any(axis=1))
+        ground[1:] = region[:-1] & ~region[1:]
+        ground[: rows[-1] + 2 - max(1, (rows[-1] - rows[0] + 1) // 4)] = False
+    if (ground & measured).any():
+        return float(np.median(inverse_depth[ground & measured])), kind
     cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
     around = inverse_depth[(cv2.dilate(region.astype(np.uint8), cross, iterations=2) > 0) & measured]
-    return float(np.percentile(around if around.size else inverse_depth[measured], 80)), False
+    return float(np.percentile(around if around.size else inverse_depth[measured], 80)), Contact.AROUND
 
 
 def _beside_cut(region: np.ndarray) -> np.ndarray:

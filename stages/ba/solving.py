@@ -160,7 +160,8 @@ def _with_movers(
     T, stride = len(static), options.depth_stride_px
     numbers = number_regions(dynamic_pixels(static, stride))
     blocks = ((first, min(first + BLOCK, T)) for first in range(0, T, BLOCK))
-    graphs = (without_loops(matches.graph(stride, known, frames)) for frames in blocks)
+    moving = (block for block in blocks if numbers[slice(*block)].any())
+    graphs = (without_loops(matches.graph(stride, known, frames)) for frames in moving)
     links = join_links([link_regions(graph, numbers) for graph in graphs if len(graph.source)])
     return mover_depth.placed(maps, numbers, links, state.focals_px)
 

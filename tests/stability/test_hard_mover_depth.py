@@ -6,7 +6,8 @@ from synthetic import make_scene, observe
 
 from stages.ba.depth import DepthMaps
 from stages.ba.growth import Links, link_regions, number_regions
-from stages.ba.mover_depth import consistent, placed
+from stages.ba.mover_depth import Contact, consistent, placed
+from stages.ba.state import INVERSE_DEPTHS
 
 NONE = Links(*np.zeros((3, 0), int), *np.zeros((2, 0)), np.zeros(0, int))
 
@@ -53,10 +54,29 @@ def test_no_region_at_all_changes_nothing() -> None:
 
 
 def test_contacts_of_vanishing_area_do_not_divide_by_zero() -> None:
-    assert np.isfinite(consistent(np.zeros(3), np.zeros(3, bool), np.zeros(3), NONE)).all()
+    assert np.isfinite(consistent(np.zeros(3), np.full(3, Contact.FEET), np.zeros(3), NONE)).all()
 
 
 def test_frames_in_which_nothing_moves_have_no_links() -> None:
     scene = make_scene(T=3, size=(24, 32))
     links = link_regions(observe(scene, masked=False), np.zeros((3, 6, 8), np.int32))
     assert all(len(values) == 0 for values in links)
+
+
+def test_specks_elsewhere_do_not_tear_a_large_mover_from_its_growth() -> None:
+    """Were contacts weighed by the plain mean area, five thousand specks would raise their weight above all growth."""
+    rng, truth = np.random.default_rng(0), np.linspace(0.0, 0.9, 20)
+    contact = np.concatenate([truth + 0.3 * rng.standard_normal(20), np.zeros(5000)])
+    area = np.concatenate([np.full(20, 3000.0), np.full(5000, 2.0)])
+    every = np.ones(19, int)
+    links = Links(np.arange(19), np.arange(1, 20), every, np.diff(truth), np.full(19, 1e-3), 3000 * every)
+    found = consistent(contact, np.full(5020, Contact.FEET), area, links)[:20]
+    assert np.std(np.diff(found - truth)) < 0.01
+
+
+def test_a_growth_beyond_all_bounds_stays_a_depth() -> None:
+    regions = moving()
+    maps = DepthMaps(np.full(regions.shape, 0.5), np.ones(regions.shape), regions)
+    links = Links(np.array([1]), np.array([2]), np.ones(1, int), np.array([-50.0]), np.full(1, 0.01), np.full(1, 12))
+    found = placed(maps, number_regions(regions), links, np.ones(3)).inverse_depth
+    assert ((found >= INVERSE_DEPTHS[0]) & (found <= INVERSE_DEPTHS[1])).all()
