@@ -40,7 +40,7 @@ def flow_confidence(
     expected = NOISE_PX + NOISE_PER_PX * np.minimum(cv2.magnitude(*cv2.split(flow)), FAST_PX)
     consistent = 1 / (1 + (disagreement / expected) ** 2) ** 2
     smooth = 1 / (1 + _local_variance(flow) / ROUGH_PX**2)
-    similar = 1 / (1 + (_photometric_ratio(flow, source, target) / PHOTOMETRIC_LIMIT) ** 4)
+    similar = 1 / (1 + (photometric_ratio(flow, source, target) / PHOTOMETRIC_LIMIT) ** 4)
     textured = texture_confidence(flow_variance(source)) if textured is None else textured
     return np.asarray(consistent * smooth * similar * textured * is_inside(flow), np.float32)
 
@@ -57,7 +57,7 @@ def _local_variance(flow: np.ndarray) -> np.ndarray:
     return np.asarray(np.maximum(mean_square - mean_u**2 - mean_v**2, 0))
 
 
-def _photometric_ratio(flow: np.ndarray, source: np.ndarray, target: np.ndarray) -> np.ndarray:
+def photometric_ratio(flow: np.ndarray, source: np.ndarray, target: np.ndarray) -> np.ndarray:
     """Photometric residual [h, w] as a multiple of the frame's median; a change of exposure in the pair is removed."""
     difference = warp(target.astype(np.float32), flow) - source
     residual = cv2.blur(np.abs(difference - np.median(difference[::2, ::2])), (5, 5))

@@ -10,6 +10,7 @@ from stages.flow.averaging import Frames
 from stages.flow.confidence import flow_confidence
 from stages.flow.dis import estimate_flow
 from stages.flow.edges import Edge
+from stages.flow.lost import with_lost
 from stages.flow.matches import restarted_pair
 from stages.flow.passes import Flows
 from stages.given.flow import GivenFlow
@@ -33,7 +34,8 @@ class Estimate:
         self.known = {edge: of.flow for edge, of in given.items()}
 
     def near(self, edges: list[Edge], near: Mapping[Edge, np.ndarray]) -> tuple[Flows, int]:
-        """Neighbours first; those with large motion again from sparse matches; the others from chains of both."""
+        """Neighbours first; those with large motion again from sparse matches, and what is lost by patches; the others
+        from chains of all."""
         self._make_ready(edges)
         flow: Flows = {edge: self.known[edge] for edge in edges if edge in self.known}
         neighbours = [(i, j) for i, j in edges if abs(j - i) == self.step]
@@ -42,6 +44,8 @@ class Estimate:
         found = threaded(lambda pair: self._restarted(flow, pair), pairs)
         anew = {edge: of for of_pair in found for edge, of in of_pair.items() if edge not in self.known}
         flow |= anew
+        searched = [edge for edge in neighbours if edge not in self.known]
+        flow |= zip(searched, threaded(lambda edge: self._with_lost(flow, edge), searched), strict=True)
         flow |= self._estimated([edge for edge in edges if edge not in flow], ChainMap(flow, cast(Flows, near)))
         return {edge: flow[edge] for edge in edges}, len(anew)
 
@@ -80,6 +84,9 @@ class Estimate:
 
     def _estimated(self, edges: list[Edge], known: Mapping[Edge, np.ndarray]) -> Flows:
         return estimate_flow(self.frames.grey, edges, self.frames.finest_scale, self.threads, known)
+
+    def _with_lost(self, flow: Flows, edge: Edge) -> np.ndarray:
+        return with_lost(flow[edge], self.frames.grey[edge[0]], self.frames.grey[edge[1]], self.frames.finest_scale)
 
     def _restarted(self, flow: Flows, pair: Edge) -> Flows:
         return restarted_pair(self.frames.rgb, self.frames.grey, flow, pair, self.frames.finest_scale)

@@ -122,7 +122,7 @@ def restarted(
     except cv2.error:
         return None
     other = solve_pair(grey[0], grey[1], start, finest_scale)
-    better = _residual(other, grey[0], grey[1]) < _residual(flow, grey[0], grey[1])
+    better = photometric_residual(other, grey[0], grey[1]) < photometric_residual(flow, grey[0], grey[1])
     return np.where(better[..., None], other, flow)
 
 
@@ -137,7 +137,7 @@ def features(frame: np.ndarray) -> Features:
     return np.array([point.pt for point in found], np.float32), np.sqrt(descriptors / total)
 
 
-def _residual(flow: np.ndarray, source: np.ndarray, target: np.ndarray) -> np.ndarray:
+def photometric_residual(flow: np.ndarray, source: np.ndarray, target: np.ndarray) -> np.ndarray:
     """Photometric residual [h, w]: absolute grey-level difference after the flow, averaged over a window."""
     difference = np.abs(warp(target.astype(np.float32), flow) - source)
     return cv2.blur(difference, (RESIDUAL_WINDOW_PX, RESIDUAL_WINDOW_PX))
