@@ -83,8 +83,8 @@ def test_the_length_of_runs_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> 
         flat = epipolar.two_view_evidence(pairs, scene.T, parallax=True, seed=0)
         evidence, inverse_depth, _ = resweep.camera_evidence(pairs, scene.cam_from_world, Ks, start)
         lines = resweep.projections(pairs, scene.cam_from_world, Ks)
-        sure = photometric.corroborate(evidence, rgb, pairs, lines, inverse_depth)
-        found.append([*flat, *evidence, inverse_depth, *sure, pooling.pool(sure, rgb, pairs)])
+        sure, passing = photometric.corroborate(evidence, rgb, pairs, lines, inverse_depth)
+        found.append([*flat, *evidence, inverse_depth, *sure, passing, pooling.pool(sure, rgb, pairs)])
     for one, three, sixteen in zip(*found, strict=True):
         np.testing.assert_array_equal(one, sixteen)
         np.testing.assert_array_equal(three, sixteen)
@@ -107,7 +107,7 @@ def test_places_seen_again_are_no_evidence(monkeypatch: pytest.MonkeyPatch) -> N
         flat = epipolar.two_view_evidence(pairs, scene.T, parallax=True, seed=0)
         evidence, inverse_depth, sigma_px = resweep.camera_evidence(pairs, scene.cam_from_world, Ks, start)
         lines = resweep.projections(pairs, scene.cam_from_world, Ks)
-        sure = photometric.corroborate(evidence, rgb, pairs, lines, inverse_depth)
+        sure, _ = photometric.corroborate(evidence, rgb, pairs, lines, inverse_depth)
         found.append([*flat, *evidence, inverse_depth, np.array(sigma_px), *sure])
     for with_loops, without in zip(*found, strict=True):
         np.testing.assert_allclose(with_loops, without, atol=1e-6)

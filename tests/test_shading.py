@@ -124,7 +124,7 @@ def test_evidence_of_motion_is_taken_from_the_shadow_and_not_from_the_mover() ->
     columns = {"source": source, "target": target, "flow": flow, "confidence": np.ones(flow.shape[:3], np.float32)}
     lines = np.tile(np.eye(3), (len(source), 1, 1)), np.zeros((len(source), 3))
     evidence = Evidence(RESIDUAL, np.ones_like(RESIDUAL))
-    found = corroborate(evidence, clip(), FlowPairs(Dense(columns)), lines, np.ones_like(RESIDUAL)).residual[3]
+    found = corroborate(evidence, clip(), FlowPairs(Dense(columns)), lines, np.ones_like(RESIDUAL))[0].residual[3]
     plain = found[H // 2 + 4 : -4]
     assert np.median(plain[:, stripe(3, 22, 8)]) < 0.2
     assert np.median(plain[:, stripe(3, 82, 8)]) > 0.8

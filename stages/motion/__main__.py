@@ -45,8 +45,9 @@ def main(
     Without cameras the evidence is the epipolar residual of the flow over many frame pairs (the homography residual
     where no pair shows parallax). With the cameras of the previous round it is the residual at the best depth of each
     pixel, which the images must confirm where flow is unreliable; the drift of long tracks, which shows slow motion;
-    and what hides static surface that seems nearer. A rolling shutter that these cameras have is taken out of the flow
-    first. Evidence is pooled along the flow as it is. The metadata of the output says which was used, and why.
+    what hides static surface that seems nearer; and, of things that the flow loses, what a single frame shows. A
+    rolling shutter that these cameras have is taken out of the flow first. Evidence is pooled along the flow as it is.
+    The metadata of the output says which was used, and why.
     """
     frames = read_sequence(sequence)
     matched, scale = read_dense(flow), float(read_metadata(flow)["scale"])
@@ -56,6 +57,7 @@ def main(
     cameras = usable_cameras(previous_poses, previous_depth, "the prior comes from flow alone")
     if cameras is None or previous_poses is None or previous_depth is None:
         evidence, facts = _from_flow(pairs, len(frames.numbers), options.seed)
+        passing = np.zeros(1, np.float16)
     else:
         stride_px = float(read_metadata(previous_depth)["stride_px"])
         at_once = pairs
@@ -63,10 +65,11 @@ def main(
             from stages.shared.rolling import rolling_shutter  # with much of scipy, which other clips spare
 
             at_once = rolling_shutter(frames, cameras, readout, previous_depth, scale).taken_out(pairs)
-        evidence, facts = _from_cameras(rgb, at_once, cameras, read_dense(previous_depth), scale, stride_px)
+        evidence, passing, facts = _from_cameras(rgb, at_once, cameras, read_dense(previous_depth), scale, stride_px)
     if scene is not None:
         evidence = Evidence(evidence.residual, evidence.weight * scene)
     residual = pool(evidence, rgb, pairs)
+    np.maximum(residual, passing, out=residual)  # what one frame shows, no other can confirm
     probability = to_probability(residual, *(FLOW_CURVE if cameras is None else CAMERA_CURVE))
     if scene is not None:
         probability *= scene
@@ -100,8 +103,9 @@ def _from_cameras(
     depth: dict[str, np.ndarray],
     scale: float,
     stride_px: float,
-) -> tuple[Evidence, dict[str, Any]]:
-    """Evidence from the cameras of the previous round with depth searched anew, and which model was used."""
+) -> tuple[Evidence, np.ndarray, dict[str, Any]]:
+    """Evidence from the cameras of the previous round with depth searched anew, what single frames show [T, h, w], and
+    which model was used."""
     h, w = pairs.confidence.shape[1:]
     seen = cameras.cam_from_world, scale_intrinsics(cameras.Ks, scale)
     unobserved = cameras.status == "unobserved"  # their poses are interpolated, so their flow is no evidence
@@ -112,10 +116,10 @@ def _from_cameras(
     drifting = drift.drifting(StaticScene(pairs, rgb, seen, inverse_depth, evidence.residual), rgb)
     drifting[hiding.hiding(rgb, seen, inverse_depth, evidence)] = 1
     lines = resweep.projections(pairs, *seen)
-    evidence = photometric.corroborate(evidence, rgb, pairs, lines, inverse_depth, drifting)
+    evidence, passing = photometric.corroborate(evidence, rgb, pairs, lines, inverse_depth, drifting)
     rotating = set(cameras.status[~unobserved]) == {"rotation-only"}
     model = "rotations: the camera does not translate" if rotating else "depth re-sweep"
-    return evidence, {"source": "cameras", "model": model, "sigma_px": sigma_px}
+    return evidence, passing, {"source": "cameras", "model": model, "sigma_px": sigma_px}
 
 
 def _picture(rgb: np.ndarray, probability: np.ndarray) -> np.ndarray:

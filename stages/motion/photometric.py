@@ -15,6 +15,7 @@ from stages.motion.epipolar import Evidence
 from stages.motion.pooling import PRIOR_WEIGHT
 from stages.motion.shading import View, changes, in_shadow, log_colours, shadow_of_clip
 from stages.motion.shadows import at_rest, log_detail, surrounding_plane
+from stages.motion.transients import Others
 from stages.shared import flow_pairs
 from stages.shared.flow_pairs import FlowPairs
 from stages.shared.picture_difference import difference, exposed, tolerance
@@ -46,10 +47,11 @@ def corroborate(
     projections: tuple[np.ndarray, np.ndarray],
     inverse_depth: np.ndarray,
     drifting: np.ndarray | None = None,
-) -> Evidence:
-    """Evidence whose residual is reduced where flow is unreliable and the images do not confirm motion.
+) -> tuple[Evidence, np.ndarray]:
+    """Evidence whose residual is reduced where flow is unreliable and the images do not confirm motion, and how surely
+    [T, h, w] a frame shows what passes before a scene that the others agree on (`transients`).
 
-    It is also reduced where they show a surface at rest under light that changes.
+    The residual is also reduced where the images show a surface at rest under light that changes.
     Where flow has no weight, the images give it one: the share of confident matches of the frame, at least
     PRIOR_WEIGHT. Without this minimum no motion would show in frames whose flow is bad everywhere.
 
@@ -67,24 +69,25 @@ def corroborate(
 
     def of_frame(
         i: int, frames: dict[int, np.ndarray], details: dict[int, np.ndarray], colours: dict[int, np.ndarray]
-    ) -> tuple[np.ndarray, np.ndarray]:
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         edges = _edges(pairs, i, flow_pairs.REACH)
         confidence = pairs.confidence[edges].astype(np.float32)
         reliability = confidence.sum(axis=0) / (RELIABLE * max(len(edges), 1))
         depths = static_depths(inverse_depth[i].astype(np.float32), evidence.residual[i])
         static, flows = view(i), pairs.flow[_edges(pairs, i, REACH)]
         ways = static.targets, flows, (static.A, static.b)
-        contradicted = _contradicted(frames, i, *ways, depths)
+        contradicted, odd = _contradicted(frames, i, *ways, depths)
         residual = evidence.residual[i] * np.maximum(np.minimum(reliability, 1), contradicted)
         if drifting is not None:
             residual = np.maximum(residual, drifting[i])
-        residual *= 1 - at_rest(details, i, rgb[i], *ways, static.inverse_depth)
+        moved = 1 - at_rest(details, i, rgb[i], *ways, static.inverse_depth)
         if shadow is not None:
-            residual *= 1 - in_shadow(changes(colours, i, static), shadow)
+            moved *= 1 - in_shadow(changes(colours, i, static), shadow)
         weight = max((confidence > 0.5).mean(), PRIOR_WEIGHT) if len(edges) else 0
-        return residual, np.maximum(evidence.weight[i], weight)
+        return residual * moved, np.maximum(evidence.weight[i], weight), odd * moved
 
     residual, weight = (np.empty(evidence.residual.shape, np.float32) for _ in range(2))
+    passing = np.empty(residual.shape, np.float16)
     for first, last in pairs.blocks(len(rgb), "check by the pictures"):
         near = range(max(first - REACH, 0), min(last + REACH, len(rgb)))
         frames = {k: cv2.GaussianBlur(rgb[k], (0, 0), 0.7) for k in near}
@@ -92,8 +95,8 @@ def corroborate(
         colours = {k: log_colours(rgb[k]) for k in near} if shadow is not None else {}
         shared = (itertools.repeat(of) for of in (frames, details, colours))
         for k, found in enumerate(threaded(of_frame, range(first, last), *shared), first):
-            residual[k], weight[k] = found
-    return Evidence(residual, weight)
+            residual[k], weight[k], passing[k] = found
+    return Evidence(residual, weight), passing
 
 
 def _edges(pairs: FlowPairs, i: int, reach: int) -> np.ndarray:
@@ -133,14 +136,16 @@ def _contradicted(
     flows: np.ndarray,
     projections: tuple[np.ndarray, np.ndarray],
     depths: list[np.ndarray],
-) -> np.ndarray:
-    """By how much [h, w], 0..1, the flow matches the images better than any static depth; 0 where nothing is in view.
+) -> tuple[np.ndarray, np.ndarray]:
+    """By how much [h, w], 0..1, the flow matches the images better than any static depth, and `Others.odd`; 0 where
+    nothing is in view.
 
     Earlier and later frames are averaged separately and the better side counts: a pixel occluded on one side is
     usually visible on the other.
     """
     here = frames[i]
     total, seen = np.zeros((2, 2, 1 + len(depths), *here.shape[:2]), np.float32)
+    others = Others(len(depths), here.shape[:2])
     for j, flow, A, b in zip(targets, flows, *projections, strict=True):
         ways = [flow.astype(np.float32, copy=False), *(dense_static_flow(A, b, depth) for depth in depths)]
         warped = [warp(frames[int(j)], way) for way in ways]
@@ -149,8 +154,11 @@ def _contradicted(
             inside = is_inside(way)
             total[int(j > i), k] += inside * difference(found, expected, WINDOW_PX)
             seen[int(j > i), k] += inside
+            if k > 0:
+                others.add(k - 1, found, expected, inside)
     mean = np.where(seen > 0, total / np.maximum(seen, 1), np.inf).min(axis=0)
     in_view = np.isfinite(mean[0]) & np.isfinite(mean[1:]).any(axis=0)
     excess = np.where(in_view, mean[1:].min(axis=0), 0) - FLOW_SHARE * np.where(in_view, mean[0], 0)
-    squared = (np.maximum(excess, 0) / (EXCESS * tolerance(here))) ** 2
-    return np.asarray(squared / (1 + squared))
+    allowed = tolerance(here)
+    squared = (np.maximum(excess, 0) / (EXCESS * allowed)) ** 2
+    return squared / (1 + squared), others.odd(np.where(in_view, mean.min(axis=0), 0), allowed)

@@ -96,7 +96,7 @@ def test_failed_flow_is_no_motion_unless_the_pictures_say_so() -> None:
     pairs = flow_pairs(source, target, flow, confidence)
     projections = np.tile(np.eye(3), (len(edges), 1, 1)), (target - source)[:, None] * [-2.0, 0, 0]
     all_residual = Evidence(np.ones(grey.shape, np.float32), np.ones(grey.shape, np.float32))
-    cut = photometric.corroborate(all_residual, coloured(grey), pairs, projections, np.ones(grey.shape)).residual
+    cut = photometric.corroborate(all_residual, coloured(grey), pairs, projections, np.ones(grey.shape))[0].residual
     assert cut[1][failed].mean() < 0.05
     assert cut[1][moving].mean() > 0.9
     assert (cut[1][:, 40:50] == 1).all()
@@ -115,7 +115,7 @@ def test_a_wrong_depth_beside_a_thin_thing_is_no_motion() -> None:
     pairs = flow_pairs(source, target, flow, confidence)
     projections = np.tile(np.eye(3), (len(edges), 1, 1)), (target - source)[:, None] * [-2.0, 0, 0]
     evidence = Evidence(residual, np.zeros(grey.shape, np.float32))
-    cut = photometric.corroborate(evidence, coloured(grey), pairs, projections, inverse_depth)
+    cut, _ = photometric.corroborate(evidence, coloured(grey), pairs, projections, inverse_depth)
     assert cut.residual[1][strip].mean() < 0.05
     assert (cut.weight[1] > 0.5).all(), "what the pictures say counts without confident flow"
 
@@ -135,7 +135,7 @@ def test_motion_that_only_colour_shows_is_confirmed_where_all_is_matched_badly()
     pairs = flow_pairs(source, target, flow, np.zeros(flow.shape[:3], np.float32))
     projections = np.tile(np.eye(3), (len(edges), 1, 1)), np.zeros((len(edges), 3))
     evidence = Evidence(np.ones(moving.shape, np.float32), np.zeros(moving.shape, np.float32))
-    found = photometric.corroborate(evidence, rgb, pairs, projections, np.ones(moving.shape))
+    found, _ = photometric.corroborate(evidence, rgb, pairs, projections, np.ones(moving.shape))
     assert found.residual[1, 24:40, 42:54].min() > 0.9
     assert found.residual[1, :, :30].max() < 0.05
     assert found.weight.min() >= pooling.PRIOR_WEIGHT
@@ -206,7 +206,7 @@ def test_masks_of_rendered_sequences(rendered: Path, name: str, least_iou: float
     seen = poses, np.stack([K for K, _ in cameras])
     evidence, inverse_depth, _ = resweep.camera_evidence(pairs, *seen, start)
     rgb, projections = np.stack(frames), resweep.projections(pairs, *seen)
-    evidence = photometric.corroborate(evidence, rgb, pairs, projections, inverse_depth)
+    evidence, _ = photometric.corroborate(evidence, rgb, pairs, projections, inverse_depth)
     residual = pooling.pool(evidence, rgb, pairs)
     probability, options = motion_stage.to_probability(residual, *motion_stage.CAMERA_CURVE), SegmentOptions()
     pixels = superpixels(len(frames), lambda k: frames[k])

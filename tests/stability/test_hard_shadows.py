@@ -50,7 +50,7 @@ def residual_inside(rgb: np.ndarray) -> float:
     )
     projections = np.tile(np.eye(3), (len(edges), 1, 1)), (target - source)[:, None] * [-float(STEP), 0, 0]
     evidence = Evidence(residual, np.ones_like(residual))
-    found = photometric.corroborate(evidence, rgb, pairs, projections, inverse_depth)
+    found, _ = photometric.corroborate(evidence, rgb, pairs, projections, inverse_depth)
     return float(found.residual[2][INSIDE].mean())
 
 

@@ -1,0 +1,128 @@
+"""What a single frame shows: a small thing that moves farther from frame to frame than its own size."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from stages.motion import __main__ as motion_stage
+from stages.motion.epipolar import Evidence
+from stages.motion.options import MotionOptions
+from stages.motion.photometric import corroborate
+from stages.motion.transients import LEAST_FRAMES, Others
+from stages.shared.artifacts import Dense, read_dense, write_dense, write_json
+from stages.shared.cameras import make_cameras, write_cameras
+from stages.shared.flow_pairs import FlowPairs
+from stages.shared.images import write_image
+from stages.shared.sequences import check_sequence, sequence_to_json
+from stages.shared.warp import warp
+
+T, SIZE, STEP, FAST = 9, (80, 150), 2, (12, -3)
+"""Frames of a wall that a camera passes sideways by STEP px a frame."""
+
+
+def texture(seed: int, size: tuple[int, int]) -> np.ndarray:
+    """A picture [h, w, 3] uint8 with detail of several sizes."""
+    noise = np.random.default_rng(seed).standard_normal((*size, 3))
+    image = sum(cv2.GaussianBlur(noise, (0, 0), sigma) * sigma for sigma in (1.5, 5.0))
+    return np.asarray(cv2.normalize(image, None, 40, 215, cv2.NORM_MINMAX).astype(np.uint8))
+
+
+def ball(k: int, step_px: tuple[int, int]) -> np.ndarray:
+    """Where [h, w] a ball of 9 px is in frame k, which moves so far right and down."""
+    y, x = np.mgrid[: SIZE[0], : SIZE[1]]
+    return np.asarray((y - 40 - step_px[1] * (k - 4)) ** 2 + (x - 75 - step_px[0] * (k - 4)) ** 2 <= 20)
+
+
+def clip(step_px: tuple[int, int] | None, noise: float = 0.0, brighter: float = 0.0) -> np.ndarray:
+    """Frames [T, h, w, 3] uint8 of the wall, with a red ball before it if it has a step; frame 4 is `brighter`."""
+    wall, rng = texture(0, (SIZE[0], SIZE[1] + T * STEP)), np.random.default_rng(3)
+    frames = []
+    for k in range(T):
+        frame = wall[:, STEP * k : STEP * k + SIZE[1]].astype(float)
+        if step_px is not None:
+            frame[ball(k, step_px)] = (220, 40, 30)
+        frames.append(frame + noise * rng.standard_normal(frame.shape) + (brighter if k == 4 else 0))
+    return np.clip(frames, 0, 255).astype(np.uint8)
+
+
+EDGES = np.array([(i, i + gap) for i in range(T) for gap in (-3, -2, -1, 1, 2, 3) if 0 <= i + gap < T])
+
+
+def edges_of_wall() -> dict[str, np.ndarray]:
+    """The columns of pairs.arrow whose flow is that of the wall."""
+    source, target = EDGES.T
+    flow = np.zeros((len(EDGES), *SIZE, 2), np.float32)
+    flow[..., 0] = -STEP * (target - source)[:, None, None]
+    return {"source": source, "target": target, "flow": flow, "confidence": np.ones(flow.shape[:3], np.float32)}
+
+
+def passing(rgb: np.ndarray, flow: np.ndarray | None = None, depth: float = 1.0) -> np.ndarray:
+    """What single frames show [T, h, w], where the flow is that of the wall, or `flow` [E, h, w, 2]."""
+    columns = edges_of_wall()
+    pairs = FlowPairs(Dense(columns if flow is None else columns | {"flow": flow}))
+    gaps = EDGES[:, 1] - EDGES[:, 0]
+    lines = np.tile(np.eye(3), (len(EDGES), 1, 1)), gaps[:, None] * [-float(STEP), 0, 0]
+    still = np.zeros((T, *SIZE), np.float32)
+    _, found = corroborate(Evidence(still, np.ones_like(still)), rgb, pairs, lines, np.full_like(still, depth))
+    return found
+
+
+@pytest.mark.parametrize("noise", [0.0, 4.0])
+def test_a_ball_that_no_flow_follows_is_found_in_every_frame(noise: float) -> None:
+    found = passing(clip(FAST, noise)) > 0.5
+    for k in range(T):
+        assert found[k][ball(k, FAST)].mean() > 0.6, k
+        around = cv2.dilate(ball(k, FAST).astype(np.uint8), np.ones((9, 9))) > 0
+        assert not found[k][~around].any(), k
+
+
+def test_the_prior_shows_the_ball_of_every_frame(tmp_path: Path) -> None:
+    """Where flow is lost, no other frame confirms it: pooled along the flow its evidence would be too weak."""
+    frames = tmp_path / "clip"
+    for k, rgb in enumerate(clip(FAST), start=1):
+        write_image(frames / f"frame_{k:04d}.png", rgb)
+    write_json(sequence := tmp_path / "sequence.json", sequence_to_json(check_sequence("clip", frames)))
+    columns = {name: of.astype(np.float16) if of.ndim > 1 else of for name, of in edges_of_wall().items()}
+    write_dense(flow := tmp_path / "pairs.arrow", columns, {"width": SIZE[1], "height": SIZE[0], "scale": 1.0})
+    K, poses = np.array([[100.0, 0, 74.5], [0, 100.0, 39.5], [0, 0, 1]]), np.tile(np.eye(4), (T, 1, 1))
+    poses[:, 0, 3] = -STEP / 100 * np.arange(T)
+    write_cameras(before := tmp_path / "poses.parquet", make_cameras(poses, K, np.arange(1, T + 1)))
+    depth = {"frame": np.arange(1, T + 1), "inverse_depth": np.ones((T, 10, 18), np.float32)}
+    write_dense(depths := tmp_path / "depth.arrow", depth, {"stride_px": 8})
+    motion_stage.main(
+        sequence, flow, output := tmp_path / "prior.arrow", tmp_path / "m.png", MotionOptions(), before, depths
+    )
+    probability = read_dense(output)["probability"]
+    assert all((probability[k] > 0.5)[ball(k, FAST)].mean() > 0.6 for k in range(T))
+
+
+@pytest.mark.parametrize(("noise", "brighter"), [(0.0, 0.0), (6.0, 0.0), (15.0, 0.0), (2.0, 25.0)])
+def test_a_wall_alone_shows_nothing_through_noise_and_light(noise: float, brighter: float) -> None:
+    assert (passing(clip(None, noise, brighter)) > 0.5).mean() < 1e-4
+
+
+def test_what_rests_or_what_the_flow_follows_is_not_told_by_single_frames() -> None:
+    assert not (passing(clip((-STEP, 0))) > 0.5).any()  # painted on the wall
+    rgb, flow = clip(FAST), edges_of_wall()["flow"]
+    for e, (i, j) in enumerate(EDGES):
+        flow[e, cv2.dilate(ball(i, FAST).astype(np.uint8), np.ones((7, 7))) > 0] = np.array(FAST) * (j - i)
+    inner = np.stack([cv2.erode(ball(k, FAST).astype(np.uint8), np.ones((3, 3))) > 0 for k in range(T)])
+    assert (passing(rgb, flow)[inner] > 0.5).mean() < 0.05
+
+
+def test_a_surface_at_a_wrong_depth_that_the_flow_follows_shows_nothing() -> None:
+    assert (passing(clip(None), depth=3.0) > 0.5).mean() < 1e-4
+
+
+def test_from_too_few_frames_nothing_is_told() -> None:
+    seen = texture(0, SIZE)
+    other = warp(seen, np.full((*SIZE, 2), 7.0, np.float32))
+    others = Others(1, SIZE)
+    for n in range(LEAST_FRAMES):
+        told = others.odd(np.full(SIZE, 50.0, np.float32), np.ones(SIZE, np.float32))
+        assert np.isfinite(told).all()
+        assert not told.any(), n
+        others.add(0, other, seen, np.ones(SIZE, bool))
+    assert others.odd(np.full(SIZE, 50.0, np.float32), np.ones(SIZE, np.float32)).max() > 0.9
