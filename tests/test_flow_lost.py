@@ -8,6 +8,7 @@ from stages.flow.dis import solve_pair
 from stages.flow.edges import Edge, edges_ending
 from stages.flow.estimate import Estimate
 from stages.flow.lost import with_lost
+from stages.given.flow import GivenFlow
 
 SIZE = (120, 200)
 STEP = (9, 13)
@@ -47,6 +48,31 @@ def test_a_ball_that_dense_search_loses_is_found_both_ways() -> None:
         assert np.median(np.linalg.norm(found - truth, axis=-1)[inner]) < 0.5
         beyond = ~disc(0, 16) & ~disc(1, 16)
         assert np.array_equal(found[beyond], plain[beyond])
+
+
+@pytest.mark.parametrize(("pan", "brighter"), [(28, 0), (0, 10), (0, -12)])
+def test_it_is_found_beside_what_pans_and_under_other_light(pan: int, brighter: int) -> None:
+    """The search begins where the flow leads, and light is no difference."""
+    first, second = thrown()
+    second = np.roll(second, pan, 1)
+    target = np.clip(second.astype(int) + brighter, 0, 255).astype(np.uint8)
+    plain = solve_pair(first, target, np.tile(np.float32([pan, 0]), (*SIZE, 1)), 0)
+    found = with_lost(plain, first, target, 0)
+    errors = [np.linalg.norm(flow - (STEP[1] + pan, STEP[0]), axis=-1)[disc(0, 6)] for flow in (plain, found)]
+    assert np.median(errors[0]) > 5
+    assert np.median(errors[1]) < 0.5
+
+
+def test_given_flow_is_not_searched_again() -> None:
+    class Clip:
+        grey, textured, finest_scale = thrown(2), np.ones((2, *SIZE)), 0
+        rgb = np.repeat(grey[..., None], 3, axis=-1)
+
+    still = np.zeros((*SIZE, 2), np.float32)
+    given = {(0, 1): GivenFlow(still, np.ones(SIZE, bool), None)}
+    flow, _ = Estimate(Clip(), (1,), given, threads=1).near([(0, 1), (1, 0)], {})  # type: ignore[arg-type]
+    assert np.array_equal(flow[0, 1], still)
+    assert np.median(flow[1, 0][disc(1, 6)][:, 0]) < -5
 
 
 def test_neighbours_are_searched_for_what_was_lost() -> None:

@@ -40,9 +40,9 @@ def main(
     """Estimate dense optical flow with confidence between pairs of frames by dense inverse search.
 
     The search for a longer edge starts from the chained flow of shorter ones. Neighbours with large motion are searched
-    again from sparse matches, and that flow is taken where its photometric residual is lower. Distant frames are
-    matched where both show enough of the same view. Flow is in pixels of the flow grid: the frames, reduced to at most
-    --max-width-px.
+    again from sparse matches, and that flow is taken where its photometric residual is lower; what the pictures say is
+    lost, small and fast, is searched again by patches. Distant frames are matched where both show enough of the same
+    view. Flow is in pixels of the flow grid: the frames, reduced to at most --max-width-px.
     """
     frames = read_sequence(sequence)
     size = reduced_size(frames.width, frames.height, options.max_width_px)

@@ -11,6 +11,7 @@ import numpy as np
 from stages.flow.confidence import photometric_ratio
 from stages.flow.dis import solve_pair
 from stages.flow.matches import RESIDUAL_WINDOW_PX, photometric_residual
+from stages.shared.warp import warp
 
 LOST, FOUND = 6.0, 4.0
 """Photometric residual, as a multiple of the frame's median, from which on a pixel is lost, and up to which one counts
@@ -35,6 +36,8 @@ def with_lost(flow: np.ndarray, source: np.ndarray, target: np.ndarray, finest_s
     lost = _wide(photometric_ratio(flow, source, target) > LOST)
     if not lost.any() or lost.mean() > MOST:
         return flow
+    brighter = np.median((warp(target.astype(np.float32), flow) - source)[::2, ::2])
+    target = np.clip(target - brighter, 0, 255).astype(np.uint8)
     start = _searched(flow, lost, source, target)
     before = photometric_residual(flow, source, target)
     if not _wide(lost & (photometric_residual(start, source, target) < PROMISING * before)).any():
@@ -48,7 +51,7 @@ def with_lost(flow: np.ndarray, source: np.ndarray, target: np.ndarray, finest_s
 
 
 def _searched(flow: np.ndarray, lost: np.ndarray, source: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """Flow [h, w, 2] px, of lost pixels [h, w] that of the best match of a patch within reach."""
+    """Flow [h, w, 2] px, of lost pixels [h, w] that of the best match of a patch within reach of where it leads."""
     h, w = lost.shape
     size = w // 2, h // 2
     here, there, chosen = (
@@ -59,11 +62,10 @@ def _searched(flow: np.ndarray, lost: np.ndarray, source: np.ndarray, target: np
     patch, reach = 2 * HALF_PATCH + 1, 2 * (HALF_PATCH + REACH) + 1
     shifts = cv2.resize(flow, size, interpolation=cv2.INTER_AREA) / 2
     for y, x in np.argwhere(chosen >= 0.5):
-        errors = cv2.matchTemplate(
-            there[y : y + reach, x : x + reach], here[y : y + patch, x : x + patch], cv2.TM_SQDIFF
-        )
-        _, _, (u, v), _ = cv2.minMaxLoc(errors)
-        shifts[y, x] = u - REACH, v - REACH
+        u0, v0 = np.clip(np.rint(shifts[y, x] + (x, y)), 0, (size[0] - 1, size[1] - 1)).astype(int)
+        around, own = there[v0 : v0 + reach, u0 : u0 + reach], here[y : y + patch, x : x + patch]
+        _, _, (u, v), _ = cv2.minMaxLoc(cv2.matchTemplate(around, own, cv2.TM_SQDIFF))
+        shifts[y, x] = u0 + u - REACH - x, v0 + v - REACH - y
     smooth = cv2.merge([cv2.medianBlur(channel, WIDTH_PX) for channel in cv2.split(shifts)])
     found = 2 * cv2.resize(smooth, (w, h), interpolation=cv2.INTER_NEAREST)
     return np.where(lost[..., None], found, flow).astype(np.float32)

@@ -117,6 +117,7 @@ def _from_cameras(
     drifting[hiding.hiding(rgb, seen, inverse_depth, evidence)] = 1
     lines = resweep.projections(pairs, *seen)
     evidence, passing = photometric.corroborate(evidence, rgb, pairs, lines, inverse_depth, drifting)
+    passing[unobserved] = 0
     rotating = set(cameras.status[~unobserved]) == {"rotation-only"}
     model = "rotations: the camera does not translate" if rotating else "depth re-sweep"
     return evidence, passing, {"source": "cameras", "model": model, "sigma_px": sigma_px}

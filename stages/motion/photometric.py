@@ -84,7 +84,8 @@ def corroborate(
         if shadow is not None:
             moved *= 1 - in_shadow(changes(colours, i, static), shadow)
         weight = max((confidence > 0.5).mean(), PRIOR_WEIGHT) if len(edges) else 0
-        return residual * moved, np.maximum(evidence.weight[i], weight), odd * moved
+        odd *= moved * (1 - np.minimum(reliability, 1))  # it is for what the flow loses
+        return residual * moved, np.maximum(evidence.weight[i], weight), odd
 
     residual, weight = (np.empty(evidence.residual.shape, np.float32) for _ in range(2))
     passing = np.empty(residual.shape, np.float16)
@@ -155,7 +156,7 @@ def _contradicted(
             total[int(j > i), k] += inside * difference(found, expected, WINDOW_PX)
             seen[int(j > i), k] += inside
             if k > 0:
-                others.add(k - 1, found, expected, inside)
+                others.add(j > i, k - 1, found, expected, inside)
     mean = np.where(seen > 0, total / np.maximum(seen, 1), np.inf).min(axis=0)
     in_view = np.isfinite(mean[0]) & np.isfinite(mean[1:]).any(axis=0)
     excess = np.where(in_view, mean[1:].min(axis=0), 0) - FLOW_SHARE * np.where(in_view, mean[0], 0)

@@ -1,8 +1,10 @@
 """What a single frame shows: a thing that moves farther from frame to frame than its own size.
 
 Flow loses it, and without flow nothing tells that it moves but the pictures. At the depth of the static scene the other
-frames agree with one another on what is there, and this one shows something else, which no static depth and no flow
-finds in any of them. Of a median over the frames, as in the subtraction of a background, each depth has its own.
+frames agree with one another on what is there, and this one shows something else, which neither flow nor the static
+depths around find in them: the subtraction of a background, of which each depth has its own. Thin static things in
+front, whose flow and depth are both lost, look like that, too. Grey levels are compared: a thing of another colour that
+is as bright as what is behind it is not told.
 """
 
 import cv2
@@ -19,7 +21,8 @@ frame is the odd one."""
 FLOOR = 0.5
 """Added to the differences between the other frames, in units of the tolerance, beside their median: few frames may
 agree by chance, the more so through noise."""
-LEAST_FRAMES = 3
+LEAST_FRAMES, MOST = 3, 0.2
+SATURATED = 1, 254
 WINDOW_PX = 3
 
 
@@ -28,36 +31,48 @@ class Others:
 
     Attributes:
         change, square: [depths, h, w] sums, over the other frames, of the change of grey level and of its square.
-        count: [depths, h, w] of the frames that show a pixel.
+        count: [2, depths, h, w] of the earlier and of the later frames that show a pixel.
     """
 
     def __init__(self, depths: int, shape: tuple[int, ...]) -> None:
-        self.change, self.square, self.count = np.zeros((3, depths, *shape), np.float32)
+        self.change, self.square = np.zeros((2, depths, *shape), np.float32)
+        self.count = np.zeros((2, depths, *shape), np.float32)
 
-    def add(self, depth: int, found: np.ndarray, expected: np.ndarray, inside: np.ndarray) -> None:
-        """Add a frame as seen at a depth, `found` [h, w, 3] uint8 where `inside` [h, w], beside the `expected`."""
-        change = cv2.transform(cv2.subtract(found, expected, dtype=cv2.CV_32F), MEAN_OF_COLOURS) * inside
+    def add(self, later: bool, depth: int, found: np.ndarray, expected: np.ndarray, inside: np.ndarray) -> None:
+        """Add an earlier or later frame as seen at a depth, `found` [h, w, 3] uint8 where `inside` [h, w], beside the
+        `expected`. Where both are saturated nothing is compared."""
+        dark, bright = SATURATED
+        lost = (np.minimum(found, expected) >= bright) | (np.maximum(found, expected) <= dark)
+        seen = inside & ~lost.all(axis=-1)
+        change = cv2.transform(cv2.subtract(found, expected, dtype=cv2.CV_32F), MEAN_OF_COLOURS) * seen
         self.change[depth] += change
         self.square[depth] += change**2
-        self.count[depth] += inside
+        self.count[int(later), depth] += seen
 
     def odd(self, residual: np.ndarray, tolerance: np.ndarray) -> np.ndarray:
         """How surely [h, w], 0..1, the frame is the odd one: something passes before a scene that the others agree on.
 
+        Only what earlier and later frames show tells: what is covered in all later ones looks odd in the first. If more
+        than a share MOST of the frame is odd, it is the frame, blurred or badly placed, and no thing in it.
+
         Args:
-            residual: [h, w] least residual to the other frames, at any static depth and along the flow, and its
+            residual: [h, w] least residual to the other frames, at the static depths and along the flow, and its
                 tolerance, both in colour levels.
         """
-        count = np.maximum(self.count, 1)
-        mean = self.change / count
-        spread = np.sqrt(np.maximum(self.square / count - mean**2, 0))
-        window, least = (WINDOW_PX, WINDOW_PX), FLOOR * tolerance + np.median(spread[0])
+        frames, seen = self.count.sum(axis=0), (self.count > 0).all(axis=0)
+        seen &= frames >= LEAST_FRAMES
+        if not seen.any():
+            return np.zeros(residual.shape, np.float32)
+        mean = self.change / np.maximum(frames, 1)
+        spread = np.sqrt(np.maximum(self.square / np.maximum(frames, 1) - mean**2, 0))
+        window, least = (WINDOW_PX, WINDOW_PX), FLOOR * tolerance + np.median(spread[seen])
         ratios = [
             cv2.blur(np.abs(of), window) / (cv2.blur(around, window) + least)
             for of, around in zip(mean, spread, strict=True)
         ]
-        alone = np.where(self.count >= LEAST_FRAMES, ratios, 0).max(axis=0)
-        return np.asarray(_half_at(residual / tolerance, UNEXPLAINED) * _half_at(alone, ALONE))
+        alone = np.where(seen, ratios, 0).max(axis=0)
+        odd = _half_at(residual / tolerance, UNEXPLAINED) * _half_at(alone, ALONE)
+        return odd if (odd > 0.5).mean() <= MOST else np.zeros_like(odd)
 
 
 def _half_at(value: np.ndarray, middle: float) -> np.ndarray:

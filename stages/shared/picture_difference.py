@@ -7,6 +7,8 @@ TOLERANCE = 1.0, 0.5
 """Residual expected of a pixel that is matched right: colour levels, and the position error in pixels."""
 SLOPE_PX = 5
 """Each way, the pixels over which the slope of the colours is averaged."""
+LEAST_CONTRAST, GAINS = 8.0, (0.5, 2.0)
+"""Colour levels between the halves of a picture from which on they tell a gain, and its bounds."""
 MEAN_OF_COLOURS = np.full((1, 3), 1 / 3, np.float32)
 
 
@@ -17,9 +19,23 @@ def difference(found: np.ndarray, expected: np.ndarray, window_px: int) -> np.nd
 
 
 def exposed(frame: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """A frame [h, w, 3] uint8 corrected to the exposure of the other, by the median difference per colour."""
-    change = np.median(other[::2, ::2].astype(np.int16) - frame[::2, ::2], axis=(0, 1))
-    return np.asarray(cv2.add(frame, (*change.tolist(), 0.0)))
+    """A frame [h, w, 3] uint8 corrected to the exposure of the other, which shows the same pixels: per colour a gain,
+    from the medians of the brighter and of the darker half of its pixels, and the difference of the medians."""
+    here, there = (image[::3, ::3].reshape(-1, 3) for image in (frame, other))
+    corrected = [_line(here[:, c], there[:, c]) for c in range(3)]
+    table = np.stack([gain * np.arange(256) + offset for gain, offset in corrected], axis=-1)
+    return np.asarray(cv2.LUT(frame, np.clip(np.rint(table), 0, 255).astype(np.uint8)[None]))
+
+
+def _line(here: np.ndarray, there: np.ndarray) -> tuple[float, float]:
+    """Gain and offset that take the levels [n] of one picture to those [n] of the other."""
+    middle, bright = np.median(here), here > np.median(here)
+    gain = 1.0
+    if bright.any() and not bright.all():
+        apart = np.median(here[bright]) - np.median(here[~bright])
+        if apart >= LEAST_CONTRAST:
+            gain = float(np.clip((np.median(there[bright]) - np.median(there[~bright])) / apart, *GAINS))
+    return gain, float(np.median(there) - gain * middle)
 
 
 def tolerance(frame: np.ndarray) -> np.ndarray:
