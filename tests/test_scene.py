@@ -56,6 +56,22 @@ def test_a_mover_too_fast_for_long_edges_is_seen_over_short_ones() -> None:
     assert evidence.inside_px == pytest.approx(0.08 * 90 / 4, rel=0.1)  # one frame
 
 
+def test_a_mover_that_fills_the_view_and_bends_is_dynamic() -> None:
+    """No plane moves as all of it: as one region it would pass for static."""
+    seen = observe()
+    y, x = np.mgrid[: clip.H, : clip.W]
+    ripple = np.stack([np.sin(x / 14) * np.cos(y / 16), np.cos(x / 15 + y / 17)], axis=-1)
+    rippling = seen.flow + (0.3 * seen.offsets[:, None, None, None] * ripple).astype(np.float32)
+    everywhere = np.ones_like(seen.dynamic)
+    seen = replace(seen, dynamic=everywhere, instances=everywhere.astype(np.uint16), flow=rippling)
+    rms = np.sqrt((0.6 * ripple) ** 2).mean()
+    found = rules.decide_dynamic(geometry.dynamic_evidence(seen), "auto")
+    assert found["needed"]
+    assert found["statistic"] > 0.7 * rms
+    still = replace(seen, flow=observe().flow)
+    assert not rules.decide_dynamic(geometry.dynamic_evidence(still), "auto")["needed"]
+
+
 def test_masks_on_the_wall_are_a_false_alarm() -> None:
     masks = np.zeros((clip.T, clip.H, clip.W), bool)
     masks[:, 50:60, 5:30] = True  # the square never gets here

@@ -1,5 +1,6 @@
 """Evidence from the flow for moving parts: what their own motion explains of it, on pixels not fitted to, in px."""
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import cv2
@@ -12,6 +13,8 @@ MIN_CONFIDENCE = 0.3
 SAMPLED_EDGES = 24
 LONGEST = 5
 MIN_REGION_PX = 40
+TILE_PX = 48
+"""Side of the tiles into which what is wider or higher is cut."""
 BLOCK_PX = 4
 """Side of the blocks of pixels that are fitted and held out in turn, as on a chessboard."""
 IRLS_STEPS = 8
@@ -76,16 +79,30 @@ def _moving_regions(seen: Observed, offset: int) -> list[Region]:
     for edge in _spread_edges(seen, offset):
         frame = seen.edges[edge, 0]
         confident = seen.confidence[edge] >= MIN_CONFIDENCE
-        numbers = seen.instances[frame] * seen.dynamic[frame]
         residual = _static_residual(seen, edge)
-        for instance in np.unique(numbers[numbers > 0]).tolist():
-            count, labels = cv2.connectedComponents((numbers == instance).astype(np.uint8))
-            for label in range(1, count):
-                chosen = (labels == label) & confident
-                if chosen.sum() >= MIN_REGION_PX:
-                    plane = plane_errors(np.argwhere(chosen)[:, ::-1], seen.at_once(edge)[chosen].astype(float))
-                    regions.append(Region(edge, residual[chosen].ravel(), plane))
+        for part in _parts(seen.instances[frame] * seen.dynamic[frame]):
+            chosen = part & confident
+            if chosen.sum() >= MIN_REGION_PX:
+                plane = plane_errors(np.argwhere(chosen)[:, ::-1], seen.at_once(edge)[chosen].astype(float))
+                regions.append(Region(edge, residual[chosen].ravel(), plane))
     return regions
+
+
+def _parts(numbers: np.ndarray) -> Iterator[np.ndarray]:
+    """What [h, w] bool moves as one thing: connected parts of instances [h, w], of the larger ones single tiles.
+
+    What fills much of the view bends, or is several things: no plane moves as all of it.
+    """
+    rows, columns = (np.arange(length) // TILE_PX for length in numbers.shape)
+    tiles = rows[:, None] * len(columns) + columns
+    for instance in np.unique(numbers[numbers > 0]).tolist():
+        count, labels = cv2.connectedComponents((numbers == instance).astype(np.uint8))
+        for label in range(1, count):
+            part = labels == label
+            if np.ptp(np.argwhere(part), axis=0).max() < TILE_PX:
+                yield part
+            else:
+                yield from (part & (tiles == tile) for tile in np.unique(tiles[part]))
 
 
 def plane_errors(uv: np.ndarray, flow: np.ndarray) -> np.ndarray:
