@@ -86,7 +86,7 @@ NEEDS = {
     "inspect": Need(135, per_frame=17),
     "flow": Need(230, per_grid=3, per_window=7.5),
     "lens": Need(360, per_edges=0.4, per_frame=40, per_window=0.7),
-    "motion": Need(420, per_grid=29, per_window=2),
+    "motion": Need(420, per_grid=31, per_window=2),
     "segment": Need(390, per_grid=12, per_window=5),
     "ba": Need(400, per_edges=1.5),
     "scene": Need(200, per_grid=4, kept_grid=26, kept_mb=1200),
