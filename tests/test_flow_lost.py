@@ -50,6 +50,14 @@ def test_a_ball_that_dense_search_loses_is_found_both_ways() -> None:
         assert np.array_equal(found[beyond], plain[beyond])
 
 
+def test_it_is_found_as_far_as_it_is_searched() -> None:
+    ground, far = texture(0), (14, 24)  # 28 px
+    moved = np.roll(np.where(disc(0), texture(1), 0), far, (0, 1))
+    frames = np.where(disc(0), texture(1), ground), np.where(np.roll(disc(0), far, (0, 1)), moved, ground)
+    found = with_lost(solve_pair(*frames, None, 0), *frames, 0)
+    assert np.median(np.linalg.norm(found - far[::-1], axis=-1)[disc(0, 6)]) < 0.5
+
+
 @pytest.mark.parametrize(("pan", "brighter"), [(28, 0), (0, 10), (0, -12)])
 def test_it_is_found_beside_what_pans_and_under_other_light(pan: int, brighter: int) -> None:
     """The search begins where the flow leads, and light is no difference."""

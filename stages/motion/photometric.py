@@ -146,7 +146,7 @@ def _contradicted(
     """
     here = frames[i]
     total, seen = np.zeros((2, 2, 1 + len(depths), *here.shape[:2]), np.float32)
-    others = Others(len(depths), here.shape[:2])
+    others = Others(len(depths), here)
     for j, flow, A, b in zip(targets, flows, *projections, strict=True):
         ways = [flow.astype(np.float32, copy=False), *(dense_static_flow(A, b, depth) for depth in depths)]
         warped = [warp(frames[int(j)], way) for way in ways]

@@ -22,28 +22,33 @@ FLOOR = 0.5
 """Added to the differences between the other frames, in units of the tolerance, beside their median: few frames may
 agree by chance, the more so through noise."""
 LEAST_FRAMES, MOST = 3, 0.2
-SATURATED = 1, 254
+"""Other frames that must show a pixel, at least; share of a frame that may be odd, at most."""
+DARK, BRIGHT = 1, 254
+"""Colour levels that count as saturated: neither exposure nor difference can be told there."""
 WINDOW_PX = 3
+"""Of the means of differences."""
 
 
 class Others:
     """What the other frames show at static depths, compared with one frame.
 
     Attributes:
+        dark, bright: [h, w] where the frame is saturated.
         change, square: [depths, h, w] sums, over the other frames, of the change of grey level and of its square.
         count: [2, depths, h, w] of the earlier and of the later frames that show a pixel.
     """
 
-    def __init__(self, depths: int, shape: tuple[int, ...]) -> None:
-        self.change, self.square = np.zeros((2, depths, *shape), np.float32)
-        self.count = np.zeros((2, depths, *shape), np.float32)
+    def __init__(self, depths: int, frame: np.ndarray) -> None:
+        """Nothing yet beside a frame [h, w, 3] uint8."""
+        self.dark, self.bright = (frame <= DARK).all(axis=-1), (frame >= BRIGHT).all(axis=-1)
+        self.change, self.square = np.zeros((2, depths, *self.dark.shape), np.float32)
+        self.count = np.zeros((2, depths, *self.dark.shape), np.float32)
 
     def add(self, later: bool, depth: int, found: np.ndarray, expected: np.ndarray, inside: np.ndarray) -> None:
         """Add an earlier or later frame as seen at a depth, `found` [h, w, 3] uint8 where `inside` [h, w], beside the
-        `expected`. Where both are saturated nothing is compared."""
-        dark, bright = SATURATED
-        lost = (np.minimum(found, expected) >= bright) | (np.maximum(found, expected) <= dark)
-        seen = inside & ~lost.all(axis=-1)
+        `expected`: this frame at the exposure of the other. Where both are saturated nothing is compared."""
+        saturated = (self.dark & (found <= DARK).all(axis=-1)) | (self.bright & (found >= BRIGHT).all(axis=-1))
+        seen = inside & ~saturated
         change = cv2.transform(cv2.subtract(found, expected, dtype=cv2.CV_32F), MEAN_OF_COLOURS) * seen
         self.change[depth] += change
         self.square[depth] += change**2

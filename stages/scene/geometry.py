@@ -14,7 +14,7 @@ SAMPLED_EDGES = 24
 LONGEST = 5
 MIN_REGION_PX = 40
 TILE_PX = 48
-"""Side of the tiles into which what is wider or higher is cut."""
+"""Side in px of the tiles into which a region is cut that is wider or higher."""
 BLOCK_PX = 4
 """Side of the blocks of pixels that are fitted and held out in turn, as on a chessboard."""
 IRLS_STEPS = 8
@@ -36,7 +36,7 @@ class MaskEvidence(NamedTuple):
 
 
 class Region(NamedTuple):
-    """A connected moving region of a frame, with the errors [n] in px of held-out flow, both components.
+    """A moving region of a frame, of a large one a tile, with the errors [n] in px of held-out flow, both components.
 
     Attributes:
         edge: row of the flow. static, plane: errors [n] of the flow of the static scene, and of a rigid plane.
