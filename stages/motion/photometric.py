@@ -15,6 +15,7 @@ from stages.motion.epipolar import Evidence
 from stages.motion.pooling import PRIOR_WEIGHT
 from stages.motion.shading import View, changes, in_shadow, log_colours, shadow_of_clip
 from stages.motion.shadows import at_rest, log_detail, surrounding_plane
+from stages.motion.swept import Other, explained
 from stages.motion.transients import Others
 from stages.shared import flow_pairs
 from stages.shared.flow_pairs import FlowPairs
@@ -36,6 +37,8 @@ EXPLAINED = 0.35
 STATIC_POWER = 4
 """The larger, the less the depth of a pixel with a residual counts for the plane around it."""
 WINDOW_PX, NEIGHBOURS_PX = 5, 15
+SUSPECT = 0.25
+"""Evidence from which on a static depth is searched for by the pictures."""
 NEVER = np.float32(1e30)
 """Beyond every inverse depth."""
 
@@ -76,7 +79,10 @@ def corroborate(
         depths = static_depths(inverse_depth[i].astype(np.float32), evidence.residual[i])
         static, flows = view(i), pairs.flow[_edges(pairs, i, REACH)]
         ways = static.targets, flows, (static.A, static.b)
-        contradicted, odd = _contradicted(frames, i, *ways, depths)
+        contradicted, odd, others = _contradicted(frames, i, *ways, depths)
+        suspect = (evidence.residual[i] * contradicted > SUSPECT) | (odd > SUSPECT)
+        at_some_depth = explained(others, suspect & (reliability < 1), depths[0])
+        contradicted, odd = (np.where(at_some_depth, 0, of) for of in (contradicted, odd))
         residual = evidence.residual[i] * np.maximum(np.minimum(reliability, 1), contradicted)
         if drifting is not None:
             residual = np.maximum(residual, drifting[i])
@@ -137,29 +143,33 @@ def _contradicted(
     flows: np.ndarray,
     projections: tuple[np.ndarray, np.ndarray],
     depths: list[np.ndarray],
-) -> tuple[np.ndarray, np.ndarray]:
+) -> tuple[np.ndarray, np.ndarray, list[Other]]:
     """By how much [h, w], 0..1, the flow matches the images better than any static depth, and `Others.odd`; 0 where
-    nothing is in view.
+    nothing is in view. The other frames with what the flow leaves.
 
     Earlier and later frames are averaged separately and the better side counts: a pixel occluded on one side is
     usually visible on the other.
     """
     here = frames[i]
     total, seen = np.zeros((2, 2, 1 + len(depths), *here.shape[:2]), np.float32)
-    others = Others(len(depths), here)
+    others, compared = Others(len(depths), here), []
     for j, flow, A, b in zip(targets, flows, *projections, strict=True):
         ways = [flow.astype(np.float32, copy=False), *(dense_static_flow(A, b, depth) for depth in depths)]
         warped = [warp(frames[int(j)], way) for way in ways]
         expected = exposed(here, warped[0])
         for k, (way, found) in enumerate(zip(ways, warped, strict=True)):
             inside = is_inside(way)
-            total[int(j > i), k] += inside * difference(found, expected, WINDOW_PX)
+            apart = inside * difference(found, expected, WINDOW_PX)
+            total[int(j > i), k] += apart
             seen[int(j > i), k] += inside
-            if k > 0:
+            if k == 0:
+                compared.append(Other(int(j - i), frames[int(j)], expected, apart, inside, A, b))
+            else:
                 others.add(j > i, k - 1, found, expected, inside)
     mean = np.where(seen > 0, total / np.maximum(seen, 1), np.inf).min(axis=0)
     in_view = np.isfinite(mean[0]) & np.isfinite(mean[1:]).any(axis=0)
     excess = np.where(in_view, mean[1:].min(axis=0), 0) - FLOW_SHARE * np.where(in_view, mean[0], 0)
     allowed = tolerance(here)
     squared = (np.maximum(excess, 0) / (EXCESS * allowed)) ** 2
-    return squared / (1 + squared), others.odd(np.where(in_view, mean.min(axis=0), 0), allowed)
+    odd = others.odd(np.where(in_view, mean.min(axis=0), 0), allowed)
+    return squared / (1 + squared), odd, compared

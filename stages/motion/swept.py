@@ -1,0 +1,178 @@
+"""Static depths that the pictures tell where flow is lost: of thin things close to a camera that travels.
+
+The flow of a bar that is thinner than its way from frame to frame is that of what is behind it, or none, and so is its
+depth. Neither fits the pictures: it looks like something that moves. Its own depth does, and it is searched for from
+infinity on (plane sweep; Collins, CVPR 1996).
+"""
+
+from typing import NamedTuple
+
+import cv2
+import numba
+import numpy as np
+
+FRAMES = 2
+"""Largest distance in frames between compared pictures."""
+STEPS, STEP_PX = 40, 1.0
+"""Depths that are tried, and the longest way in the image between two of them, from one frame to the next."""
+REFINEMENTS = 2
+HALF_WINDOW = 2
+NEAREST = 0.2
+"""Least ratio of a depth in another frame and in this one."""
+MOST_OF, NEARER = 0.95, 4.0
+"""Depths that are tried are at most so many times as near as this share of the frame is farther than: before a camera
+that hardly moves all that moves along its lines of sight would lie at some depth."""
+SHARE = 0.5
+"""Of the flow's difference above the median of the frame, what a static depth may leave, at most."""
+KERNEL = {"cache": True, "nogil": True, "error_model": "numpy"}
+
+
+class Other(NamedTuple):
+    """Another frame beside this one.
+
+    Attributes:
+        step: frames to it. found: [h, w, 3] uint8. expected: [h, w, 3] uint8, this frame at its exposure.
+        by_flow: [h, w] difference of both along the flow, in colour levels, 0 where it leads out of view.
+        inside: [h, w], where it does not. A, b: [3, 3] and [3], projection of this frame's pixels.
+    """
+
+    step: int
+    found: np.ndarray
+    expected: np.ndarray
+    by_flow: np.ndarray
+    inside: np.ndarray
+    A: np.ndarray
+    b: np.ndarray
+
+
+def explained(others: list[Other], suspect: np.ndarray, inverse_depth: np.ndarray) -> np.ndarray:
+    """Where [h, w] bool, of `suspect` [h, w], some static depth matches the pictures far better than the flow does.
+
+    Both are compared with the same frames, at most FRAMES away, and the worse of the earlier and the later ones counts:
+    a thing that moves may lie where a static one would, in two frames by chance. What matches as well as half of the
+    frame does is explained in any case.
+    """
+    near = [other for other in others if abs(other.step) <= FRAMES]
+    if not near or not suspect.any():
+        return np.zeros_like(suspect)
+    by_flow = _worse_side(near)
+    floor = np.median(by_flow)
+    least = least_difference(near, suspect, NEARER * float(np.quantile(inverse_depth, MOST_OF)))
+    return np.asarray(least < floor + SHARE * np.maximum(by_flow - floor, 0))
+
+
+def _worse_side(near: list[Other]) -> np.ndarray:
+    """Mean difference [h, w] along the flow, to the earlier or the later frames, whichever is larger."""
+    sides = [[other for other in near if (other.step > 0) == later] for later in (False, True)]
+    means = [
+        sum(other.by_flow for other in side) / np.maximum(sum(other.inside.astype(np.float32) for other in side), 1)
+        for side in sides
+        if side
+    ]
+    return np.asarray(np.maximum.reduce(means))
+
+
+def least_difference(near: list[Other], sought: np.ndarray, nearest: float) -> np.ndarray:
+    """Least mean difference [h, w] to other frames over the static depths, up to the inverse depth `nearest`, in colour
+    levels; infinite where nothing is `sought` [h, w] or no depth is in view."""
+    near = sorted(near, key=lambda other: abs(other.step))
+    first = sum(abs(other.step) == abs(near[0].step) for other in near)
+    h, w = sought.shape
+    corners = np.array([[0, 0], [w, 0], [0, h], [w, h]], float)
+    ways = [np.linalg.norm(other.b[:2] - other.b[2] * corners, axis=1).max() for other in near[:first]]
+    least = np.full(sought.shape, np.inf, np.float32)
+    if max(ways) == 0:  # a camera that turns sees all depths at one place
+        return least
+    pictures = [np.stack([getattr(other, name) for other in near]) for name in ("found", "expected")]
+    greys = [np.stack([cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) for image in of[:first]]) for of in pictures]
+    A, b = (np.stack([getattr(other, name) for other in near]).astype(np.float32) for name in ("A", "b"))
+    later = np.array([other.step > 0 for other in near])
+    v, u = np.nonzero(sought)
+    found, unit = np.empty(len(u), np.float32), STEP_PX / max(ways)
+    depths = (np.arange(1 + min(max(int(nearest / unit), 1), STEPS)) * unit).astype(np.float32)
+    _search(*greys, *pictures, A, b, later, u, v, depths, found)
+    least[v, u] = found
+    return least
+
+
+@numba.njit(**KERNEL)
+def _search(grey, grey_expected, images, expected, A, b, later, u, v, depths, least):  # type: ignore[no-untyped-def]
+    """Fill the least difference [n] of pixels u, v [n]: first over the `depths`, at whole pixels of the nearest frames,
+    then around the best of them in colour, in all frames."""
+    for k in range(len(u)):
+        most, depth = np.float32(np.inf), np.float32(0)
+        for d in depths:
+            found = _grey_difference(grey, grey_expected, A, b, u[k], v[k], d, most)
+            if found < most:
+                most, depth = found, d
+        best, width = _difference(images, expected, A, b, later, u[k], v[k], depth), depths[1] / 2
+        for _ in range(REFINEMENTS):
+            for d in (depth - width, depth + width):
+                found = _difference(images, expected, A, b, later, u[k], v[k], d)
+                if found < best:
+                    best, depth = found, d
+            width /= 2
+        least[k] = best
+
+
+@numba.njit(**KERNEL)
+def _grey_difference(images, expected, A, b, u, v, depth, most):  # type: ignore[no-untyped-def]
+    """Mean difference of a pixel's window at an inverse depth, of the worst frame; infinite from `most` on, and where
+    no frame shows it."""
+    h, w = images.shape[1:]
+    worst = np.float32(-1)
+    for j in range(len(images)):
+        Z = A[j, 2, 0] * u + A[j, 2, 1] * v + A[j, 2, 2] + depth * b[j, 2]
+        if Z < NEAREST:
+            continue
+        x = int(np.rint((A[j, 0, 0] * u + A[j, 0, 1] * v + A[j, 0, 2] + depth * b[j, 0]) / Z))
+        y = int(np.rint((A[j, 1, 0] * u + A[j, 1, 1] * v + A[j, 1, 2] + depth * b[j, 1]) / Z))
+        if x < 0 or y < 0 or x >= w or y >= h:
+            continue
+        total, pixels = np.int32(0), 0
+        for dv in range(max(-HALF_WINDOW, -v, -y), min(HALF_WINDOW, h - 1 - v, h - 1 - y) + 1):
+            for du in range(max(-HALF_WINDOW, -u, -x), min(HALF_WINDOW, w - 1 - u, w - 1 - x) + 1):
+                total += abs(np.int32(images[j, y + dv, x + du]) - expected[j, v + dv, u + du])
+                pixels += 1
+        worst = max(worst, np.float32(total / pixels))
+        if worst >= most:
+            return np.float32(np.inf)
+    return worst if worst >= 0 else np.float32(np.inf)
+
+
+@numba.njit(**KERNEL)
+def _difference(images, expected, A, b, later, u, v, depth):  # type: ignore[no-untyped-def]
+    """Mean difference of a pixel's window at an inverse depth, of the worse side; infinite where no frame shows it."""
+    h, w = images.shape[1:3]
+    total, count = np.zeros(2, np.float32), np.zeros(2, np.float32)
+    for j in range(len(images)):
+        Z = A[j, 2, 0] * u + A[j, 2, 1] * v + A[j, 2, 2] + depth * b[j, 2]
+        if Z < NEAREST:
+            continue
+        x = (A[j, 0, 0] * u + A[j, 0, 1] * v + A[j, 0, 2] + depth * b[j, 0]) / Z
+        y = (A[j, 1, 0] * u + A[j, 1, 1] * v + A[j, 1, 2] + depth * b[j, 1]) / Z
+        if 0 <= x <= w - 1 and 0 <= y <= h - 1:
+            total[int(later[j])] += _window(images[j], expected[j], u, v, x, y)
+            count[int(later[j])] += 1
+    if count.max() == 0:
+        return np.float32(np.inf)
+    return max(total[0] / max(count[0], 1), total[1] / max(count[1], 1))
+
+
+@numba.njit(**KERNEL)
+def _window(image, expected, u, v, x, y):  # type: ignore[no-untyped-def]
+    """Mean difference in colour levels between the windows around x, y of an image and around u, v of the expected."""
+    h, w = expected.shape[:2]
+    left, top = min(int(x), w - 2), min(int(y), h - 2)
+    right_share, low_share = np.float32(x - left), np.float32(y - top)
+    total, pixels = np.float32(0), 0
+    for dv in range(max(-HALF_WINDOW, -v, -top), min(HALF_WINDOW, h - 1 - v, h - 2 - top) + 1):
+        for du in range(max(-HALF_WINDOW, -u, -left), min(HALF_WINDOW, w - 1 - u, w - 2 - left) + 1):
+            row, column = top + dv, left + du
+            for c in range(3):
+                a, b = np.float32(image[row, column, c]), np.float32(image[row + 1, column, c])
+                a += right_share * (np.float32(image[row, column + 1, c]) - a)
+                b += right_share * (np.float32(image[row + 1, column + 1, c]) - b)
+                total += abs(a + low_share * (b - a) - np.float32(expected[v + dv, u + du, c]))
+            pixels += 1
+    return total / (3 * pixels)
