@@ -98,6 +98,16 @@ def test_grey_light_few_pixels_and_pixels_that_disagree_tell_nothing() -> None:
     assert learnt(scattered([1.2, 1.0, 0.8], 0.3)) is None
 
 
+def test_the_light_is_that_of_most_pixels_where_movers_are_among_them() -> None:
+    random = np.random.default_rng(1)
+    shadows = np.column_stack([random.normal([1.2, 1.0, 0.8], 0.05, (300, 3)), np.full(300, 0.4)])
+    mover = np.column_stack([random.normal([0.7, 1.2, 1.1], 0.2, (200, 3)), np.full(200, 2.0)])
+    found = learnt(np.concatenate([shadows, mover]))
+    assert found is not None
+    np.testing.assert_allclose(found.direction, [1.2, 1.0, 0.8], atol=0.03)
+    assert found.depth == pytest.approx(0.4)
+
+
 def test_only_changes_along_the_direction_and_within_the_depth_are_shadows() -> None:
     shadow = Shadow(np.array([1.3, 1.0, 0.7]), 0.5)
     full, more, other = 0.5 * shadow.direction, 0.7 * shadow.direction, np.full(3, 0.5)

@@ -25,8 +25,11 @@ EXPLAINED = 0.35
 TEXTURED, ALIKE, CHANGED = 0.5, 0.6, 0.06
 """Least weight of the texture of a pixel from which the light is learnt, least share of it that is alike, and least
 change, as a root mean square of the mean logarithm of its colours."""
-LEAST_SEEN, MOST_SPREAD = 100, 0.1
+LEAST_SEEN, MOST_SPREAD = 100, 0.13
 """Pixels that the light is learnt from at least, and the largest median distance of their directions from it."""
+CLOSE, ROUNDS = 0.15, 10
+"""Distance of a pixel's direction up to which it counts for the median, from round to round: among these pixels are
+some of movers."""
 COLOURED = 0.1
 """Least distance of the direction from that of grey: grey texture that moves a little changes along the latter too."""
 DEEPEST = 95
@@ -135,12 +138,17 @@ def learnt(seen: np.ndarray) -> Shadow | None:
     """
     if len(seen) < LEAST_SEEN:
         return None
-    direction = np.median(seen[:, :3], axis=0)
-    direction /= direction.mean()
-    spread = np.median(np.linalg.norm(seen[:, :3] - direction, axis=1))
-    if spread > MOST_SPREAD or np.linalg.norm(direction - 1) < COLOURED:
+    close = np.ones(len(seen), bool)
+    for _ in range(ROUNDS):
+        direction = np.median(seen[close, :3], axis=0)
+        direction /= direction.mean()
+        distance = np.linalg.norm(seen[:, :3] - direction, axis=1)
+        close = distance < CLOSE
+        if np.count_nonzero(close) < LEAST_SEEN // 2:
+            return None
+    if np.median(distance) > MOST_SPREAD or np.linalg.norm(direction - 1) < COLOURED:
         return None
-    return Shadow(direction, float(np.percentile(seen[:, 3], DEEPEST)))
+    return Shadow(direction, float(np.percentile(seen[close, 3], DEEPEST)))
 
 
 def in_shadow(changed: np.ndarray, shadow: Shadow) -> np.ndarray:
