@@ -7,7 +7,7 @@ from pydantic import Field
 from stages.shared.options import MAX_SEED
 from stages.shared.split import SplitOptions
 
-SHORT_CLIP = 80
+SHORT_CLIP = 40
 """Training frames up to which a clip is trained in `steps` steps; a longer one takes more in proportion, so that each
 of its frames is seen as often."""
 
@@ -19,7 +19,7 @@ class GaussiansOptions(SplitOptions):
         1000,
         ge=0,
         le=100_000,
-        description="optimisation steps, one training frame each, of up to 80 training frames; more frames take more"
+        description="optimisation steps, one training frame each, of up to 40 training frames; more frames take more"
         " steps in proportion; 0: the result of stage 1",
     )
     stride_px: int = Field(
