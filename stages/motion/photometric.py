@@ -3,7 +3,8 @@
 Failed flow fits no depth, and neither does the flow of a mover: fog, blur and repeated texture look like motion. The
 images tell them apart. Warped with a static depth (the pixel's own or that of its neighbours) they match as well as
 warped with the flow, unless the pixel moved. Where the light changes they match the flow better; there the texture
-tells (`shadows`), and the colour of the change (`shading`).
+tells (`shadows`), and the colour of the change (`shading`). Thin things near the camera match at a depth of their own,
+which neither flow nor neighbours have (`swept`).
 """
 
 import itertools
@@ -15,7 +16,7 @@ from stages.motion.epipolar import Evidence
 from stages.motion.pooling import PRIOR_WEIGHT
 from stages.motion.shading import View, changes, in_shadow, log_colours, shadow_of_clip
 from stages.motion.shadows import at_rest, log_detail, surrounding_plane
-from stages.motion.swept import Other, explained
+from stages.motion.swept import FRAMES, Other, explained
 from stages.motion.transients import Others
 from stages.shared import flow_pairs
 from stages.shared.flow_pairs import FlowPairs
@@ -81,7 +82,7 @@ def corroborate(
         ways = static.targets, flows, (static.A, static.b)
         contradicted, odd, others = _contradicted(frames, i, *ways, depths)
         suspect = (evidence.residual[i] * contradicted > SUSPECT) | (odd > SUSPECT)
-        at_some_depth = explained(others, suspect & (reliability < 1), depths[0])
+        at_some_depth = explained(others, suspect & (reliability < 1), depths[0][evidence.residual[i] < EXPLAINED])
         contradicted, odd = (np.where(at_some_depth, 0, of) for of in (contradicted, odd))
         residual = evidence.residual[i] * np.maximum(np.minimum(reliability, 1), contradicted)
         if drifting is not None:
@@ -145,7 +146,7 @@ def _contradicted(
     depths: list[np.ndarray],
 ) -> tuple[np.ndarray, np.ndarray, list[Other]]:
     """By how much [h, w], 0..1, the flow matches the images better than any static depth, and `Others.odd`; 0 where
-    nothing is in view. The other frames with what the flow leaves.
+    nothing is in view. And the frames nearest to it with what the flow leaves, for `explained`.
 
     Earlier and later frames are averaged separately and the better side counts: a pixel occluded on one side is
     usually visible on the other.
@@ -162,9 +163,9 @@ def _contradicted(
             apart = inside * difference(found, expected, WINDOW_PX)
             total[int(j > i), k] += apart
             seen[int(j > i), k] += inside
-            if k == 0:
+            if k == 0 and abs(j - i) <= FRAMES:
                 compared.append(Other(int(j - i), frames[int(j)], expected, apart, inside, A, b))
-            else:
+            if k > 0:
                 others.add(j > i, k - 1, found, expected, inside)
     mean = np.where(seen > 0, total / np.maximum(seen, 1), np.inf).min(axis=0)
     in_view = np.isfinite(mean[0]) & np.isfinite(mean[1:]).any(axis=0)

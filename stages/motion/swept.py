@@ -14,14 +14,17 @@ import numpy as np
 FRAMES = 2
 """Largest distance in frames between compared pictures."""
 STEPS, STEP_PX = 40, 1.0
-"""Depths that are tried, and the longest way in the image between two of them, from one frame to the next."""
+"""Depths that are tried at most, beside infinity, and the longest way in the image, from one frame to the next, from
+infinity to the first."""
 REFINEMENTS = 2
+"""Halvings of that step, around the best depth."""
 HALF_WINDOW = 2
+"""Pixels of the compared windows on either side of their middle."""
 NEAREST = 0.2
 """Least ratio of a depth in another frame and in this one."""
 MOST_OF, NEARER = 0.95, 4.0
-"""Depths that are tried are at most so many times as near as this share of the frame is farther than: before a camera
-that hardly moves all that moves along its lines of sight would lie at some depth."""
+"""Searched up to NEARER times the inverse depth that MOST_OF of the static pixels stay below: before a camera that
+hardly moves, all that moves along its lines of sight would lie at some depth."""
 SHARE = 0.5
 """Of the flow's difference above the median of the frame, what a static depth may leave, at most."""
 KERNEL = {"cache": True, "nogil": True, "error_model": "numpy"}
@@ -45,25 +48,28 @@ class Other(NamedTuple):
     b: np.ndarray
 
 
-def explained(others: list[Other], suspect: np.ndarray, inverse_depth: np.ndarray) -> np.ndarray:
+def explained(others: list[Other], suspect: np.ndarray, static: np.ndarray) -> np.ndarray:
     """Where [h, w] bool, of `suspect` [h, w], some static depth matches the pictures far better than the flow does.
 
-    Both are compared with the same frames, at most FRAMES away, and the worse of the earlier and the later ones counts:
-    a thing that moves may lie where a static one would, in two frames by chance. What matches as well as half of the
-    frame does is explained in any case.
+    Both are compared with the same frames, and the worse of the earlier and the later ones counts, if both show it: a
+    thing that moves may lie where a static one would, in two frames by chance. In all frames it does so if it is lost
+    to the flow and moves evenly against the camera's motion: like something near, no picture tells it apart. What
+    matches as well as half of the frame does is explained in any case.
+
+    Args:
+        others: frames at most FRAMES away. static: [n] inverse depths of pixels that flow knows to be static.
     """
-    near = [other for other in others if abs(other.step) <= FRAMES]
-    if not near or not suspect.any():
+    if not others or not suspect.any() or not len(static):
         return np.zeros_like(suspect)
-    by_flow = _worse_side(near)
+    by_flow = _worse_side(others)
     floor = np.median(by_flow)
-    least = least_difference(near, suspect, NEARER * float(np.quantile(inverse_depth, MOST_OF)))
+    least = least_difference(others, suspect, NEARER * float(np.quantile(static, MOST_OF)))
     return np.asarray(least < floor + SHARE * np.maximum(by_flow - floor, 0))
 
 
-def _worse_side(near: list[Other]) -> np.ndarray:
+def _worse_side(others: list[Other]) -> np.ndarray:
     """Mean difference [h, w] along the flow, to the earlier or the later frames, whichever is larger."""
-    sides = [[other for other in near if (other.step > 0) == later] for later in (False, True)]
+    sides = [[other for other in others if (other.step > 0) == later] for later in (False, True)]
     means = [
         sum(other.by_flow for other in side) / np.maximum(sum(other.inside.astype(np.float32) for other in side), 1)
         for side in sides
@@ -72,10 +78,10 @@ def _worse_side(near: list[Other]) -> np.ndarray:
     return np.asarray(np.maximum.reduce(means))
 
 
-def least_difference(near: list[Other], sought: np.ndarray, nearest: float) -> np.ndarray:
+def least_difference(others: list[Other], sought: np.ndarray, nearest: float) -> np.ndarray:
     """Least mean difference [h, w] to other frames over the static depths, up to the inverse depth `nearest`, in colour
     levels; infinite where nothing is `sought` [h, w] or no depth is in view."""
-    near = sorted(near, key=lambda other: abs(other.step))
+    near = sorted(others, key=lambda other: abs(other.step))
     first = sum(abs(other.step) == abs(near[0].step) for other in near)
     h, w = sought.shape
     corners = np.array([[0, 0], [w, 0], [0, h], [w, h]], float)
@@ -89,7 +95,8 @@ def least_difference(near: list[Other], sought: np.ndarray, nearest: float) -> n
     later = np.array([other.step > 0 for other in near])
     v, u = np.nonzero(sought)
     found, unit = np.empty(len(u), np.float32), STEP_PX / max(ways)
-    depths = (np.arange(1 + min(max(int(nearest / unit), 1), STEPS)) * unit).astype(np.float32)
+    steps = min(int(np.ceil(nearest / unit)), STEPS)
+    depths = np.linspace(0, min(nearest, STEPS * unit), 1 + max(steps, 1)).astype(np.float32)
     _search(*greys, *pictures, A, b, later, u, v, depths, found)
     least[v, u] = found
     return least
@@ -97,8 +104,9 @@ def least_difference(near: list[Other], sought: np.ndarray, nearest: float) -> n
 
 @numba.njit(**KERNEL)
 def _search(grey, grey_expected, images, expected, A, b, later, u, v, depths, least):  # type: ignore[no-untyped-def]
-    """Fill the least difference [n] of pixels u, v [n]: first over the `depths`, at whole pixels of the nearest frames,
-    then around the best of them in colour, in all frames."""
+    """Fill the least difference [n] float32 of pixels u, v [n] int64: first over the `depths` [d] float32, at whole
+    pixels of the nearest frames in grey [f, h, w] uint8, then around the best of them in all frames [F, h, w, 3], by
+    A [F, 3, 3] and b [F, 3] float32."""
     for k in range(len(u)):
         most, depth = np.float32(np.inf), np.float32(0)
         for d in depths:
@@ -107,7 +115,7 @@ def _search(grey, grey_expected, images, expected, A, b, later, u, v, depths, le
                 most, depth = found, d
         best, width = _difference(images, expected, A, b, later, u[k], v[k], depth), depths[1] / 2
         for _ in range(REFINEMENTS):
-            for d in (depth - width, depth + width):
+            for d in (max(depth - width, depths[0]), min(depth + width, depths[-1])):
                 found = _difference(images, expected, A, b, later, u[k], v[k], d)
                 if found < best:
                     best, depth = found, d
@@ -134,6 +142,8 @@ def _grey_difference(images, expected, A, b, u, v, depth, most):  # type: ignore
             for du in range(max(-HALF_WINDOW, -u, -x), min(HALF_WINDOW, w - 1 - u, w - 1 - x) + 1):
                 total += abs(np.int32(images[j, y + dv, x + du]) - expected[j, v + dv, u + du])
                 pixels += 1
+            if total >= most * (2 * HALF_WINDOW + 1) ** 2:
+                return np.float32(np.inf)
         worst = max(worst, np.float32(total / pixels))
         if worst >= most:
             return np.float32(np.inf)

@@ -3,8 +3,8 @@
 Flow loses it, and without flow nothing tells that it moves but the pictures. At the depth of the static scene the other
 frames agree with one another on what is there, and this one shows something else, which neither flow nor the static
 depths around find in them: the subtraction of a background, of which each depth has its own. Thin static things in
-front, whose flow and depth are both lost, look like that, too. Grey levels are compared: a thing of another colour that
-is as bright as what is behind it is not told.
+front, whose flow and depth are both lost, look like that, too, until their depth is searched for (`swept`). Grey levels
+are compared: a thing of another colour that is as bright as what is behind it is not told.
 """
 
 import cv2
