@@ -6,7 +6,7 @@ import pytest
 
 from stages.motion.epipolar import Evidence
 from stages.motion.photometric import corroborate
-from stages.motion.shading import Shadow, View, changes, in_shadow, learnt, log_colours, shadow_of_clip
+from stages.motion.shading import Shadow, View, changes, in_shadow, learnt, log_colours, shadows_of_clip
 from stages.motion.shadows import DARKEST
 from stages.shared.artifacts import Dense
 from stages.shared.flow_pairs import FlowPairs
@@ -56,13 +56,12 @@ RESIDUAL = np.ones((T, H, W), np.float32)
 @pytest.mark.parametrize("exposure", [0.0, -0.03])
 def test_the_light_is_learnt_on_texture_and_holds_without(exposure: float) -> None:
     rgb = clip(exposure=exposure)
-    shadow = shadow_of_clip(rgb, RESIDUAL, at_rest)
-    assert shadow is not None
+    (shadow,) = shadows_of_clip(rgb, RESIDUAL, at_rest)
     lit = np.array([170.0, 160, 140])
     lost = np.log(lit + DARKEST) - np.log(lit * KEPT + DARKEST)
     np.testing.assert_allclose(shadow.direction, lost / lost.mean(), atol=0.07)
     assert shadow.depth == pytest.approx(lost.mean(), rel=0.15)
-    shaded = in_shadow(changes({k: log_colours(frame) for k, frame in enumerate(rgb)}, 3, at_rest(3)), shadow)
+    shaded = in_shadow(changes({k: log_colours(frame) for k, frame in enumerate(rgb)}, 3, at_rest(3)), [shadow])
     plain = shaded[H // 2 + 4 : -4]
     assert np.median(plain[:, stripe(3, 22, 8)]) > 0.8
     assert np.median(plain[:, stripe(3, 82, 8)]) < 0.1
@@ -70,8 +69,8 @@ def test_the_light_is_learnt_on_texture_and_holds_without(exposure: float) -> No
 
 def test_nothing_is_learnt_where_the_flow_is_explained_or_texture_is_missing() -> None:
     rgb = clip()
-    assert shadow_of_clip(rgb, 0 * RESIDUAL, at_rest) is None
-    assert shadow_of_clip(np.concatenate([rgb[:, H // 2 :], rgb[:, H // 2 :]], axis=1), RESIDUAL, at_rest) is None
+    assert not shadows_of_clip(rgb, 0 * RESIDUAL, at_rest)
+    assert not shadows_of_clip(np.concatenate([rgb[:, H // 2 :], rgb[:, H // 2 :]], axis=1), RESIDUAL, at_rest)
 
 
 def test_what_leaves_the_picture_does_not_change() -> None:
@@ -90,38 +89,48 @@ def test_grey_light_few_pixels_and_pixels_that_disagree_tell_nothing() -> None:
     def scattered(direction: list[float], sigma: float, n: int = 300) -> np.ndarray:
         return np.column_stack([random.normal(direction, sigma, (n, 3)), np.linspace(0, 0.4, n)])
 
-    found = learnt(scattered([1.2, 1.0, 0.8], 0.02))
-    assert found is not None
+    (found,) = learnt(scattered([1.2, 1.0, 0.8], 0.02))
     assert found.depth == pytest.approx(0.38)
-    assert learnt(scattered([1.2, 1.0, 0.8], 0.02, 50)) is None
-    assert learnt(scattered([1.0, 1.0, 1.0], 0.02)) is None
-    assert learnt(scattered([1.2, 1.0, 0.8], 0.3)) is None
+    assert not learnt(scattered([1.2, 1.0, 0.8], 0.02, 50))
+    assert not learnt(scattered([1.0, 1.0, 1.0], 0.02))
+    assert not learnt(scattered([1.2, 1.0, 0.8], 0.3))
 
 
 def test_the_light_is_that_of_most_pixels_where_movers_are_among_them() -> None:
     random = np.random.default_rng(1)
     shadows = np.column_stack([random.normal([1.2, 1.0, 0.8], 0.05, (300, 3)), np.full(300, 0.4)])
     mover = np.column_stack([random.normal([0.7, 1.2, 1.1], 0.2, (200, 3)), np.full(200, 2.0)])
-    found = learnt(np.concatenate([shadows, mover]))
-    assert found is not None
+    (found,) = learnt(np.concatenate([shadows, mover]))
     np.testing.assert_allclose(found.direction, [1.2, 1.0, 0.8], atol=0.03)
     assert found.depth == pytest.approx(0.4)
+
+
+def test_walls_have_a_shadow_of_their_own() -> None:
+    random = np.random.default_rng(2)
+    ground, wall = np.array([1.5, 1.0, 0.5]), np.array([1.3, 1.05, 0.65])
+    seen = [
+        np.column_stack([random.normal(of, 0.02, (n, 3)), np.full(n, 0.4)]) for of, n in ((ground, 400), (wall, 150))
+    ]
+    found = learnt(np.concatenate(seen))
+    np.testing.assert_allclose([of.direction for of in found], [ground, wall], atol=0.02)
+    changed = 0.4 * np.array([ground, wall, 2 * wall - ground], np.float32)[None, None]
+    assert (in_shadow(changed, found)[0] > 0.8).tolist() == [True, True, False]
 
 
 def test_only_changes_along_the_direction_and_within_the_depth_are_shadows() -> None:
     shadow = Shadow(np.array([1.3, 1.0, 0.7]), 0.5)
     full, more, other = 0.5 * shadow.direction, 0.7 * shadow.direction, np.full(3, 0.5)
     changed = np.tile(np.array([full, -full, more, other, 0 * full], np.float32), (4, 1, 1, 1))
-    shaded = in_shadow(changed, shadow)[0]
+    shaded = in_shadow(changed, [shadow])[0]
     assert shaded[:2].min() > 0.9
     assert shaded[2:].max() < 0.1
-    assert not in_shadow(changed[:0], shadow).any()
+    assert not in_shadow(changed[:0], [shadow]).any()
 
 
 def test_a_frame_without_edges_is_no_source_of_the_light() -> None:
     rgb = clip()
     nothing = View(np.zeros(0, int), np.zeros((0, 3, 3)), np.zeros((0, 3)), np.ones((H, W), np.float32))
-    assert shadow_of_clip(rgb, RESIDUAL, lambda _: nothing) is None
+    assert not shadows_of_clip(rgb, RESIDUAL, lambda _: nothing)
 
 
 def test_evidence_of_motion_is_taken_from_the_shadow_and_not_from_the_mover() -> None:

@@ -14,7 +14,7 @@ import numpy as np
 
 from stages.motion.epipolar import Evidence
 from stages.motion.pooling import PRIOR_WEIGHT
-from stages.motion.shading import View, changes, in_shadow, log_colours, shadow_of_clip
+from stages.motion.shading import View, changes, in_shadow, log_colours, shadows_of_clip
 from stages.motion.shadows import at_rest, log_detail, surrounding_plane
 from stages.motion.swept import FRAMES, Other, explained
 from stages.motion.transients import Others
@@ -69,7 +69,7 @@ def corroborate(
     def view(i: int) -> View:
         return _view(i, evidence, pairs, projections, inverse_depth[i])
 
-    shadow = shadow_of_clip(rgb, evidence.residual, view)
+    shadows = shadows_of_clip(rgb, evidence.residual, view)
 
     def of_frame(
         i: int, frames: dict[int, np.ndarray], details: dict[int, np.ndarray], colours: dict[int, np.ndarray]
@@ -88,8 +88,8 @@ def corroborate(
         if drifting is not None:
             residual = np.maximum(residual, drifting[i])
         moved = 1 - at_rest(details, i, rgb[i], *ways, static.inverse_depth)
-        if shadow is not None:
-            moved *= 1 - in_shadow(changes(colours, i, static), shadow)
+        if shadows:
+            moved *= 1 - in_shadow(changes(colours, i, static), shadows)
         weight = max((confidence > 0.5).mean(), PRIOR_WEIGHT) if len(edges) else 0
         odd *= moved * (1 - np.minimum(reliability, 1))  # it is for what the flow loses
         return residual * moved, np.maximum(evidence.weight[i], weight), odd
@@ -100,7 +100,7 @@ def corroborate(
         near = range(max(first - REACH, 0), min(last + REACH, len(rgb)))
         frames = {k: cv2.GaussianBlur(rgb[k], (0, 0), 0.7) for k in near}
         details = {k: log_detail(rgb[k]) for k in near}
-        colours = {k: log_colours(rgb[k]) for k in near} if shadow is not None else {}
+        colours = {k: log_colours(rgb[k]) for k in near} if shadows else {}
         shared = (itertools.repeat(of) for of in (frames, details, colours))
         for k, found in enumerate(threaded(of_frame, range(first, last), *shared), first):
             residual[k], weight[k], passing[k] = found

@@ -1,10 +1,10 @@
 """The light that the shadows of a clip take away, learnt from the clip, and where the change of light is of this kind.
 
-A surface in a moving shadow has its own colour times a gain, nearly the same in all shadows of one sun. Between two
-frames aligned by the static scene the logarithms of its colours change along one direction, and by no more than in full
-shadow. What a mover covers, or uncovers, changes along any direction, and mostly by more. Direction and depth are
-learnt where texture tells that a surface is at rest under light that changes (`shadows`); they also hold where it does
-not: on plaster, asphalt and tiles.
+A surface in a moving shadow has its own colour times a gain, nearly the same in all shadows of one sun on one kind of
+surface, ground or walls. Between two frames aligned by the static scene the logarithms of its colours change along one
+direction, and by no more than in full shadow. What a mover covers, or uncovers, changes along any direction, and mostly
+by more. Directions and depths are learnt where texture tells that a surface is at rest under light that changes
+(`shadows`); they also hold where it does not: on plaster, asphalt and tiles.
 """
 
 from collections.abc import Callable, Iterator
@@ -90,8 +90,8 @@ def changes(colours: dict[int, np.ndarray], i: int, view: View) -> np.ndarray:
     return found
 
 
-def shadow_of_clip(rgb: np.ndarray, residual: np.ndarray, view: Callable[[int], View]) -> Shadow | None:
-    """The light that shadows take away, from frames spread over the clip; None if it cannot be told.
+def shadows_of_clip(rgb: np.ndarray, residual: np.ndarray, view: Callable[[int], View]) -> list[Shadow]:
+    """The light that shadows take away, from frames spread over the clip; none if it cannot be told.
 
     Args:
         rgb: [T, h, w, 3] uint8; residual: [T, h, w] of the flow to a static world; view: gives that of frame k.
@@ -131,28 +131,35 @@ def seen_at_rest(
     return np.column_stack([directions, np.abs(means).max(axis=0, initial=0)[rests]])
 
 
-def learnt(seen: np.ndarray) -> Shadow | None:
-    """The light that shadows take away, from the pixels [n, 4] of `seen_at_rest`.
+def learnt(seen: np.ndarray) -> list[Shadow]:
+    """The light that shadows take away, from the pixels [n, 4] of `seen_at_rest`, on ground, on walls and so on.
 
-    None if they are few or disagree, or if that light is grey.
+    None if they are few or disagree, or if that light is grey. What is far from it may be shadow elsewhere: where less
+    of the sun is missed, or the light that remains is another, colours change along another direction.
     """
-    if len(seen) < LEAST_SEEN:
-        return None
-    close = np.ones(len(seen), bool)
-    for _ in range(ROUNDS):
-        direction = np.median(seen[close, :3], axis=0)
-        direction /= direction.mean()
-        distance = np.linalg.norm(seen[:, :3] - direction, axis=1)
-        close = distance < CLOSE
-        if np.count_nonzero(close) < LEAST_SEEN // 2:
-            return None
-    if np.median(distance) > MOST_SPREAD or np.linalg.norm(direction - 1) < COLOURED:
-        return None
-    return Shadow(direction, float(np.percentile(seen[close, 3], DEEPEST)))
+    found: list[Shadow] = []
+    while len(seen) >= LEAST_SEEN:
+        close = np.ones(len(seen), bool)
+        for _ in range(ROUNDS):
+            direction = np.median(seen[close, :3], axis=0)
+            direction /= direction.mean()
+            distance = np.linalg.norm(seen[:, :3] - direction, axis=1)
+            close = distance < CLOSE
+            if not close.any():
+                return found
+        if np.median(distance) > MOST_SPREAD or np.linalg.norm(direction - 1) < COLOURED:
+            return found
+        found.append(Shadow(direction, float(np.percentile(seen[close, 3], DEEPEST))))
+        seen = seen[~close]
+    return found
 
 
-def in_shadow(changed: np.ndarray, shadow: Shadow) -> np.ndarray:
-    """How clearly [h, w], 0..1, the changes [E, h, w, 3] of a pixel are those of a moving shadow."""
+def in_shadow(changed: np.ndarray, shadows: list[Shadow]) -> np.ndarray:
+    """How clearly [h, w], 0..1, the changes [E, h, w, 3] of a pixel are those of a moving shadow of some kind."""
+    return np.asarray(np.maximum.reduce([_in_shadow(changed, shadow) for shadow in shadows]))
+
+
+def _in_shadow(changed: np.ndarray, shadow: Shadow) -> np.ndarray:
     along = changed @ (shadow.direction / np.linalg.norm(shadow.direction)).astype(np.float32)
     count = max(len(changed), 1)
     power = (along**2).sum(axis=0) / count
