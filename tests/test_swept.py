@@ -3,6 +3,7 @@
 import cv2
 import numpy as np
 import pytest
+from passed_wall import EDGES, T, texture
 
 from stages.motion.epipolar import Evidence
 from stages.motion.photometric import corroborate
@@ -10,18 +11,11 @@ from stages.motion.swept import NEARER, STEPS, Other, explained, least_differenc
 from stages.shared.artifacts import Dense
 from stages.shared.flow_pairs import FlowPairs
 
-T, SIZE, FAR_PX, NEAR_PX = 9, (60, 150), 3, 11
-"""Frames of a wall that a camera passes by FAR_PX a frame, and of a pole before it, which it passes by NEAR_PX."""
+SIZE, FAR_PX, NEAR_PX = (60, 150), 3, 11
+"""Of a wall that a camera passes by FAR_PX a frame, and of a pole before it, which it passes by NEAR_PX."""
 MIDDLE = 4
 WALL = np.full(SIZE, NEAR_PX / FAR_PX / NEARER + 0.01)
 """Its inverse depth, in units that put the pole just within reach of the search."""
-EDGES = np.array([(i, i + gap) for i in range(T) for gap in (-3, -2, -1, 1, 2, 3) if 0 <= i + gap < T])
-
-
-def texture(seed: int, size: tuple[int, int]) -> np.ndarray:
-    noise = np.random.default_rng(seed).standard_normal((*size, 3))
-    image = sum(cv2.GaussianBlur(noise, (0, 0), sigma) * sigma for sigma in (1.5, 5.0))
-    return np.asarray(cv2.normalize(image, None, 40, 215, cv2.NORM_MINMAX).astype(np.uint8))
 
 
 def pole(k: int, height: int = 30, rises_px: int = 0) -> tuple[slice, slice]:

@@ -5,6 +5,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from passed_wall import EDGES, T, texture
 
 from stages.motion import __main__ as motion_stage
 from stages.motion.epipolar import Evidence
@@ -17,17 +18,9 @@ from stages.shared.flow_pairs import FlowPairs
 from stages.shared.images import write_image
 from stages.shared.sequences import check_sequence, sequence_to_json
 
-T, SIZE, STEP, FAST = 9, (80, 150), 2, (12, -3)
-"""Frames of a wall that a camera passes sideways by STEP px a frame, before which a ball moves by FAST."""
+SIZE, STEP, FAST = (80, 150), 2, (12, -3)
+"""Of a wall that a camera passes sideways by STEP px a frame, before which a ball moves by FAST."""
 INNER = slice(1, T - 1)
-EDGES = np.array([(i, i + gap) for i in range(T) for gap in (-3, -2, -1, 1, 2, 3) if 0 <= i + gap < T])
-
-
-def texture(seed: int, size: tuple[int, int]) -> np.ndarray:
-    """A picture [h, w, 3] uint8 with detail of several sizes."""
-    noise = np.random.default_rng(seed).standard_normal((*size, 3))
-    image = sum(cv2.GaussianBlur(noise, (0, 0), sigma) * sigma for sigma in (1.5, 5.0))
-    return np.asarray(cv2.normalize(image, None, 40, 215, cv2.NORM_MINMAX).astype(np.uint8))
 
 
 def ball(k: int, step_px: tuple[int, int]) -> np.ndarray:

@@ -80,10 +80,7 @@ def corroborate(
         depths = static_depths(inverse_depth[i].astype(np.float32), evidence.residual[i])
         static, flows = view(i), pairs.flow[_edges(pairs, i, REACH)]
         ways = static.targets, flows, (static.A, static.b)
-        contradicted, odd, others = _contradicted(frames, i, *ways, depths)
-        suspect = (evidence.residual[i] * contradicted > SUSPECT) | (odd > SUSPECT)
-        at_some_depth = explained(others, suspect & (reliability < 1), depths[0][evidence.residual[i] < EXPLAINED])
-        contradicted, odd = (np.where(at_some_depth, 0, of) for of in (contradicted, odd))
+        contradicted, odd = _contradicted(frames, i, *ways, depths, evidence.residual[i], reliability < 1)
         residual = evidence.residual[i] * np.maximum(np.minimum(reliability, 1), contradicted)
         if drifting is not None:
             residual = np.maximum(residual, drifting[i])
@@ -144,12 +141,17 @@ def _contradicted(
     flows: np.ndarray,
     projections: tuple[np.ndarray, np.ndarray],
     depths: list[np.ndarray],
-) -> tuple[np.ndarray, np.ndarray, list[Other]]:
+    residual: np.ndarray,
+    unsure: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
     """By how much [h, w], 0..1, the flow matches the images better than any static depth, and `Others.odd`; 0 where
-    nothing is in view. And the frames nearest to it with what the flow leaves, for `explained`.
+    nothing is in view, and where a depth that is searched for explains what would move.
 
     Earlier and later frames are averaged separately and the better side counts: a pixel occluded on one side is
     usually visible on the other.
+
+    Args:
+        residual: [h, w] of the flow to a static world; unsure: [h, w], where the flow needs confirmation.
     """
     here = frames[i]
     total, seen = np.zeros((2, 2, 1 + len(depths), *here.shape[:2]), np.float32)
@@ -172,5 +174,7 @@ def _contradicted(
     excess = np.where(in_view, mean[1:].min(axis=0), 0) - FLOW_SHARE * np.where(in_view, mean[0], 0)
     allowed = tolerance(here)
     squared = (np.maximum(excess, 0) / (EXCESS * allowed)) ** 2
-    odd = others.odd(np.where(in_view, mean.min(axis=0), 0), allowed)
-    return squared / (1 + squared), odd, compared
+    contradicted, odd = squared / (1 + squared), others.odd(np.where(in_view, mean.min(axis=0), 0), allowed)
+    suspect = unsure & ((residual * contradicted > SUSPECT) | (odd > SUSPECT))
+    at_some_depth = explained(compared, suspect, depths[0][residual < EXPLAINED])
+    return np.where(at_some_depth, 0, contradicted), np.where(at_some_depth, 0, odd)

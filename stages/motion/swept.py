@@ -130,11 +130,8 @@ def _grey_difference(images, expected, A, b, u, v, depth, most):  # type: ignore
     h, w = images.shape[1:]
     worst = np.float32(-1)
     for j in range(len(images)):
-        Z = A[j, 2, 0] * u + A[j, 2, 1] * v + A[j, 2, 2] + depth * b[j, 2]
-        if Z < NEAREST:
-            continue
-        x = int(np.rint((A[j, 0, 0] * u + A[j, 0, 1] * v + A[j, 0, 2] + depth * b[j, 0]) / Z))
-        y = int(np.rint((A[j, 1, 0] * u + A[j, 1, 1] * v + A[j, 1, 2] + depth * b[j, 1]) / Z))
+        place = _place(A[j], b[j], u, v, depth)
+        x, y = int(np.rint(place[0])), int(np.rint(place[1]))
         if x < 0 or y < 0 or x >= w or y >= h:
             continue
         total, pixels = np.int32(0), 0
@@ -156,17 +153,24 @@ def _difference(images, expected, A, b, later, u, v, depth):  # type: ignore[no-
     h, w = images.shape[1:3]
     total, count = np.zeros(2, np.float32), np.zeros(2, np.float32)
     for j in range(len(images)):
-        Z = A[j, 2, 0] * u + A[j, 2, 1] * v + A[j, 2, 2] + depth * b[j, 2]
-        if Z < NEAREST:
-            continue
-        x = (A[j, 0, 0] * u + A[j, 0, 1] * v + A[j, 0, 2] + depth * b[j, 0]) / Z
-        y = (A[j, 1, 0] * u + A[j, 1, 1] * v + A[j, 1, 2] + depth * b[j, 1]) / Z
+        x, y = _place(A[j], b[j], u, v, depth)
         if 0 <= x <= w - 1 and 0 <= y <= h - 1:
             total[int(later[j])] += _window(images[j], expected[j], u, v, x, y)
             count[int(later[j])] += 1
     if count.max() == 0:
         return np.float32(np.inf)
     return max(total[0] / max(count[0], 1), total[1] / max(count[1], 1))
+
+
+@numba.njit(**KERNEL)
+def _place(A, b, u, v, depth):  # type: ignore[no-untyped-def]
+    """Where a pixel at an inverse depth is seen; outside of every image if it is too near to the other camera."""
+    Z = A[2, 0] * u + A[2, 1] * v + A[2, 2] + depth * b[2]
+    if Z < NEAREST:
+        return -1e9, -1e9
+    x = A[0, 0] * u + A[0, 1] * v + A[0, 2] + depth * b[0]
+    y = A[1, 0] * u + A[1, 1] * v + A[1, 2] + depth * b[1]
+    return x / Z, y / Z
 
 
 @numba.njit(**KERNEL)
