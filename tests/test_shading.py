@@ -147,3 +147,14 @@ def test_evidence_of_motion_is_taken_from_the_shadow_and_not_from_the_mover() ->
     plain = found[H // 2 + 4 : -4]
     assert np.median(plain[:, stripe(3, 22, 8)]) < 0.2
     assert np.median(plain[:, stripe(3, 82, 8)]) > 0.8
+
+
+def test_a_place_that_the_mover_hides_in_one_frame_in_four_is_in_shadow() -> None:
+    shadow = Shadow(np.array([1.3, 1.0, 0.7]), 0.5)
+    full, hidden = 0.5 * shadow.direction, np.array([-1.0, 0.5, 0.8])
+    changed = np.tile(full.astype(np.float32), (8, 1, 3, 1))
+    changed[::4, :, 1] = hidden
+    changed[::2, :, 2] = hidden
+    seen = in_shadow(changed, [shadow])[0]
+    assert seen[:2].min() > 0.9
+    assert seen[2] < 0.1

@@ -40,6 +40,9 @@ FAINT = 0.1
 """Change of the logarithm of the colours along the direction at which it counts half."""
 ACROSS = 0.08
 """Change across the direction, as a share of that along it, at which it counts half."""
+COVERED = 0.25
+"""Share of the frames around in which what casts the shadow may hide the place: those that differ least as by a shadow
+are left out."""
 EXPOSURE_PX = 4
 """Every fourth pixel each way is enough to measure what exposure changes."""
 TINY = 1e-6
@@ -161,10 +164,14 @@ def in_shadow(changed: np.ndarray, shadows: list[Shadow]) -> np.ndarray:
 
 def _in_shadow(changed: np.ndarray, shadow: Shadow) -> np.ndarray:
     along = changed @ (shadow.direction / np.linalg.norm(shadow.direction)).astype(np.float32)
-    count = max(len(changed), 1)
-    power = (along**2).sum(axis=0) / count
-    across = np.maximum((changed**2).sum(axis=(0, -1)) / count - power, 0)
-    aligned = 1 / (1 + (across / (ACROSS**2 * power + TINY)) ** 2)
+    power = along**2
+    across = np.maximum((changed**2).sum(axis=-1) - power, 0)
+    size = np.abs(changed.mean(axis=-1))
+    count = max(round((1 - COVERED) * len(changed)), 1)
+    open_to_view = np.argsort(across / (power + FAINT**2), axis=0)[:count]
+    power, across, size = (np.take_along_axis(of_edge, open_to_view, axis=0) for of_edge in (power, across, size))
+    mean_power, mean_across = power.sum(axis=0) / count, across.sum(axis=0) / count
+    aligned = 1 / (1 + (mean_across / (ACROSS**2 * mean_power + TINY)) ** 2)
     low, high = WITHIN
-    largest = np.abs(changed.mean(axis=-1)).max(axis=0, initial=0) / shadow.depth
-    return np.asarray(power / (power + FAINT**2) * aligned * np.clip((high - largest) / (high - low), 0, 1))
+    shallow = np.clip((high - size.max(axis=0, initial=0) / shadow.depth) / (high - low), 0, 1)
+    return np.asarray(mean_power / (mean_power + FAINT**2) * aligned * shallow)
