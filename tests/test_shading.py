@@ -151,10 +151,27 @@ def test_evidence_of_motion_is_taken_from_the_shadow_and_not_from_the_mover() ->
 
 def test_a_place_that_the_mover_hides_in_one_frame_in_four_is_in_shadow() -> None:
     shadow = Shadow(np.array([1.3, 1.0, 0.7]), 0.5)
-    full, hidden = 0.5 * shadow.direction, np.array([-1.0, 0.5, 0.8])
-    changed = np.tile(full.astype(np.float32), (8, 1, 3, 1))
-    changed[::4, :, 1] = hidden
+    full, hidden = 0.5 * shadow.direction, np.array([-3.0, 0.5, 0.8])
+    changed = np.tile(full.astype(np.float32), (8, 1, 4, 1))
+    changed[:2, :, 1] = hidden
     changed[::2, :, 2] = hidden
+    changed[5:, :, 3] = hidden
     seen = in_shadow(changed, [shadow])[0]
     assert seen[:2].min() > 0.9
-    assert seen[2] < 0.1
+    assert seen[2:].max() < 0.1
+
+
+def test_frames_that_do_not_show_the_place_are_the_first_that_do_not_count() -> None:
+    shadow = Shadow(np.array([1.3, 1.0, 0.7]), 0.5)
+    noise = np.random.default_rng(4).normal(0, 0.015, (8, 50, 1, 3))
+    changed = (0.5 * shadow.direction + noise).astype(np.float32)
+    changed[2:] = 0
+    assert in_shadow(changed, [shadow]).min() > 0.8
+
+
+def test_what_is_unlike_a_shadow_in_few_frames_and_faint_in_most_is_none() -> None:
+    """A mover over ground of its colour, seen apart from it in some frames: these do not count for a shadow."""
+    shadow = Shadow(np.array([1.3, 1.0, 0.7]), 0.5)
+    changed = np.random.default_rng(5).normal(0, 0.01, (8, 50, 1, 3)).astype(np.float32)
+    changed[:3] = [0.5, -0.4, 0.3]
+    assert in_shadow(changed, [shadow]).max() < 0.1

@@ -41,8 +41,8 @@ FAINT = 0.1
 ACROSS = 0.08
 """Change across the direction, as a share of that along it, at which it counts half."""
 COVERED = 0.25
-"""Share of the frames around in which what casts the shadow may hide the place: those that differ least as by a shadow
-are left out."""
+"""Share of the frames around, about, in which what casts the shadow may hide the place. As many are left out: those
+that do not show the place, then those that differ least as by a shadow."""
 EXPOSURE_PX = 4
 """Every fourth pixel each way is enough to measure what exposure changes."""
 TINY = 1e-6
@@ -158,7 +158,10 @@ def learnt(seen: np.ndarray) -> list[Shadow]:
 
 
 def in_shadow(changed: np.ndarray, shadows: list[Shadow]) -> np.ndarray:
-    """How clearly [h, w], 0..1, the changes [E, h, w, 3] of a pixel are those of a moving shadow of some kind."""
+    """How clearly [h, w], 0..1, the changes [E, h, w, 3] of a pixel are those of a moving shadow of some kind.
+
+    Of the E frames about a quarter does not count (COVERED): who casts the shadow may hide the place in them.
+    """
     return np.asarray(np.maximum.reduce([_in_shadow(changed, shadow) for shadow in shadows]))
 
 
@@ -167,9 +170,10 @@ def _in_shadow(changed: np.ndarray, shadow: Shadow) -> np.ndarray:
     power = along**2
     across = np.maximum((changed**2).sum(axis=-1) - power, 0)
     size = np.abs(changed.mean(axis=-1))
+    unlike = np.where(changed.any(axis=-1), across / (power + FAINT**2), np.inf)
     count = max(round((1 - COVERED) * len(changed)), 1)
-    open_to_view = np.argsort(across / (power + FAINT**2), axis=0)[:count]
-    power, across, size = (np.take_along_axis(of_edge, open_to_view, axis=0) for of_edge in (power, across, size))
+    kept = np.argsort(unlike, axis=0, kind="stable")[:count]
+    power, across, size = (np.take_along_axis(of_edge, kept, axis=0) for of_edge in (power, across, size))
     mean_power, mean_across = power.sum(axis=0) / count, across.sum(axis=0) / count
     aligned = 1 / (1 + (mean_across / (ACROSS**2 * mean_power + TINY)) ** 2)
     low, high = WITHIN
