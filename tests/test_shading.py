@@ -169,9 +169,13 @@ def test_frames_that_do_not_show_the_place_are_the_first_that_do_not_count() -> 
     assert in_shadow(changed, [shadow]).min() > 0.8
 
 
-def test_what_is_unlike_a_shadow_in_few_frames_and_faint_in_most_is_none() -> None:
-    """A mover over ground of its colour, seen apart from it in some frames: these do not count for a shadow."""
+def test_faint_changes_count_after_those_of_a_shadow_and_before_those_of_a_mover() -> None:
     shadow = Shadow(np.array([1.3, 1.0, 0.7]), 0.5)
-    changed = np.random.default_rng(5).normal(0, 0.01, (8, 50, 1, 3)).astype(np.float32)
-    changed[:3] = [0.5, -0.4, 0.3]
-    assert in_shadow(changed, [shadow]).max() < 0.1
+    full, aslant, mover = 0.5 * shadow.direction, np.array([0.0, 0.03, -0.03]), np.array([0.5, 0.3, -0.2])
+    changed = np.random.default_rng(5).normal(0, 0.01, (8, 50, 2, 3)).astype(np.float32)
+    changed[:2, :, 0] = full + aslant
+    changed[:3, :, 1] = full
+    changed[3:5, :, 1] = mover
+    seen = in_shadow(changed, [shadow])
+    assert np.median(seen[:, 0]) > 0.7
+    assert np.median(seen[:, 1]) > 0.9
