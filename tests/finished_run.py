@@ -52,6 +52,11 @@ def moving(points: np.ndarray, k: int) -> np.ndarray:
     return (np.abs(points[..., 0] - 0.3 - SHIFT * k) < 0.35) & (np.abs(points[..., 1]) < 0.35)
 
 
+def movers(points: np.ndarray, k: int) -> np.ndarray:
+    """Those, and as many on their left, where a thing rests that moves in other frames."""
+    return moving(points, k) | moving(points + np.array([0.7, 0, 0]), k)
+
+
 def flow(k: int, j: int) -> np.ndarray:
     """Exact flow [H, W, 2] in pixels from frame k to frame j."""
     points, _ = wall(k)
@@ -77,6 +82,7 @@ def write_dataset(root: Path, name: str = "wall", truth: bool = True) -> Path:
             continue
         points, depth = wall(k)
         write_image(root / f"training/motion_mask/{name}/{stem}.png", moving(points, k))
+        write_image(root / f"training/mover_mask/{name}/{stem}.png", movers(points, k))
         if k % 4 == 0:
             write_image(root / f"training/clean_right/{name}/{stem}.png", picture(k))
         if k < T - 1:

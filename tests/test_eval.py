@@ -134,6 +134,11 @@ def test_evaluation_of_images_masks_and_geometry(scored: Path) -> None:
     masks = read_rows(scored / "eval/masks.parquet")
     assert _row(masks, method="refined masks", round=2)["iou"] == 1
     assert 0.5 < _row(masks, method="motion prior", round=2)["iou"] < 1
+    shares = [
+        run.moving(points, k).sum() / run.movers(points, k).sum() for k in range(run.T) for points, _ in [run.wall(k)]
+    ]
+    assert 0.2 < np.mean(shares) < 0.9
+    assert _row(masks, method="refined masks", round=2)["mover_iou"] == pytest.approx(np.mean(shares))
     checks = read_rows(scored / "eval/checks.parquet")
     assert _row(checks, quantity="flow residual, 90th percentile")["value"] < 0.2  # half a pixel of nearest sampling
     assert _row(checks, quantity="flow end-point error")["value"] < 1e-2
@@ -220,7 +225,7 @@ def test_without_truth_the_tables_say_what_is_missing(tmp_path: Path) -> None:
     folder = run.finish(tmp_path, truth=False)
     poses = read_rows(folder / "eval/poses.parquet")
     assert _row(poses, method="ours")["status"] == "no truth"
-    assert all(row["iou"] is None for row in read_rows(folder / "eval/masks.parquet"))
+    assert all(row["iou"] is None and row["mover_iou"] is None for row in read_rows(folder / "eval/masks.parquet"))
     sources = {row["mask_source"] for row in read_rows(folder / "eval/images.parquet")}
     assert sources == {None, "our own masks (refined masks)"}
     quantities = {row["quantity"] for row in read_rows(folder / "eval/checks.parquet")}

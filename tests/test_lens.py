@@ -16,7 +16,7 @@ from stages.lens.pinhole import Pinhole, largest_pinhole
 from stages.shared import sintel
 from stages.shared.artifacts import Dense, read_dense, read_json, read_metadata, write_dense, write_json
 from stages.shared.cameras import make_cameras, pixel_grid
-from stages.shared.images import read_rgb, write_image
+from stages.shared.images import read_mask, read_rgb, write_image
 from stages.shared.masks import read_burnt_in
 from stages.shared.sequences import Sequence, read_sequence, sequence_to_json
 
@@ -100,6 +100,9 @@ def test_pictures_and_truth_are_those_of_a_pinhole(tmp_path: Path, k: np.ndarray
     assert (pinhole.left > 0, pinhole.top > 0) == ((k[0] > 0,) * 2)
     folder = tmp_path / "images"
     folder.mkdir()
+    for kind in ("motion_mask", "mover_mask"):  # the left half of the frame, as the lens shows it
+        clip.truth[kind] = {1: tmp_path / f"{kind}.png"}
+        write_image(clip.truth[kind][1], coordinates(scene)[..., 0] < 128)
     carry_images(clip, pinhole, folder)
     content = carried_sequence(sequence_to_json(clip), clip, pinhole, folder, "undistorted")
     inside = np.s_[pinhole.top : SIZE[0] - pinhole.top, pinhole.left : SIZE[1] - pinhole.left]
@@ -113,6 +116,9 @@ def test_pictures_and_truth_are_those_of_a_pinhole(tmp_path: Path, k: np.ndarray
     K, _ = sintel.read_cam(Path(content["truth"]["camdata_left"]["1"]))
     assert_allclose(K[:2, 2], [(content["width"] - 1) / 2, (content["height"] - 1) / 2])
     assert K[0, 0] == scene.focal_px
+    for kind in ("motion_mask", "mover_mask"):
+        mask = read_mask(Path(content["truth"][kind]["1"]))
+        assert np.mean(mask == (coordinates(straight)[inside][..., 0] < 128)) > 0.98
 
 
 @pytest.mark.parametrize("k", [BARREL, PINCUSHION], ids=["barrel", "pincushion"])

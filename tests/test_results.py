@@ -67,6 +67,7 @@ def test_a_row_holds_what_the_tables_say(finished: Path) -> None:
     row = next(row for row in scorecard.score_rows(finished / "results") if row["sequence"] == "wall")
     assert row["split"] == scorecard.OWN  # nobody said where the simulator's notes lie
     assert row["ate_percent"] < 1e-9
+    assert 0.2 < row["mover_iou"] < 0.9  # a part of the wall counts as at rest in all of its frames
     assert (row["iou"], row["precision"], row["recall"], row["masks"]) == (1, 1, 1, "refined masks")
     assert row["colmap_error"] == "partial"
     assert (row["psnr_whole"], row["warp_whole"]) == (pytest.approx(28, abs=8), None)  # no edge over the frame between

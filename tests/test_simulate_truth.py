@@ -151,6 +151,40 @@ def test_flow_of_soft_bodies_follows_their_material() -> None:
         assert np.abs(moved.flow[k] - expected).max() < 1e-3
 
 
+def test_a_mover_is_one_in_every_frame_also_where_it_rests() -> None:
+    """A block that moves between frames 2 and 3 alone, one that turns about an edge, one that never moves."""
+    rests = BLOCK | {
+        "path": [{"time": 0}, {"time": 2 / 5}, {"time": 3 / 5, "move": [0.6, 0, 0]}, {"time": 1, "move": [0.6, 0, 0]}]
+    }
+    still = {key: value for key, value in BLOCK.items() if key != "path"} | {
+        "name": "still",
+        "position": [1.0, 0.6, 0.6],
+    }
+    stage = make_stage(GROUND, rests, still, frames=6)
+    for frame in range(5):
+        _, hits, moved = hits_and_motion(stage, frame)
+        on_block = seen_body(stage, hits) == "block"
+        assert min(on_block.sum(), (seen_body(stage, hits) == "still").sum()) > 50
+        assert np.array_equal(moved.mover, on_block)
+        assert np.array_equal(moved.moving, on_block & (frame == 2))
+
+
+def test_a_mover_is_its_material_not_its_body() -> None:
+    """The cloth is held at its pole. How far each point gets is found here by following it through all frames."""
+    stage = make_stage(*SOFT, frames=6)
+    _, hits, moved = hits_and_motion(stage, frame=1)
+    places = np.stack([raycast.follow(hits, stage.world, stage.moment(k).snapshot) for k in range(6)])
+    farthest = np.linalg.norm(places - places[1], axis=2).max(axis=0)
+    assert not moved.mover[hits.face == raycast.SKY].any()
+    way_px = farthest * stage.view(1).K[0, 0] / hits.depth
+    assert not (moved.moving & ~moved.mover).any()
+    assert moved.mover[way_px > exact_motion.MOVED_PX].all()
+    held = (way_px < exact_motion.MOVED_PX / 10) & (hits.face != raycast.SKY)
+    assert held.any()
+    assert not moved.mover[held].any()
+    assert (moved.mover & ~moved.moving).sum() > 50
+
+
 def test_the_tree_finds_what_brute_force_finds() -> None:
     stage = make_stage(GROUND | {"feature": 20}, BLOCK, *SOFT, width=48, height=20)
     now = stage.moment(2)

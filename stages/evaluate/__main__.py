@@ -22,7 +22,7 @@ from stages.evaluate import (
     trajectory,
 )
 from stages.evaluate.figure import draw_paths
-from stages.evaluate.ground_truth import true_cameras, true_masks
+from stages.evaluate.ground_truth import true_cameras, true_masks, true_movers
 from stages.evaluate.options import EvaluateOptions
 from stages.evaluate.paths import path_rows
 from stages.shared import cli
@@ -58,8 +58,8 @@ IMAGES = (
     *("mask_source", "protocol", "taken"),
 )
 MASKS = (
-    *("sequence", "method", "round", "iou", "boundary_f", "precision", "recall", "dynamic_percent", "true_percent"),
-    *("frames", "protocol", "taken"),
+    *("sequence", "method", "round", "iou", "mover_iou", "boundary_f", "precision", "recall"),
+    *("dynamic_percent", "true_percent", "frames", "protocol", "taken"),
 )
 CHECKS = ("sequence", "quantity", "value", "unit", "n", "protocol", "taken")
 TIME = ("sequence", "stage", "round", "threads", "wall_s", "cpu_s", "peak_mb", "gpu_peak_mb", "output_mb")
@@ -149,7 +149,7 @@ def _write_masks(
     masks = {k: {inputs.masks: own} for k, own in enumerate(own_masks, inputs.masked_from)}
     for k, prior in enumerate(priors, inputs.masked_from):
         masks[k] = {score_masks.PRIOR: score_masks.read_prior_masks(prior, *size)} | masks[k]
-    rows, of_frames = score_masks.score_masks(frames.name, masks, *true_masks(frames))
+    rows, of_frames = score_masks.score_masks(frames.name, masks, *true_masks(frames), true_movers(frames))
     write_rows(table, _with(inputs.taken, rows), MASKS, {"protocol": mask_metrics.PROTOCOL})
     return _long(of_frames, "masks", ("iou", "boundary_f"))
 

@@ -41,6 +41,14 @@ def true_masks(sequence: Sequence) -> tuple[PackedMasks, str]:
     return masks, f"true flow more than {MOVING_PX} px from the motion of true depth and cameras (no last frame)"
 
 
+def true_movers(sequence: Sequence) -> PackedMasks:
+    """Pixels [H, W] bool of what moves in any frame of the clip, also where it rests, by frame number; or empty."""
+    if not sequence.has_truth("mover_mask"):
+        return PackedMasks()
+    files = sequence.truth["mover_mask"]
+    return PackedMasks((number, read_mask(files[number])) for number in sequence.numbers)
+
+
 def moving_pixels(flow_px: np.ndarray, depth: np.ndarray, source: Posed, target: Posed) -> np.ndarray:
     """Pixels [H, W] bool whose flow [H, W, 2] differs from the rigid flow of z-depth [H, W] and cameras.
 

@@ -9,7 +9,8 @@ BOUNDARY_SHARE = 0.008  # of the image diagonal: the distance at which boundarie
 PROTOCOL = (
     "IoU and boundary F per frame, then the mean over frames (a frame empty in both counts 1); boundary F: harmonic "
     "mean of boundary precision and recall within 0.8 % of the diagonal (DAVIS); precision and recall over the pixels "
-    "of all frames together, n/a where no pixel is called or truly dynamic"
+    "of all frames together, n/a where no pixel is called or truly dynamic; movers at rest too: with all that moves in "
+    "any frame of the clip, also where it rests (mover_mask; n/a without)"
 )
 
 

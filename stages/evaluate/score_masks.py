@@ -30,6 +30,7 @@ def score_masks(
     rounds: Mapping[int, Mapping[str, Mapping[int, np.ndarray]]],
     truth: Mapping[int, np.ndarray],
     source: str,
+    movers: Mapping[int, np.ndarray],
 ) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """Rows per round and method, and rows per frame of the last round.
 
@@ -37,6 +38,7 @@ def score_masks(
         rounds: by round, masks by method (`PRIOR`, and the name of the masks used) and frame number.
         truth: true masks by frame number; without any, only the share of dynamic pixels is computed.
         source: source of the true masks.
+        movers: masks of what moves in any frame of the clip, by frame number; without any, they are not compared with.
     """
     table, frames, last = [], [], max(rounds)
     for k, methods in rounds.items():
@@ -45,6 +47,8 @@ def score_masks(
             scored = {n: _score(masks[n], truth[n]) for n in progress(list(masks), title) if n in truth}
             iou, boundary_f = np.mean(list(scored.values()), axis=0).tolist() if scored else (None, None)
             row = {"sequence": name, "method": method, "round": k, "iou": iou, "boundary_f": boundary_f}
+            of_movers = [mask_metrics.iou(masks[n], movers[n]) for n in masks if n in movers]
+            row["mover_iou"] = float(np.mean(of_movers)) if of_movers else None
             row["precision"], row["recall"] = mask_metrics.precision_recall((masks[n], truth[n]) for n in scored)
             shares = {
                 "dynamic_percent": 100 * float(np.mean([mask.mean() for mask in masks.values()])),

@@ -46,9 +46,8 @@ def image_means(rows: Sequence[Row]) -> list[Row]:
 def mask_means(rows: Sequence[Row]) -> list[Row]:
     """Means per method and round over the sequences with true masks."""
     scored = [row for row in rows if row["iou"] is not None]
-    return mean_rows(
-        scored, ("method", "round"), ("iou", "boundary_f", "precision", "recall", "dynamic_percent", "true_percent")
-    )
+    scores = ("iou", "mover_iou", "boundary_f", "precision", "recall", "dynamic_percent", "true_percent")
+    return mean_rows(scored, ("method", "round"), scores)
 
 
 def time_means(rows: Sequence[Row]) -> list[Row]:

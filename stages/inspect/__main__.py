@@ -170,7 +170,7 @@ def check_truth(sequence: Sequence) -> None:
         InputError: for a wrong tag, a truncated file, or a size that differs from that of the frames.
     """
     readers: dict[str, Callable[[Path], np.ndarray]] = {"flow": sintel.read_flo, "depth": sintel.read_dpt}
-    readers |= dict.fromkeys(("motion_mask", "occlusions", "invalid"), read_mask)
+    readers |= dict.fromkeys(("motion_mask", "mover_mask", "occlusions", "invalid"), read_mask)
     readers |= dict.fromkeys(("clean_right", "final_right"), read_rgb)
     for kind, read in readers.items():
         for path in sequence.truth.get(kind, {}).values():

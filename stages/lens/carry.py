@@ -87,7 +87,7 @@ def carry_images(frames: Sequence, pinhole: Pinhole, folder: Path) -> None:
         "flow": lambda path, out: sintel.write_flo(out, flow(path)),
         **dict.fromkeys(("clean_right", "final_right"), lambda path, out: write_image(out, picture(path))),
         **dict.fromkeys(("camdata_left", "camdata_right"), camera),
-        **dict.fromkeys(("motion_mask", "occlusions", "invalid"), mask),
+        **dict.fromkeys(("motion_mask", "mover_mask", "occlusions", "invalid"), mask),
     }
     for kind in set(writers) & set(frames.truth):
         (folder / "truth" / kind).mkdir(parents=True)

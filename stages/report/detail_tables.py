@@ -23,6 +23,7 @@ IMAGE_SCORES = (
 )
 MASK_SCORES = (
     Column("iou", "IoU", "0..1", 3),
+    Column("mover_iou", "IoU, movers at rest too", "0..1", 3),
     Column("boundary_f", "boundary F", "0..1", 3),
     Column("precision", "precision", "0..1", 3),
     Column("recall", "recall", "0..1", 3),

@@ -36,7 +36,9 @@ alignment; if the camera rests or moves on a straight line, which defines no ATE
 in degrees. COLMAP: the best of the variants that were run without masks. Medians and means are over the scenes that
 have the figure, flagged ones included; errors of partial and failed paths are excluded and counted. Seconds to poses:
 from flow to adjustment, all rounds; for COLMAP features, matching and mapping. Mask scores: IoU is a mean over frames,
-precision and recall are over the pixels of all frames; if nothing moves, the share of masked pixels is given."""
+precision and recall are over the pixels of all frames; if nothing moves, the share of masked pixels is given. Masks
+follow things over the whole clip: "movers at rest too" is the IoU with all that moves in any frame, also where it
+rests."""
 
 
 def main(

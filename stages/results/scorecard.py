@@ -121,7 +121,7 @@ def _mask_scores(masks: Sequence[Row]) -> Row:
     """Scores of the masks of the last round; if nothing moves, the share of masked pixels instead."""
     used = max((row for row in masks if row["method"] != PRIOR), key=lambda row: row["round"])
     still = used["true_percent"] is not None and used["true_percent"] < MOVING_PERCENT
-    names = ("iou", "precision", "recall")
+    names = ("iou", "mover_iou", "precision", "recall")
     scores = {name: None if still else used[name] for name in names}
     return scores | {"masks": used["method"], "masked_percent": used["dynamic_percent"] if still else None}
 

@@ -20,6 +20,7 @@ TRUTH_KINDS = {
     "depth": ".dpt",
     "flow": ".flo",
     "motion_mask": ".png",
+    "mover_mask": ".png",
     "occlusions": ".png",
     "invalid": ".png",
     "clean_right": ".png",

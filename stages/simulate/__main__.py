@@ -34,6 +34,7 @@ KINDS = (
     "occlusions",
     "invalid",
     "motion_mask",
+    "mover_mask",
     "clean_right",
     "final_right",
     "camdata_right",
@@ -57,7 +58,7 @@ def main(
     output: Annotated[Path, Out("folder that receives training/<kind>/<scene>/ and <scene>.json")],
     options: RenderOptions,
 ) -> str:
-    """Render a scene: clean and final pass, flow, depth, cameras, occlusions, invalid, motion mask, right eye."""
+    """Render a scene: clean and final pass, flow, depth, cameras, occlusions, invalid, masks of motion, right eye."""
     drawn, name = load_scene(scene), scene.stem
     manifest = output / f"{name}.json"
     manifest.unlink(missing_ok=True)  # removed first, since it marks the sequence as complete
@@ -174,7 +175,8 @@ def _write_view(path: Path, view: View) -> None:
 
 
 def _write_motion(folders: dict[str, Path], stem: str, moved: Motion, shape: tuple[int, int], last: bool) -> None:
-    write_image(folders["motion_mask"] / f"{stem}.png", moved.moving.reshape(shape))
+    for kind, mask in (("motion_mask", moved.moving), ("mover_mask", moved.mover)):
+        write_image(folders[kind] / f"{stem}.png", mask.reshape(shape))
     if last:
         return
     sintel.write_flo(folders["flow"] / f"{stem}.flo", np.reshape(moved.flow, (*shape, 2)))

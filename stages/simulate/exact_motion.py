@@ -7,7 +7,7 @@ import numpy as np
 from stages.shared import cameras
 from stages.shared.lens import distort, fold
 from stages.simulate.keyframes import View
-from stages.simulate.raycast import Hits, blocked, follow
+from stages.simulate.raycast import SKY, Hits, blocked, follow
 from stages.simulate.world import Snapshot, World
 
 MOVED_PX = 0.01
@@ -27,12 +27,14 @@ class Motion:
         occluded: [n] bool, another surface hides the point in the other frame, inside the image or outside.
         invalid: [n] bool, the point is behind the other camera, or beyond what its lens shows, and has no flow.
         moving: [n] bool, the point moves in the world.
+        mover: [n] bool, the point moves in some frame of the clip.
     """
 
     flow: np.ndarray
     occluded: np.ndarray
     invalid: np.ndarray
     moving: np.ndarray
+    mover: np.ndarray
 
 
 def motion(hits: Hits, uv: np.ndarray, world: World, other: Snapshot, other_view: View, focal_px: float) -> Motion:
@@ -53,4 +55,16 @@ def motion(hits: Hits, uv: np.ndarray, world: World, other: Snapshot, other_view
         pixels = focal * distort(xy, other_view.lens) + centre
     flow = np.where(invalid[:, None], 0.0, pixels - uv)
     occluded = blocked(other.still, other.moving, points, other_view.centre, False, SLACK)
-    return Motion(flow, occluded, invalid, moved * focal_px > MOVED_PX * hits.depth)
+    threshold_m = MOVED_PX * hits.depth / focal_px
+    moving = moved > threshold_m
+    return Motion(flow, occluded, invalid, moving, moving | (_reach(hits, world) > threshold_m))
+
+
+def _reach(hits: Hits, world: World) -> np.ndarray:
+    """How far surface points [n] get in the clip at most, metres: the mean of their corners' reach, by their weights.
+
+    No point of a triangle moves farther than that: it is a mean of the corners with constant weights.
+    """
+    weights = np.column_stack([1 - hits.bary.sum(axis=1), hits.bary])
+    reach = np.sum(weights * world.reach[world.faces[hits.face]], axis=1)
+    return np.where(hits.face == SKY, 0.0, reach)

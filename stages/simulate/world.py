@@ -1,5 +1,6 @@
 """All bodies of a scene as one list of triangles, and their positions and ray-casting trees at one time."""
 
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -48,6 +49,7 @@ class World:
     """
 
     def __init__(self, scene: Scene, seed: int) -> None:
+        self._frames = scene.frames
         self.bodies = sorted(build_bodies(scene, seed), key=lambda body: body.moves)
         counts = [len(body.rest.vertices) for body in self.bodies]
         starts = np.cumsum([0, *counts[:-1]])
@@ -63,15 +65,27 @@ class World:
         self._still_normals = vertex_normals(self._still_vertices, resting)
         self._still_tree = bvh.build(self._still_vertices[resting], np.arange(len(resting)))
 
+    @cached_property
+    def reach(self) -> np.ndarray:
+        """How far each vertex [V] gets in the clip: the diagonal of the box around its places in all frames, metres."""
+        low, high = np.inf, -np.inf
+        for frame in range(self._frames):
+            places = self._moving_vertices(frame)
+            low, high = np.minimum(low, places), np.maximum(high, places)
+        return np.concatenate([np.zeros(len(self._still_vertices)), np.linalg.norm(high - low, axis=1)])
+
     def at(self, frame: float) -> Snapshot:
         """The scene at a frame index, which may be fractional."""
         start = len(self._still_vertices)
-        moved = _stack([body.vertices(frame) for body in self.bodies if body.moves])
+        moved = self._moving_vertices(frame)
         faces = self.faces[self._still_faces :]
         normals = vertex_normals(moved, faces - start)
         tree = bvh.build(moved[faces - start], np.arange(self._still_faces, len(self.faces)))
         vertices = np.concatenate([self._still_vertices, moved])
         return Snapshot(vertices, np.concatenate([self._still_normals, normals]), self._still_tree, tree)
+
+    def _moving_vertices(self, frame: float) -> np.ndarray:
+        return _stack([body.vertices(frame) for body in self.bodies if body.moves])
 
 
 def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
