@@ -89,7 +89,8 @@ def test_paths_below_the_noise_are_no_rivals(turning: float, shake: float, said:
         ("moving", "weakly observed", "weakly observed: predicted error 39 %"),
         ("rotating", "weakly observed", "weakly observed: predicted error 39 %"),
         ("moving", "held at prior", "held at prior: its predicted error is 39 %"),
-        ("near-still", "held at prior", ""),
+        ("near-still", "held at prior", "held at prior: its predicted error is 39 %"),
+        ("failed", "held at prior", ""),
         ("moving", "known", ""),
     ],
 )

@@ -126,7 +126,10 @@ def test_it_is_said_of_which_frames_the_masks_are_not_believed(
 
 @pytest.mark.parametrize(
     ("motion", "status", "warned"),
-    [("rotate", "rotation-only", []), ("still", "near-still", ["camera path weakly observed"])],
+    [
+        ("rotate", "rotation-only", []),
+        ("still", "near-still", ["focal length held at prior", "camera path weakly observed"]),
+    ],
 )
 def test_a_camera_that_hardly_moves_is_labelled_so(motion: str, status: str, warned: list[str], tmp_path: Path) -> None:
     scene = make_scene(T=6, motion=motion)

@@ -88,10 +88,11 @@ def test_the_page_says_what_the_camera_was_taken_for_and_on_which_numbers(result
     pan, sleeping = (dict(zip(found["adjustment"]["head"], row, strict=True)) for row in found["adjustment"]["rows"])
     assert (pan["sequence"], pan["camera"], pan["focal length"]) == ("pan", "rotation-only", "estimated")
     assert (sleeping["camera"], sleeping["focal length"]) == ("near-still", "held at prior")
-    assert (pan["why it was held"], sleeping["why it was held"]) == ("", "the camera hardly moves")
+    assert pan["why it was held"] == ""
+    assert sleeping["why it was held"].startswith("its predicted error is")
     assert all(float(row["predicted focal error"]) > 0 for row in (pan, sleeping))
-    assert (pan["warnings"], sleeping["warnings"]) == ("0", "1")
-    assert sleeping["warnings in words"].startswith("camera path weakly observed")
+    assert (pan["warnings"], sleeping["warnings"]) == ("0", "2")
+    assert "camera path weakly observed" in sleeping["warnings in words"]
     for name in ("pan", "sleeping"):
         values = {row[0]: float(row[1]) for row in found[f"statistics_{name}"]["rows"]}
         assert values["residual of a rotation, long baseline"] < 0.5

@@ -89,7 +89,7 @@ def of_focal(camera: str, focal: Mapping[str, Any]) -> list[str]:
     """A warning about the focal length decision, as stored in the artifact, for a camera of this class."""
     if focal["decision"] == "weakly observed":
         return [f"focal length weakly observed: predicted error {100 * focal['relative_sigma']:.0f} %"]
-    if focal["decision"] == "held at prior" and camera == "moving":
+    if focal["decision"] == "held at prior" and camera in ("moving", "near-still"):
         return [f"focal length held at prior: {focal['reason']}"]
     return []
 

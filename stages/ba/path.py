@@ -41,14 +41,14 @@ def estimate_path(
         turning: evidence of a camera that turns and zooms, where it was asked for.
     """
     start = _start(problem, statistics, prior, options)
-    closed = _closed(problem, start, statistics, prior)
+    closed = _closed(problem, start, prior)
     problem = replace(problem, graph=closed.graph, masked=problem.masked or start.static is not None)
     refined = _refined(problem, start, closed, statistics, prior, options)
     if refined.rolling.decision == "rolling":
         rotations = _turning_rows(problem, refined, prior, options)
         if rotations and not rotations.failed_checks:
             return rotations
-        problem, refined = _corrected(problem, refined, statistics, prior)
+        problem, refined = _corrected(problem, refined, prior)
     found, state = start.candidate, refined.cameras.state
     residual_px = median_residual(problem.graph, state)
     against = diagnostics.of_solution(replace(found, state=state), start.others, statistics, residual_px)
@@ -65,29 +65,27 @@ def estimate_path(
 
 
 def _start(problem: Problem, statistics: Statistics, prior: FocalPrior, options: BAOptions) -> Start:
-    """The best initialisation of the camera path; a camera that hardly moves does not determine a focal length."""
+    """The best initialisation of the camera path; a zoom is looked for only where the camera moves."""
     known, width = problem.known_focal_px, problem.graph.width
     focals = [known] if known else [focal * width for focal in options.start_focals]
     previous = problem.previous
     if previous:
         previous = replace(previous, focal_px=known or previous.focal_px)
         focals = [previous.focal_px]
-    elif statistics.camera == "near-still" and not known:
-        focals = [prior.focal_px]
     unmasked = problem.unmasked or problem.graph
     observed = Observed(problem.graph, unmasked, previous, focals, statistics, prior, options.seed)
-    free = statistics.camera == "moving" and not known
+    free, moves = not known, statistics.camera == "moving"
     if free and not previous:
         observed = replace(observed, focals_px=focals_of_part(observed))
-    tested = free and options.zoom != "no"
+    tested = free and moves and options.zoom != "no"
     return find_start(replace(observed, masked=problem.masked, free=free, tested=tested, assumed=options.zoom == "yes"))
 
 
-def _closed(problem: Problem, start: Start, statistics: Statistics, prior: FocalPrior) -> Closed:
+def _closed(problem: Problem, start: Start, prior: FocalPrior) -> Closed:
     """The graph of the start with its loops, and the cameras to refine."""
     graph, cameras = start.graph, start.candidate.state
     state = initialise.initial_state(graph, cameras.cam_from_world, cameras.focal_px, FINE_PX[0], cameras.zoom)
-    free = not problem.known_focal_px and statistics.camera == "moving"
+    free = not problem.known_focal_px
     return loops.close(graph, state, Unknowns(free, zoom=free and state.zoom is not None), prior)
 
 
@@ -95,26 +93,24 @@ def _refined(
     problem: Problem, start: Start, closed: Closed, statistics: Statistics, prior: FocalPrior, options: BAOptions
 ) -> Refined:
     """The cameras, with what they say of a rolling shutter, and of a zoom once more beside it."""
-    cameras, focal = refine(problem, statistics, replace(start.candidate, state=closed.state), prior)
+    cameras, focal = refine(problem, replace(start.candidate, state=closed.state), prior)
     may_assume = statistics.camera != "near-still"
     rolling = rolling_evidence(problem.graph, cameras.state, focal, prior, options, may_assume=may_assume)
     found = Refined(cameras, focal, start.zoom or NOT_TESTED, rolling)
     if rolling.decision == "rolling" and found.zoom.decision == "changing" and options.zoom == "auto":
-        with_one = _with_one_focal(problem, statistics, cameras, prior, options)
+        with_one = _with_one_focal(problem, cameras, prior, options)
         return found if with_one.zoom.decision == "changing" else with_one
     return found
 
 
-def _with_one_focal(
-    problem: Problem, statistics: Statistics, changing: Candidate, prior: FocalPrior, options: BAOptions
-) -> Refined:
+def _with_one_focal(problem: Problem, changing: Candidate, prior: FocalPrior, options: BAOptions) -> Refined:
     """Cameras with one focal length, without the shutter, their own evidence for it, and beside it that of a zoom.
 
     A rolling shutter imitates a zoom: a camera that tilts while the rows are exposed shows a picture that is taller or
     less tall.
     """
     graph, one = problem.graph, replace(changing, state=replace(changing.state, zoom=None))
-    one, focal = refine(problem, statistics, one, prior)
+    one, focal = refine(problem, one, prior)
     rolling = rolling_evidence(graph, one.state, focal, prior, options)
     factor = thinning(graph, COARSE_PIXELS)
     coarse = thin_graph(without_loops(shutter.correct(graph, one.state, rolling.readout)), factor)
@@ -130,13 +126,11 @@ def _turning_rows(problem: Problem, refined: Refined, prior: FocalPrior, options
     return estimate_rotations(problem, turned, prior, options) if turned.camera == "rotating" else None
 
 
-def _corrected(
-    problem: Problem, refined: Refined, statistics: Statistics, prior: FocalPrior
-) -> tuple[Problem, Refined]:
+def _corrected(problem: Problem, refined: Refined, prior: FocalPrior) -> tuple[Problem, Refined]:
     """The problem with matches as if all rows were exposed at once, and its solution."""
     graph = problem.graph
     for _ in range(CORRECTIONS):
         problem = replace(problem, graph=shutter.correct(graph, refined.cameras.state, refined.rolling.readout))
-        cameras, focal = refine(problem, statistics, refined.cameras, prior)
+        cameras, focal = refine(problem, refined.cameras, prior)
         refined = replace(refined, cameras=cameras, focal=focal)
     return problem, refined

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 
 from stages.ba import dba, initialise, trim
-from stages.ba.classify import Statistics
 from stages.ba.graph import FlowGraph, favour_distance
 from stages.ba.initialise import Candidate
 from stages.ba.problem import Focal, Problem
@@ -24,10 +23,13 @@ SHARP, SHARP_PX = 2.0, (0.05, 0.5)
 """The last robust scale in units of the median residual, and its limits in px."""
 
 
-def refine(problem: Problem, statistics: Statistics, start: Candidate, prior: FocalPrior) -> tuple[Candidate, Focal]:
-    """The refined start. The focal length is free where masks or a consistent static scene allow it."""
+def refine(problem: Problem, start: Candidate, prior: FocalPrior) -> tuple[Candidate, Focal]:
+    """The refined start. The focal length is free where masks or a consistent static scene allow it.
+
+    However little the camera moves, an estimate is kept where its predicted error is at most BLIND_FOCAL.
+    """
     graph = problem.graph
-    reason = _reason_to_hold(problem, statistics, start.state)
+    reason = _reason_to_hold(problem, start.state)
     if not reason:
         refined = _adjust(problem, start.state, Unknowns(focal=True, zoom=start.state.zoom is not None), prior)
         sigma = focal_sigma(graph, refined.state)
@@ -46,12 +48,10 @@ def consistent_share(graph: FlowGraph, state: State) -> float:
     return float(graph.weights[dba.errors_px(graph, state) < 1.0].sum() / graph.weights.sum())
 
 
-def _reason_to_hold(problem: Problem, statistics: Statistics, state: State) -> str:
+def _reason_to_hold(problem: Problem, state: State) -> str:
     """The reason to hold the focal length fixed, in words; empty if it may be free."""
     if problem.known_focal_px:
         return "it is known"
-    if statistics.camera != "moving":
-        return "the camera hardly moves"
     consistent = consistent_share(problem.graph, state)
     if not problem.masked and consistent < CONSISTENT_SHARE:
         return f"there are no masks yet and only {100 * consistent:.0f} % of the matches fit a static scene"
