@@ -117,6 +117,20 @@ def test_written_depth_and_cameras_reproduce_the_written_flow(tmp_path: Path) ->
     assert np.abs(flow - expected)[static].max() < 1e-3
 
 
+def test_masks_are_of_a_frame_and_of_the_clip(tmp_path: Path) -> None:
+    """A box that moves on the way to the last frame alone: the last one counts as the one before it."""
+    path = [{"time": 0}, {"time": 0.67}, {"time": 1, "move": [0.5, 0, 0]}]
+    box = {"name": "box", "kind": "box", "size": [1, 1, 1], "position": [0, 0, 0.8], "path": path}
+    main(write_scene(tmp_path, frames=4, objects=[SMALL["objects"][0], box], effects={}), tmp_path)
+    moving, mover = (
+        np.stack([cv2.imread(str(file), 0) > 0 for file in sorted((tmp_path / f"training/{kind}/small").iterdir())])
+        for kind in ("motion_mask", "mover_mask")
+    )
+    assert [frame.any() for frame in moving] == [False, False, True, True]
+    assert np.array_equal(moving[2:], mover[2:])
+    assert mover[:2].sum(axis=(1, 2)).min() > 50
+
+
 def test_manifest_and_explain_say_what_was_simulated(tmp_path: Path) -> None:
     done = run(write_scene(tmp_path), tmp_path, "--explain", "--stats", str(tmp_path / "stats.json"))
     assert done.returncode == 0, done.stderr

@@ -48,7 +48,7 @@ def estimate_path(
         rotations = _turning_rows(problem, refined, prior, options)
         if rotations and not rotations.failed_checks:
             return rotations
-        problem, refined = _corrected(problem, refined, prior)
+        problem, refined = _corrected(problem, statistics.camera, refined, prior)
     found, state = start.candidate, refined.cameras.state
     residual_px = median_residual(problem.graph, state)
     against = diagnostics.of_solution(replace(found, state=state), start.others, statistics, residual_px)
@@ -93,24 +93,26 @@ def _refined(
     problem: Problem, start: Start, closed: Closed, statistics: Statistics, prior: FocalPrior, options: BAOptions
 ) -> Refined:
     """The cameras, with what they say of a rolling shutter, and of a zoom once more beside it."""
-    cameras, focal = refine(problem, replace(start.candidate, state=closed.state), prior)
+    cameras, focal = refine(problem, statistics.camera, replace(start.candidate, state=closed.state), prior)
     may_assume = statistics.camera != "near-still"
     rolling = rolling_evidence(problem.graph, cameras.state, focal, prior, options, may_assume=may_assume)
     found = Refined(cameras, focal, start.zoom or NOT_TESTED, rolling)
     if rolling.decision == "rolling" and found.zoom.decision == "changing" and options.zoom == "auto":
-        with_one = _with_one_focal(problem, cameras, prior, options)
+        with_one = _with_one_focal(problem, statistics.camera, cameras, prior, options)
         return found if with_one.zoom.decision == "changing" else with_one
     return found
 
 
-def _with_one_focal(problem: Problem, changing: Candidate, prior: FocalPrior, options: BAOptions) -> Refined:
+def _with_one_focal(
+    problem: Problem, camera: str, changing: Candidate, prior: FocalPrior, options: BAOptions
+) -> Refined:
     """Cameras with one focal length, without the shutter, their own evidence for it, and beside it that of a zoom.
 
     A rolling shutter imitates a zoom: a camera that tilts while the rows are exposed shows a picture that is taller or
     less tall.
     """
     graph, one = problem.graph, replace(changing, state=replace(changing.state, zoom=None))
-    one, focal = refine(problem, one, prior)
+    one, focal = refine(problem, camera, one, prior)
     rolling = rolling_evidence(graph, one.state, focal, prior, options)
     factor = thinning(graph, COARSE_PIXELS)
     coarse = thin_graph(without_loops(shutter.correct(graph, one.state, rolling.readout)), factor)
@@ -126,11 +128,11 @@ def _turning_rows(problem: Problem, refined: Refined, prior: FocalPrior, options
     return estimate_rotations(problem, turned, prior, options) if turned.camera == "rotating" else None
 
 
-def _corrected(problem: Problem, refined: Refined, prior: FocalPrior) -> tuple[Problem, Refined]:
+def _corrected(problem: Problem, camera: str, refined: Refined, prior: FocalPrior) -> tuple[Problem, Refined]:
     """The problem with matches as if all rows were exposed at once, and its solution."""
     graph = problem.graph
     for _ in range(CORRECTIONS):
         problem = replace(problem, graph=shutter.correct(graph, refined.cameras.state, refined.rolling.readout))
-        cameras, focal = refine(problem, refined.cameras, prior)
+        cameras, focal = refine(problem, camera, refined.cameras, prior)
         refined = replace(refined, cameras=cameras, focal=focal)
     return problem, refined

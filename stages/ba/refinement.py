@@ -23,13 +23,14 @@ SHARP, SHARP_PX = 2.0, (0.05, 0.5)
 """The last robust scale in units of the median residual, and its limits in px."""
 
 
-def refine(problem: Problem, start: Candidate, prior: FocalPrior) -> tuple[Candidate, Focal]:
+def refine(problem: Problem, camera: str, start: Candidate, prior: FocalPrior) -> tuple[Candidate, Focal]:
     """The refined start. The focal length is free where masks or a consistent static scene allow it.
 
-    However little the camera moves, an estimate is kept where its predicted error is at most BLIND_FOCAL.
+    However little the camera moves, an estimate is kept where its predicted error is at most BLIND_FOCAL. Without masks
+    that of such a `camera` is not: flow below a pixel is consistent with any static scene, and a slow mover drags it.
     """
     graph = problem.graph
-    reason = _reason_to_hold(problem, start.state)
+    reason = _reason_to_hold(problem, camera, start.state)
     if not reason:
         refined = _adjust(problem, start.state, Unknowns(focal=True, zoom=start.state.zoom is not None), prior)
         sigma = focal_sigma(graph, refined.state)
@@ -48,10 +49,12 @@ def consistent_share(graph: FlowGraph, state: State) -> float:
     return float(graph.weights[dba.errors_px(graph, state) < 1.0].sum() / graph.weights.sum())
 
 
-def _reason_to_hold(problem: Problem, state: State) -> str:
+def _reason_to_hold(problem: Problem, camera: str, state: State) -> str:
     """The reason to hold the focal length fixed, in words; empty if it may be free."""
     if problem.known_focal_px:
         return "it is known"
+    if not problem.masked and camera == "near-still":
+        return "the camera hardly moves, and there are no masks"
     consistent = consistent_share(problem.graph, state)
     if not problem.masked and consistent < CONSISTENT_SHARE:
         return f"there are no masks yet and only {100 * consistent:.0f} % of the matches fit a static scene"

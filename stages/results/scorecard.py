@@ -122,7 +122,7 @@ def _mask_scores(masks: Sequence[Row]) -> Row:
     used = max((row for row in masks if row["method"] != PRIOR), key=lambda row: row["round"])
     still = used["true_percent"] is not None and used["true_percent"] < MOVING_PERCENT
     names = ("iou", "mover_iou", "precision", "recall")
-    scores = {name: None if still else used[name] for name in names}
+    scores = {name: None if still else used.get(name) for name in names}  # tables of older code have fewer
     return scores | {"masks": used["method"], "masked_percent": used["dynamic_percent"] if still else None}
 
 

@@ -26,8 +26,8 @@ class Motion:
         flow: [n, 2] pixels; zero where `invalid`.
         occluded: [n] bool, another surface hides the point in the other frame, inside the image or outside.
         invalid: [n] bool, the point is behind the other camera, or beyond what its lens shows, and has no flow.
-        moving: [n] bool, the point moves in the world.
-        mover: [n] bool, the point moves in some frame of the clip.
+        moving: [n] bool, the point moves in the world, by more than MOVED_PX from frame to frame.
+        mover: [n] bool, the point is `moving`, or moves by more than MOVED_PX over the whole clip.
     """
 
     flow: np.ndarray
@@ -61,7 +61,7 @@ def motion(hits: Hits, uv: np.ndarray, world: World, other: Snapshot, other_view
 
 
 def _reach(hits: Hits, world: World) -> np.ndarray:
-    """How far surface points [n] get in the clip at most, metres: the mean of their corners' reach, by their weights.
+    """How far surface points [n] get in the clip at most, metres: the weighted mean of the reach of their corners.
 
     No point of a triangle moves farther than that: it is a mean of the corners with constant weights.
     """
