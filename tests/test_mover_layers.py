@@ -9,9 +9,10 @@ import pytest
 
 from stages.segment import __main__ as segment_stage
 from stages.segment import layers, refinement
-from stages.segment.layers import MOVING, Belonging, StaticWorld, belonging
+from stages.segment.layers import MOVING, Belonging, belonging
 from stages.segment.options import SegmentOptions
 from stages.segment.permanence import persistent
+from stages.segment.static_world import StaticWorld
 from stages.segment.superpixels import Superpixels
 from stages.shared import flow_pairs
 from stages.shared.artifacts import Dense, write_dense, write_json

@@ -11,6 +11,8 @@ import cv2
 import numba
 import numpy as np
 
+from stages.shared.window_kernels import KERNEL, place, window_difference
+
 FRAMES = 2
 """Largest distance in frames between compared pictures."""
 STEPS, STEP_PX = 40, 1.0
@@ -20,14 +22,11 @@ REFINEMENTS = 2
 """Halvings of that step, around the best depth."""
 HALF_WINDOW = 2
 """Pixels of the compared windows on either side of their middle."""
-NEAREST = 0.2
-"""Least ratio of a depth in another frame and in this one."""
 MOST_OF, NEARER = 0.95, 4.0
 """Searched up to NEARER times the inverse depth that MOST_OF of the static pixels stay below: before a camera that
 hardly moves, all that moves along its lines of sight would lie at some depth."""
 SHARE = 0.5
 """Of the flow's difference above the median of the frame, what a static depth may leave, at most."""
-KERNEL = {"cache": True, "nogil": True, "error_model": "numpy"}
 
 
 class Other(NamedTuple):
@@ -130,8 +129,8 @@ def _grey_difference(images, expected, A, b, u, v, depth, most):  # type: ignore
     h, w = images.shape[1:]
     worst = np.float32(-1)
     for j in range(len(images)):
-        place = _place(A[j], b[j], u, v, depth)
-        x, y = int(np.rint(place[0])), int(np.rint(place[1]))
+        x_px, y_px = place(A[j], b[j], u, v, depth)
+        x, y = int(np.rint(x_px)), int(np.rint(y_px))
         if x < 0 or y < 0 or x >= w or y >= h:
             continue
         total, pixels = np.int32(0), 0
@@ -153,40 +152,10 @@ def _difference(images, expected, A, b, later, u, v, depth):  # type: ignore[no-
     h, w = images.shape[1:3]
     total, count = np.zeros(2, np.float32), np.zeros(2, np.float32)
     for j in range(len(images)):
-        x, y = _place(A[j], b[j], u, v, depth)
+        x, y = place(A[j], b[j], u, v, depth)
         if 0 <= x <= w - 1 and 0 <= y <= h - 1:
-            total[int(later[j])] += _window(images[j], expected[j], u, v, x, y)
+            total[int(later[j])] += window_difference(images[j], expected[j], u, v, x, y, HALF_WINDOW)
             count[int(later[j])] += 1
     if count.max() == 0:
         return np.float32(np.inf)
     return max(total[0] / max(count[0], 1), total[1] / max(count[1], 1))
-
-
-@numba.njit(**KERNEL)
-def _place(A, b, u, v, depth):  # type: ignore[no-untyped-def]
-    """Where a pixel at an inverse depth is seen; outside of every image if it is too near to the other camera."""
-    Z = A[2, 0] * u + A[2, 1] * v + A[2, 2] + depth * b[2]
-    if Z < NEAREST:
-        return -1e9, -1e9
-    x = A[0, 0] * u + A[0, 1] * v + A[0, 2] + depth * b[0]
-    y = A[1, 0] * u + A[1, 1] * v + A[1, 2] + depth * b[1]
-    return x / Z, y / Z
-
-
-@numba.njit(**KERNEL)
-def _window(image, expected, u, v, x, y):  # type: ignore[no-untyped-def]
-    """Mean difference in colour levels between the windows around x, y of an image and around u, v of the expected."""
-    h, w = expected.shape[:2]
-    left, top = min(int(x), w - 2), min(int(y), h - 2)
-    right_share, low_share = np.float32(x - left), np.float32(y - top)
-    total, pixels = np.float32(0), 0
-    for dv in range(max(-HALF_WINDOW, -v, -top), min(HALF_WINDOW, h - 1 - v, h - 2 - top) + 1):
-        for du in range(max(-HALF_WINDOW, -u, -left), min(HALF_WINDOW, w - 1 - u, w - 2 - left) + 1):
-            row, column = top + dv, left + du
-            for c in range(3):
-                a, b = np.float32(image[row, column, c]), np.float32(image[row + 1, column, c])
-                a += right_share * (np.float32(image[row, column + 1, c]) - a)
-                b += right_share * (np.float32(image[row + 1, column + 1, c]) - b)
-                total += abs(a + low_share * (b - a) - np.float32(expected[v + dv, u + du, c]))
-            pixels += 1
-    return total / (3 * pixels)

@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from stages.given.masks import GivenMasks
 from stages.segment.options import SegmentOptions
 from stages.segment.permanence import DYNAMIC, confidence_of, persistent
 from stages.segment.refinement import guarded_threshold, smooth_along_edges, to_instances, to_mask
+from stages.segment.static_world import StaticWorld
 from stages.segment.superpixels import AT_ONCE, superpixels
 from stages.shared import cli, drawing
 from stages.shared.artifacts import Dense, read_dense, read_metadata, write_json
@@ -25,9 +26,6 @@ from stages.shared.images import enlarge, read_mask, read_rgb, reduce, write_fig
 from stages.shared.log import logger, progress
 from stages.shared.masks import instances_path, mask_path, read_burnt_in, read_scene_on_grid
 from stages.shared.sequences import Sequence, read_sequence
-
-if TYPE_CHECKING:
-    from stages.segment.layers import StaticWorld
 
 
 class Mask(NamedTuple):
@@ -184,13 +182,12 @@ def _refined(options: SegmentOptions, frames: Sequence, flow: Path, prior: Path,
     return mask
 
 
-def _static_world(poses: Path | None, depth: Path | None, flow: Path, size: tuple[int, int]) -> "StaticWorld | None":
+def _static_world(poses: Path | None, depth: Path | None, flow: Path, size: tuple[int, int]) -> StaticWorld | None:
     """The cameras and the depth of the round before on the flow grid of this size (w, h); None if there are none."""
     cameras = usable_cameras(poses, depth, "masks come from the prior alone")
     if cameras is None or depth is None:
         return None
-    from stages.segment.layers import StaticWorld  # compiled code, which the first round spares
-    from stages.shared.static_flow import resample
+    from stages.shared.static_flow import resample  # compiled code, which the first round spares
 
     scale = float(read_metadata(flow)["scale"])
     cells, cell_px = read_dense(depth)["inverse_depth"], float(read_metadata(depth)["stride_px"]) * scale

@@ -15,8 +15,8 @@ import numpy as np
 
 from stages.segment.permanence import DYNAMIC
 from stages.segment.refinement import REFERENCE_WIDTH
+from stages.segment.static_world import StaticWorld
 from stages.segment.superpixels import Superpixels
-from stages.shared.cameras import Cameras, projection
 from stages.shared.flow_pairs import FlowPairs
 from stages.shared.masks import within
 from stages.shared.picture_difference import difference, exposed, tolerance
@@ -53,14 +53,6 @@ LEAST_SHARE = 1e-3
 """Share of what is extended among the pixels around, below which nothing is known of it: the Gaussian is cut off."""
 NEAR_ENOUGH = 0.15
 """Share of a mover among the pixels around, from which on its extended motion counts fully."""
-
-
-class StaticWorld(NamedTuple):
-    """Cameras of the round before, with intrinsics [T, 3, 3] of the flow grid, and what gives inverse depth [h, w]."""
-
-    cameras: Cameras
-    Ks: np.ndarray
-    inverse_depth: Callable[[int], np.ndarray]
 
 
 class Belonging(NamedTuple):
@@ -166,9 +158,9 @@ def _residuals(
     total, seen = np.zeros((2, 2, len(depths) + len(MOTION_PX), *mover.shape), np.float32)
     for e in pairs.leaving(i, i + 1):
         j = int(pairs.target[e])
-        if abs(j - i) > REACH or "unobserved" in world.cameras.status[[i, j]]:
+        if abs(j - i) > REACH or not world.observed(i, j):
             continue
-        A, b = projection(*((world.cameras.cam_from_world[k], world.Ks[k]) for k in (i, j)))
+        A, b = world.projection(i, j)
         flow = pairs.flow[e].astype(np.float32)
         weight = mover * (pairs.confidence[e].astype(np.float32) + UNSURE_FLOW)
         ways = [dense_static_flow(A, b, depth) for depth in depths]
