@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from stages.segment import __main__ as segment_stage
-from stages.segment import layers, refinement
+from stages.segment import layers, refinement, uncovered
 from stages.segment.layers import MOVING, Belonging, belonging
 from stages.segment.options import SegmentOptions
 from stages.segment.permanence import persistent
@@ -161,7 +161,7 @@ def test_a_pixel_that_neither_explains_is_given_to_neither(left: int, monkeypatc
 
 
 def test_pictures_of_a_long_clip_are_held_a_block_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of five frames in blocks of one, each seen with its neighbours: those of edges over at most one frame."""
+    """Of five frames in blocks of one, each seen with its neighbours: those that are one frame away."""
     frames, pixels, known = clip(60), tiles(), flow_columns()
     near = np.abs(known["source"] - known["target"]) == 1
     pairs = FlowPairs(Dense({name: values[near] for name, values in known.items()}))
@@ -172,6 +172,8 @@ def test_pictures_of_a_long_clip_are_held_a_block_at_a_time(monkeypatch: pytest.
         return np.concatenate([shown.weight, shown.pixels.ravel()])
 
     asked: list[int] = []
+    monkeypatch.setattr(layers, "DISTANCES", (1,))
+    monkeypatch.setattr(uncovered, "DISTANCES", (1,))
     whole = found([])
     monkeypatch.setattr(flow_pairs, "BLOCK", 1)
     monkeypatch.setattr(layers, "REACH", 1)

@@ -3,7 +3,8 @@
 Masks from the flow alone are precise but not whole: flow is lost on arms, thin parts and in front of texture that
 wins. What is found of a mover gives its motion, extended to what is around. Where the pictures match better when they
 are moved with it than at the depth of the static scene, the pixel belongs to it. The reverse is evidence against, but
-not of what is known to move: the parts of a mover do not all move alike.
+not of what is known to move: the parts of a mover do not all move alike. Ground that movers cover for a part of the time
+is an exception: other frames show it (`uncovered`).
 """
 
 import itertools
@@ -17,6 +18,7 @@ from stages.segment.permanence import DYNAMIC
 from stages.segment.refinement import REFERENCE_WIDTH
 from stages.segment.static_world import StaticWorld
 from stages.segment.superpixels import Superpixels
+from stages.segment.uncovered import DISTANCES, seen_again
 from stages.shared.flow_pairs import FlowPairs
 from stages.shared.masks import within
 from stages.shared.picture_difference import difference, exposed, tolerance
@@ -47,6 +49,10 @@ MATCHED = 1.0
 """Residual of the mover, in tolerances, up to which it explains the pictures; from twice as much on it does not."""
 SURELY_MATCHED = 0.75
 """The same for a single pixel, of the mover or of the static scene: no mean over a superpixel makes up for chance."""
+SOUGHT, SOUGHT_PX = 0.2, 4
+"""What is surer than this, and so many pixels around it, is compared with frames in which movers do not cover it."""
+UNSURE, SURE_FRAMES = 0.25, 2
+"""But not where the mean confidence of the flow to frames at most SURE_FRAMES away is larger."""
 SHOWN_MOST = 127
 """What a pixel shows is kept in units of 1 / 127, in one byte."""
 LEAST_SHARE = 1e-3
@@ -83,24 +89,30 @@ def belonging(
     T, found = len(pixels.labels), []
     shown = np.zeros(pixels.labels.shape, np.int8)
 
-    def of_frame(k: int, frames: dict[int, np.ndarray]) -> np.ndarray:
+    def of_frame(k: int, frames: dict[int, np.ndarray], covered: dict[int, np.ndarray]) -> np.ndarray:
         part, seen = pixels.part(k, k + 1), pixels.paint(sure, k).astype(np.float32)
         if not (seen >= DYNAMIC).any():
-            return np.zeros((3, len(part.areas)))
-        static, moved, share = _compared(k, seen, pairs, frames, world)
+            return np.zeros((4, len(part.areas)))
+        depths = _static_depths(world.inverse_depth(k), np.maximum(1 - seen / STATIC, 0) ** 2)
+        static, moved, share = _compared(k, seen, depths, pairs, frames, world)
+        again = seen_again(k, _sought(k, seen, pairs), depths, frames, covered, world) / tolerance(frames[k])
+        rests = _clear(again - moved)[1] * _matches(again, SURELY_MATCHED)
+        static = np.minimum(static, again)
         moving, resting = _clear(static - moved)
         clear = moving * _matches(moved, SURELY_MATCHED) - resting * _matches(static, SURELY_MATCHED)
         shown[k] = np.rint(SHOWN_MOST * _near(share) * clear)
-        images = np.clip(static - moved, -1, 1), np.minimum(moved, 2 * MATCHED), share
+        images = np.clip(static - moved, -1, 1), np.minimum(moved, 2 * MATCHED), share, rests
         return np.stack([part.means([image]) for image in images])
 
     for first, last in pairs.blocks(T, "movers against the static scene"):
-        near = range(max(first - REACH, 0), min(last + REACH, T))
+        reach = max(REACH, DISTANCES[-1])
+        near = range(max(first - reach, 0), min(last + reach, T))
         frames = dict(zip(near, threaded(picture, near), strict=True))
-        found += threaded(of_frame, range(first, last), itertools.repeat(frames))
-    excess, residual, share = np.concatenate(found, axis=1)
+        covered = {k: _covered(pixels.paint(sure, k), pairs.scene) for k in near}
+        found += threaded(of_frame, range(first, last), *(itertools.repeat(of) for of in (frames, covered)))
+    excess, residual, share, rests = np.concatenate(found, axis=1)
     moving, resting = _clear(excess)
-    weight = MOVING * moving * _matches(residual, MATCHED) - RESTING * resting * (sure < DYNAMIC)
+    weight = MOVING * moving * _matches(residual, MATCHED) - RESTING * (resting * (sure < DYNAMIC) + rests)
     return Belonging(_near(share) * weight, shown)
 
 
@@ -121,8 +133,26 @@ def _near(share: np.ndarray) -> np.ndarray:
     return np.asarray(np.clip(share / NEAR_ENOUGH, 0, 1))
 
 
+def _sought(i: int, sure: np.ndarray, pairs: FlowPairs) -> np.ndarray:
+    """Where [h, w] bool movers are near, and the flow does not know what a pixel of frame i does."""
+    near = [e for e in pairs.leaving(i, i + 1) if abs(int(pairs.target[e]) - i) <= SURE_FRAMES]
+    confidence = np.mean([pairs.confidence[e].astype(np.float32) for e in near], axis=0) if near else 0
+    around = cv2.dilate(sure, np.ones((1 + 2 * SOUGHT_PX,) * 2, np.uint8)) > SOUGHT
+    return np.asarray(around & (confidence < UNSURE))
+
+
+def _covered(sure: np.ndarray, scene: np.ndarray | None) -> np.ndarray:
+    """Where [h, w] bool a frame shows movers, or what is burnt into it."""
+    return np.asarray((sure >= DYNAMIC) if scene is None else (sure >= DYNAMIC) | ~scene)
+
+
 def _compared(
-    i: int, sure: np.ndarray, pairs: FlowPairs, frames: dict[int, np.ndarray], world: StaticWorld
+    i: int,
+    sure: np.ndarray,
+    depths: list[np.ndarray],
+    pairs: FlowPairs,
+    frames: dict[int, np.ndarray],
+    world: StaticWorld,
 ) -> np.ndarray:
     """Static residual and that of the mover, in tolerances, both 0 where nothing is compared, and the share of movers
     around, [3, h, w].
@@ -130,7 +160,6 @@ def _compared(
     The better of earlier and later frames counts: what is hidden on one side is usually seen on the other.
     """
     mover = np.where(sure >= DYNAMIC, sure, 0)
-    depths = _static_depths(world.inverse_depth(i), np.maximum(1 - sure / STATIC, 0) ** 2)
     mean = _residuals(i, mover, depths, pairs, frames, world)
     both = np.stack([mean[:, : len(depths)].min(axis=1), mean[:, len(depths) :].min(axis=1)], axis=1)
     side = both.min(axis=1).argmin(axis=0)

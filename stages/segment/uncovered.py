@@ -1,0 +1,84 @@
+"""The static scene where movers cover it for a part of the time, as between the legs of someone who walks.
+
+Pictures of neighbouring frames show a leg there, so that neither a static depth nor any motion matches, and the flow is
+dragged along with the leg. What is found of the movers tells in which frames nothing covers the place. If it looks the
+same in some of them, it rests. Some, since not all of the movers are found.
+"""
+
+import numba
+import numpy as np
+
+from stages.segment.static_world import StaticWorld
+from stages.shared.picture_difference import exposed
+from stages.shared.static_flow import dense_static_flow
+from stages.shared.warp import warp
+from stages.shared.window_kernels import KERNEL, place, window_difference
+
+DISTANCES = 1, 2, 3, 4, 5, 6, 8, 10, 12
+"""Distances in frames, either way, of the pictures that are compared: a step takes about as long."""
+LEAST_FRAMES = 2
+"""Frames that must show the place uncovered."""
+ALIKE = 0.3
+"""Share of these frames in which it looks the same."""
+HALF_WINDOW = 1
+"""Pixels of the compared windows on either side of their middle."""
+
+
+def seen_again(
+    i: int,
+    sought: np.ndarray,
+    depths: list[np.ndarray],
+    frames: dict[int, np.ndarray],
+    covered: dict[int, np.ndarray],
+    world: StaticWorld,
+) -> np.ndarray:
+    """Difference [h, w] in colour levels of frame i to those frames in which movers do not cover what its pixels show.
+
+    Of each pixel that is `sought` [h, w], the least over the static `depths` [h, w]: the ALIKE quantile over the frames
+    in view. Infinite where fewer than LEAST_FRAMES show it, and of all others.
+
+    Args:
+        frames: pictures [h, w, 3] uint8 of frames around. covered: [h, w] bool, where they show movers.
+    """
+    found = np.full(sought.shape, np.inf, np.float32)
+    others = [j for o in DISTANCES for j in (i - o, i + o) if j in frames and world.observed(i, j)]
+    v, u = np.nonzero(sought)
+    if not len(v) or not others:
+        return found
+    A, b = (np.stack(part) for part in zip(*(world.projection(i, j) for j in others), strict=True))
+    ways = (dense_static_flow(*of, depths[0]) for of in zip(A, b, strict=True))
+    expected = np.stack([exposed(frames[i], warp(frames[j], way)) for j, way in zip(others, ways, strict=True)])
+    pictures, covers = (np.stack([of[j] for j in others]) for of in (frames, covered))
+    least = np.empty(len(v), np.float32)
+    _seen_again(pictures, expected, covers, A, b, u, v, np.stack([depth[v, u] for depth in depths]), least)
+    found[v, u] = least
+    return found
+
+
+@numba.njit(**KERNEL)
+def _seen_again(images, expected, covered, A, b, u, v, depths, least):  # type: ignore[no-untyped-def]
+    """Fill the `least` difference [n] float32 of pixels u, v [n] to images [F, h, w, 3] over the `depths` [d, n]."""
+    differences = np.empty(len(images))
+    for k in range(len(u)):
+        best = np.inf
+        for d in range(len(depths)):
+            count = 0
+            for j in range(len(images)):
+                x, y = place(A[j], b[j], u[k], v[k], depths[d, k])
+                if _is_uncovered(covered[j], x, y):
+                    differences[count] = window_difference(images[j], expected[j], u[k], v[k], x, y, HALF_WINDOW)
+                    count += 1
+            if count >= LEAST_FRAMES:
+                best = min(best, np.sort(differences[:count])[round(ALIKE * (count - 1))])
+        least[k] = best
+
+
+@numba.njit(**KERNEL)
+def _is_uncovered(covered, x, y):  # type: ignore[no-untyped-def]
+    """Whether a place is in the image, and none of the four pixels around it is `covered` [h, w]."""
+    h, w = covered.shape
+    if not (0 <= x <= w - 1 and 0 <= y <= h - 1):
+        return False
+    left, top = int(x), int(y)
+    right, low = min(left + 1, w - 1), min(top + 1, h - 1)
+    return not (covered[top, left] or covered[top, right] or covered[low, left] or covered[low, right])
