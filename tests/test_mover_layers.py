@@ -161,10 +161,11 @@ def test_a_pixel_that_neither_explains_is_given_to_neither(left: int, monkeypatc
 
 
 def test_pictures_of_a_long_clip_are_held_a_block_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of five frames in blocks of one, each seen with its neighbours: those that are one frame away."""
+    """Of five frames in blocks of one, each seen with those up to two frames away, where its flow is not sure."""
     frames, pixels, known = clip(60), tiles(), flow_columns()
     near = np.abs(known["source"] - known["target"]) == 1
-    pairs = FlowPairs(Dense({name: values[near] for name, values in known.items()}))
+    unsure = np.zeros_like(known["confidence"][near])
+    pairs = FlowPairs(Dense({name: values[near] for name, values in known.items()} | {"confidence": unsure}))
     sure = pixels.means(np.stack([left_part(k) for k in range(T)]).astype(float)).round()
 
     def found(asked: list[int]) -> np.ndarray:
@@ -172,13 +173,13 @@ def test_pictures_of_a_long_clip_are_held_a_block_at_a_time(monkeypatch: pytest.
         return np.concatenate([shown.weight, shown.pixels.ravel()])
 
     asked: list[int] = []
-    monkeypatch.setattr(layers, "DISTANCES", (1,))
-    monkeypatch.setattr(uncovered, "DISTANCES", (1,))
+    monkeypatch.setattr(layers, "DISTANCES", (1, 2))
+    monkeypatch.setattr(uncovered, "DISTANCES", (1, 2))
     whole = found([])
     monkeypatch.setattr(flow_pairs, "BLOCK", 1)
     monkeypatch.setattr(layers, "REACH", 1)
     np.testing.assert_array_equal(found(asked), whole)
-    assert sorted(asked) == sorted(j for k in range(T) for j in (k - 1, k, k + 1) if 0 <= j < T)
+    assert sorted(asked) == sorted(j for k in range(T) for j in range(k - 2, k + 3) if 0 <= j < T)
 
 
 def test_where_nothing_is_known_to_move_there_is_no_evidence() -> None:

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from stages.segment import layers
+from stages.segment import layers, uncovered
 from stages.segment.layers import MOVING, belonging
 from stages.segment.static_world import StaticWorld
 from stages.segment.superpixels import Superpixels
@@ -55,6 +55,10 @@ def world() -> StaticWorld:
     return StaticWorld(cameras, cameras.Ks, lambda _: np.ones((H, W), np.float32))
 
 
+LIMIT = np.full((H, W), 256, np.float32)
+"""More than any difference."""
+
+
 def inner(mask: np.ndarray) -> np.ndarray:
     """A mask [H, W] without 2 px at its sides, where compared windows are mixed."""
     return cv2.erode(mask.astype(np.uint8), np.ones((1, 5), np.uint8)) > 0
@@ -62,8 +66,7 @@ def inner(mask: np.ndarray) -> np.ndarray:
 
 def again(steps_px: int, covered: dict[int, np.ndarray]) -> np.ndarray:
     """`seen_again` of all pixels of the middle frame, at the depth of the ground."""
-    sought, depths = np.ones((H, W), bool), [np.ones((H, W), np.float32)]
-    return seen_again(MIDDLE, sought, depths, clip(steps_px), covered, world())
+    return seen_again(MIDDLE, LIMIT, [np.ones((H, W), np.float32)], clip(steps_px), covered, world())
 
 
 @pytest.mark.parametrize("steps_px", [5, 9])
@@ -85,45 +88,94 @@ def test_ground_is_found_where_masks_miss_the_walker() -> None:
 
 
 def test_what_too_few_frames_show_is_not_known() -> None:
-    """Of frames before and after, all but one, and all but two, are covered; nor is that known which is not sought."""
+    """All frames but one, and all but two, are covered."""
     near = [MIDDLE - 1, MIDDLE + 1]
     for shown in (near[: LEAST_FRAMES - 1], near):
         covered = {k: np.full((H, W), k not in shown) for k in range(T)}
         known = np.isfinite(again(5, covered))
         assert known[:, 4:-4].all() == (len(shown) >= LEAST_FRAMES)
         assert known.any() == (len(shown) >= LEAST_FRAMES)
-    sought = np.zeros((H, W), bool)
-    sought[:, 140:160] = True
-    depths, covered = [np.ones((H, W), np.float32)], {k: np.zeros((H, W), bool) for k in range(T)}
-    known = np.isfinite(seen_again(MIDDLE, sought, depths, clip(5), covered, world()))
-    np.testing.assert_array_equal(known, sought)
+
+
+def test_from_the_limit_on_nothing_is_said_and_below_it_nothing_changes() -> None:
+    covered, depths = {k: between(k, 5) for k in range(T)}, [np.full((H, W), depth) for depth in (1.0, 0.5)]
+    given = depths, clip(5), covered, world()
+    whole = seen_again(MIDDLE, LIMIT, *given)
+    limit = np.tile(np.float32([0, 1, 5, 20]), (H, W // 4))
+    found = seen_again(MIDDLE, limit, *given)
+    np.testing.assert_array_equal(found, np.where(whole < limit, whole, np.inf))
+    assert 0.1 < np.isfinite(found).mean() < 0.9
+
+
+def test_the_kernel_is_the_quantile_over_uncovered_frames(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pixel by pixel in numpy, for a camera that turns and moves on."""
+    monkeypatch.setattr(uncovered, "exposed", lambda frame, _: frame)
+    random, seen = np.random.default_rng(3), world()
+    turns = [np.deg2rad(0.4) * (k - MIDDLE) for k in range(T)]
+    seen.cameras.cam_from_world[:, :3, :3] = [cv2.Rodrigues(np.array([0, a, a / 2]))[0] for a in turns]
+    frames = {k: random.integers(0, 256, (H, W, 3), np.uint8) for k in range(T)}
+    covered = {k: random.random((H, W)) < 0.2 for k in range(T)}
+    depths = [random.uniform(0.2, 1.2, (H, W)).astype(np.float32) for _ in range(2)]
+    found = seen_again(MIDDLE, LIMIT, depths, frames, covered, seen)
+    for v, u in random.integers((12, 60), (H - 12, W - 60), (60, 2)):
+        apart = [_by_numpy(v, u, depth[v, u], frames, covered, seen) for depth in depths]
+        best = [np.sort(of)[round(0.3 * (len(of) - 1))] for of in apart if len(of) >= 2]
+        np.testing.assert_allclose(found[v, u], min(best, default=np.inf), rtol=1e-3)
+
+
+def _by_numpy(
+    v: int, u: int, depth: float, frames: dict[int, np.ndarray], covered: dict[int, np.ndarray], seen: StaticWorld
+) -> list[float]:
+    """Differences of windows of 3 px to the frames in which a pixel is in view and not covered."""
+    found = []
+    for j in (MIDDLE + o for distance in uncovered.DISTANCES for o in (-distance, distance)):
+        if j not in frames:
+            continue
+        A, b = seen.projection(MIDDLE, j)
+        x, y, z = A @ [u, v, 1] + depth * b
+        x, y = x / z, y / z
+        left, top = int(np.floor(x)), int(np.floor(y))
+        assert 1 <= left < W - 2, "in view"
+        assert 1 <= top < H - 2, "in view"
+        if covered[j][top : top + 2, left : left + 2].any():
+            continue
+        part = frames[j][top - 1 : top + 3, left - 1 : left + 3].astype(float)
+        rows = part[:-1] * (1 - (y - top)) + part[1:] * (y - top)
+        window = rows[:, :-1] * (1 - (x - left)) + rows[:, 1:] * (x - left)
+        found.append(np.abs(window - frames[MIDDLE][v - 1 : v + 2, u - 1 : u + 2]).mean())
+    return found
 
 
 def test_the_best_of_the_static_depths_counts() -> None:
     """Beside what moves depths are wrong; those around are tried as well, each in all frames."""
     covered = {k: between(k, 9) for k in range(T)}
-    gap, sought = inner(between(MIDDLE, 9) & ~legs(MIDDLE, 9)), np.ones((H, W), bool)
+    gap = inner(between(MIDDLE, 9) & ~legs(MIDDLE, 9))
     depths = [np.where(between(MIDDLE, 9), depth, 1).astype(np.float32) for depth in (1.5, 0.6, 1.0)]
     for count, (low, high) in ((2, (APART, 255)), (3, (0, ALIKE))):
-        found = seen_again(MIDDLE, sought, depths[:count], clip(9), covered, world())
+        found = seen_again(MIDDLE, LIMIT, depths[:count], clip(9), covered, world())
         assert low < np.median(found[gap]) < high
 
 
 def test_frames_whose_cameras_are_not_known_are_left_out() -> None:
     """All poses but those of two neighbours and of the frame itself are wrong, and marked as not observed."""
-    seen, sought = world(), np.ones((H, W), bool)
-    near = [MIDDLE - 2, MIDDLE, MIDDLE + 2]
+    seen, near = world(), [MIDDLE - 2, MIDDLE, MIDDLE + 2]
     wrong = np.isin(np.arange(T), near, invert=True)
     seen.cameras.cam_from_world[wrong, 0, 3] += 0.5
     covered, depths = {k: between(k, 9) for k in range(T)}, [np.ones((H, W), np.float32)]
     free = np.logical_and.reduce([cv2.dilate(between(k, 9).astype(np.uint8), np.ones((1, 15))) == 0 for k in near])
     free[:, :24] = free[:, -24:] = False
-    assert np.median(seen_again(MIDDLE, sought, depths, clip(9), covered, seen)[free]) > APART
+    assert np.median(seen_again(MIDDLE, LIMIT, depths, clip(9), covered, seen)[free]) > APART
     seen.cameras.status[wrong] = "unobserved"
-    assert np.percentile(seen_again(MIDDLE, sought, depths, clip(9), covered, seen)[free], 95) < ALIKE
+    assert np.percentile(seen_again(MIDDLE, LIMIT, depths, clip(9), covered, seen)[free], 95) < ALIKE
 
 
-def evidence(frames: dict[int, np.ndarray], steps_px: int, confidence: float, masked: list[np.ndarray]) -> np.ndarray:
+def evidence(
+    frames: dict[int, np.ndarray],
+    steps_px: int,
+    confidence: float,
+    masked: list[np.ndarray],
+    scene: np.ndarray | None = None,
+) -> np.ndarray:
     """What `belonging` says of the pixels [2, H, W] of the middle frame, by superpixels, in units of MOVING, and one by
     one; its flow is dragged along with the legs."""
     v, u = np.mgrid[:H, :W] // TILE_PX
@@ -135,7 +187,7 @@ def evidence(frames: dict[int, np.ndarray], steps_px: int, confidence: float, ma
     for e, (i, j) in enumerate(zip(source, target, strict=True)):
         flow[e, ..., 0] = np.where(between(i, steps_px), -steps_px, GROUND_PX) * (j - i)
     sure = np.full(flow.shape[:3], confidence, np.float32)
-    pairs = FlowPairs(Dense({"source": source, "target": target, "flow": flow, "confidence": sure}))
+    pairs = FlowPairs(Dense({"source": source, "target": target, "flow": flow, "confidence": sure}), scene=scene)
     found = belonging(pixels, pairs, frames.__getitem__, world(), pixels.means(np.stack(masked).astype(float)).round())
     return np.stack([pixels.paint(found.weight, MIDDLE) / MOVING, found.of_frame(MIDDLE)])
 
@@ -150,7 +202,7 @@ def test_ground_between_legs_is_taken_from_the_walker(monkeypatch: pytest.Monkey
     assert (by_tile[walker] >= 0).all()
     assert (by_pixel[walker] > -0.1).mean() > 0.98
     assert np.median(evidence(clip(5), 5, 1.0, masked)[0][gap]) >= 0
-    monkeypatch.setattr(layers, "seen_again", lambda _, sought, *__: np.full(sought.shape, np.inf))
+    monkeypatch.setattr(layers, "seen_again", lambda _, limit, *__: np.full(limit.shape, np.inf))
     by_tile, by_pixel = evidence(clip(5), 5, 0.0, masked)
     assert np.median(by_tile[gap]) >= 0
     assert np.median(by_pixel[gap]) > -0.5
@@ -164,3 +216,38 @@ def test_a_mover_that_rests_is_not_taken_from_itself() -> None:
     inside = inner(between(MIDDLE, -GROUND_PX))
     assert (by_tile[inside] >= 0).all()
     assert (by_pixel[inside] > -0.1).all()
+
+
+def test_ground_that_flickers_is_taken_from_nobody() -> None:
+    """One difference may be the smaller by chance: it must be small as well."""
+    frames, gap = clip(5), inner(between(MIDDLE, 5) & ~legs(MIDDLE, 5))
+    random = np.random.default_rng(1)
+    for k, frame in frames.items():
+        flickers = between(k, 5) & ~legs(k, 5)
+        frame[flickers] = random.integers(0, 256, (int(flickers.sum()), 3))
+    by_tile, _ = evidence(frames, 5, 0.0, [between(k, 5) for k in range(T)])
+    assert (by_tile[gap] > -0.02).all()
+
+
+def test_masks_and_a_little_around_them_are_compared_and_logos_cover(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = {}
+
+    def spied(
+        i: int, limit: np.ndarray, _d: list, _f: dict, covered: dict[int, np.ndarray], _w: StaticWorld
+    ) -> np.ndarray:
+        asked[i] = limit, covered
+        return np.full(limit.shape, np.inf)
+
+    monkeypatch.setattr(layers, "seen_again", spied)
+    logo = np.zeros((H, W), bool)
+    logo[10:20, 300:340] = True
+    evidence(clip(5), 5, 0.0, [between(k, 5) for k in range(T)], scene=~logo)
+    limit, covered = asked[MIDDLE]
+    shares = between(MIDDLE, 5).reshape(H // TILE_PX, TILE_PX, W // TILE_PX, TILE_PX).mean(axis=(1, 3))
+    tiles = np.kron(shares.round(), np.ones((TILE_PX, TILE_PX)))
+    near, far = (cv2.dilate(tiles, np.ones((1, 2 * px + 1))) > 0 for px in (4, 5))
+    assert (limit[near] > 0).all()
+    assert (limit[~far] == 0).all()
+    assert set(covered) == set(range(T))
+    assert all(of[logo].all() for of in covered.values())
+    assert not covered[MIDDLE][~far & ~logo].any()

@@ -154,7 +154,7 @@ def _difference(images, expected, A, b, later, u, v, depth):  # type: ignore[no-
     for j in range(len(images)):
         x, y = place(A[j], b[j], u, v, depth)
         if 0 <= x <= w - 1 and 0 <= y <= h - 1:
-            total[int(later[j])] += window_difference(images[j], expected[j], u, v, x, y, HALF_WINDOW)
+            total[int(later[j])] += window_difference(images[j], expected[j], u, v, x, y, HALF_WINDOW, np.inf)
             count[int(later[j])] += 1
     if count.max() == 0:
         return np.float32(np.inf)

@@ -3,8 +3,8 @@
 Masks from the flow alone are precise but not whole: flow is lost on arms, thin parts and in front of texture that
 wins. What is found of a mover gives its motion, extended to what is around. Where the pictures match better when they
 are moved with it than at the depth of the static scene, the pixel belongs to it. The reverse is evidence against, but
-not of what is known to move: the parts of a mover do not all move alike. Ground that movers cover for a part of the time
-is an exception: other frames show it (`uncovered`).
+not of what is known to move: the parts of a mover do not all move alike. Ground that movers cover for a part of the
+time is an exception: other frames show it (`uncovered`).
 """
 
 import itertools
@@ -95,7 +95,9 @@ def belonging(
             return np.zeros((4, len(part.areas)))
         depths = _static_depths(world.inverse_depth(k), np.maximum(1 - seen / STATIC, 0) ** 2)
         static, moved, share = _compared(k, seen, depths, pairs, frames, world)
-        again = seen_again(k, _sought(k, seen, pairs), depths, frames, covered, world) / tolerance(frames[k])
+        allowed = tolerance(frames[k])
+        limit = np.where(_sought(k, seen, pairs), np.maximum(2 * SURELY_MATCHED, moved + 1) * allowed, 0)
+        again = seen_again(k, limit, depths, frames, covered, world) / allowed  # above the limit it changes nothing
         rests = _clear(again - moved)[1] * _matches(again, SURELY_MATCHED)
         static = np.minimum(static, again)
         moving, resting = _clear(static - moved)

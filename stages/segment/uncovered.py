@@ -2,7 +2,7 @@
 
 Pictures of neighbouring frames show a leg there, so that neither a static depth nor any motion matches, and the flow is
 dragged along with the leg. What is found of the movers tells in which frames nothing covers the place. If it looks the
-same in some of them, it rests. Some, since not all of the movers are found.
+same in some of them, it rests: in some, since not all of the movers are found.
 """
 
 import numba
@@ -19,14 +19,14 @@ DISTANCES = 1, 2, 3, 4, 5, 6, 8, 10, 12
 LEAST_FRAMES = 2
 """Frames that must show the place uncovered."""
 ALIKE = 0.3
-"""Share of these frames in which it looks the same."""
+"""The quantile of the differences to these frames that counts: of two the smaller, of seven the third."""
 HALF_WINDOW = 1
 """Pixels of the compared windows on either side of their middle."""
 
 
 def seen_again(
     i: int,
-    sought: np.ndarray,
+    limit: np.ndarray,
     depths: list[np.ndarray],
     frames: dict[int, np.ndarray],
     covered: dict[int, np.ndarray],
@@ -34,43 +34,50 @@ def seen_again(
 ) -> np.ndarray:
     """Difference [h, w] in colour levels of frame i to those frames in which movers do not cover what its pixels show.
 
-    Of each pixel that is `sought` [h, w], the least over the static `depths` [h, w]: the ALIKE quantile over the frames
-    in view. Infinite where fewer than LEAST_FRAMES show it, and of all others.
+    The least over the static `depths` [h, w] of the ALIKE quantile over the frames that show the place uncovered.
+    Infinite where fewer than LEAST_FRAMES do, and from the `limit` [h, w] on: a limit of 0 spares a pixel.
 
     Args:
         frames: pictures [h, w, 3] uint8 of frames around. covered: [h, w] bool, where they show movers.
     """
-    found = np.full(sought.shape, np.inf, np.float32)
+    limit, found = limit.astype(np.float32), np.full(limit.shape, np.inf, np.float32)
     others = [j for o in DISTANCES for j in (i - o, i + o) if j in frames and world.observed(i, j)]
-    v, u = np.nonzero(sought)
+    v, u = (np.ascontiguousarray(of) for of in np.nonzero(limit > 0))
     if not len(v) or not others:
         return found
     A, b = (np.stack(part) for part in zip(*(world.projection(i, j) for j in others), strict=True))
     ways = (dense_static_flow(*of, depths[0]) for of in zip(A, b, strict=True))
     expected = np.stack([exposed(frames[i], warp(frames[j], way)) for j, way in zip(others, ways, strict=True)])
     pictures, covers = (np.stack([of[j] for j in others]) for of in (frames, covered))
-    least = np.empty(len(v), np.float32)
-    _seen_again(pictures, expected, covers, A, b, u, v, np.stack([depth[v, u] for depth in depths]), least)
-    found[v, u] = least
+    least = limit[v, u]
+    alike = np.empty(len(others))
+    _seen_again(pictures, expected, covers, A, b, u, v, np.stack([depth[v, u] for depth in depths]), least, alike)
+    found[v, u] = np.where(least < limit[v, u], least, np.inf)
     return found
 
 
 @numba.njit(**KERNEL)
-def _seen_again(images, expected, covered, A, b, u, v, depths, least):  # type: ignore[no-untyped-def]
-    """Fill the `least` difference [n] float32 of pixels u, v [n] to images [F, h, w, 3] over the `depths` [d, n]."""
-    differences = np.empty(len(images))
+def _seen_again(images, expected, covered, A, b, u, v, depths, least, alike):  # type: ignore[no-untyped-def]
+    """Lower the `least` difference [n] float32 of pixels u, v [n] to images [F, h, w, 3], over their `depths` [d, n].
+
+    What is not below the least so far need not be known: it is counted, and the quantile is among the others, `alike`.
+    """
     for k in range(len(u)):
-        best = np.inf
         for d in range(len(depths)):
-            count = 0
+            shown, count = 0, 0
             for j in range(len(images)):
                 x, y = place(A[j], b[j], u[k], v[k], depths[d, k])
-                if _is_uncovered(covered[j], x, y):
-                    differences[count] = window_difference(images[j], expected[j], u[k], v[k], x, y, HALF_WINDOW)
+                if not _is_uncovered(covered[j], x, y):
+                    continue
+                shown += 1
+                apart = window_difference(images[j], expected[j], u[k], v[k], x, y, HALF_WINDOW, least[k])
+                if apart < least[k]:
+                    alike[count] = apart
                     count += 1
-            if count >= LEAST_FRAMES:
-                best = min(best, np.sort(differences[:count])[round(ALIKE * (count - 1))])
-        least[k] = best
+            rank = round(ALIKE * (shown - 1))
+            if shown >= LEAST_FRAMES and count > rank:
+                alike[:count].sort()
+                least[k] = alike[rank]
 
 
 @numba.njit(**KERNEL)

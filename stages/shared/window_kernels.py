@@ -21,20 +21,23 @@ def place(A, b, u, v, depth):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(**KERNEL)
-def window_difference(image, expected, u, v, x, y, half):  # type: ignore[no-untyped-def]
+def window_difference(image, expected, u, v, x, y, half, most):  # type: ignore[no-untyped-def]
     """Mean difference in colour levels between the windows around x, y of an image [h, w, 3] uint8 and around u, v of
-    the expected [h, w, 3], `half` pixels on either side of their middle."""
+    the expected [h, w, 3], `half` pixels on either side of their middle; infinite from `most` on."""
     h, w = expected.shape[:2]
     left, top = min(int(x), w - 2), min(int(y), h - 2)
     right_share, low_share = np.float32(x - left), np.float32(y - top)
-    total, pixels = np.float32(0), 0
-    for dv in range(max(-half, -v, -top), min(half, h - 1 - v, h - 2 - top) + 1):
-        for du in range(max(-half, -u, -left), min(half, w - 1 - u, w - 2 - left) + 1):
+    rows = range(max(-half, -v, -top), min(half, h - 1 - v, h - 2 - top) + 1)
+    columns = range(max(-half, -u, -left), min(half, w - 1 - u, w - 2 - left) + 1)
+    total, count = np.float32(0), 3 * len(rows) * len(columns)
+    for dv in rows:
+        for du in columns:
             row, column = top + dv, left + du
             for c in range(3):
                 a, b = np.float32(image[row, column, c]), np.float32(image[row + 1, column, c])
                 a += right_share * (np.float32(image[row, column + 1, c]) - a)
                 b += right_share * (np.float32(image[row + 1, column + 1, c]) - b)
                 total += abs(a + low_share * (b - a) - np.float32(expected[v + dv, u + du, c]))
-            pixels += 1
-    return total / (3 * pixels)
+        if total >= most * count:
+            return np.inf
+    return total / count
