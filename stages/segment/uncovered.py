@@ -60,7 +60,8 @@ def seen_again(
 def _seen_again(images, expected, covered, A, b, u, v, depths, least, alike):  # type: ignore[no-untyped-def]
     """Lower the `least` difference [n] float32 of pixels u, v [n] to images [F, h, w, 3], over their `depths` [d, n].
 
-    What is not below the least so far need not be known: it is counted, and the quantile is among the others, `alike`.
+    What is not below the least so far need not be known: it is counted, and the quantile is among the others, which are
+    sorted in `alike` [F].
     """
     for k in range(len(u)):
         for d in range(len(depths)):
@@ -72,12 +73,20 @@ def _seen_again(images, expected, covered, A, b, u, v, depths, least, alike):  #
                 shown += 1
                 apart = window_difference(images[j], expected[j], u[k], v[k], x, y, HALF_WINDOW, least[k])
                 if apart < least[k]:
-                    alike[count] = apart
+                    _insert(alike, count, apart)
                     count += 1
             rank = round(ALIKE * (shown - 1))
             if shown >= LEAST_FRAMES and count > rank:
-                alike[:count].sort()
                 least[k] = alike[rank]
+
+
+@numba.njit(**KERNEL)
+def _insert(values, count, value):  # type: ignore[no-untyped-def]
+    """Insert a value into the first `count` values, which ascend."""
+    while count > 0 and values[count - 1] > value:
+        values[count] = values[count - 1]
+        count -= 1
+    values[count] = value
 
 
 @numba.njit(**KERNEL)
