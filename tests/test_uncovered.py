@@ -251,3 +251,19 @@ def test_masks_and_a_little_around_them_are_compared_and_logos_cover(monkeypatch
     assert set(covered) == set(range(T))
     assert all(of[logo].all() for of in covered.values())
     assert not covered[MIDDLE][~far & ~logo].any()
+
+
+@pytest.mark.parametrize("share", [0.6, 0.8])
+def test_where_most_of_a_frame_moves_nothing_is_seen_again(share: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Cameras may follow the mover then, and what moves with it would be called static."""
+    asked = {}
+
+    def spied(i: int, limit: np.ndarray, *_: object) -> np.ndarray:
+        asked[i] = (limit > 0).mean()
+        return np.full(limit.shape, np.inf)
+
+    monkeypatch.setattr(layers, "seen_again", spied)
+    masked = np.arange(W) < share * W
+    evidence(clip(5), 5, 0.0, T * [np.tile(masked, (H, 1))])
+    assert (asked[MIDDLE] >= share) == (share < 0.7)
+    assert (asked[MIDDLE] == 0) == (share > 0.7)

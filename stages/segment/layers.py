@@ -52,7 +52,9 @@ SURELY_MATCHED = 0.75
 SOUGHT, SOUGHT_PX = 0.2, 4
 """What is surer than this, and so many pixels around it, is compared with frames in which movers do not cover it."""
 UNSURE, SURE_FRAMES = 0.25, 2
-"""But not where the mean confidence of the flow to frames at most SURE_FRAMES away is larger."""
+"""But not where the mean confidence of the flow to frames at most SURE_FRAMES away is larger,"""
+MOST = 0.7
+"""nor in frames of which more moves: cameras may then be those of a mover, which seems to rest."""
 SHOWN_MOST = 127
 """What a pixel shows is kept in units of 1 / 127, in one byte."""
 LEAST_SHARE = 1e-3
@@ -140,7 +142,7 @@ def _sought(i: int, sure: np.ndarray, pairs: FlowPairs) -> np.ndarray:
     near = [e for e in pairs.leaving(i, i + 1) if abs(int(pairs.target[e]) - i) <= SURE_FRAMES]
     confidence = np.mean([pairs.confidence[e].astype(np.float32) for e in near], axis=0) if near else 0
     around = cv2.dilate(sure, np.ones((1 + 2 * SOUGHT_PX,) * 2, np.uint8)) > SOUGHT
-    return np.asarray(around & (confidence < UNSURE))
+    return np.asarray(around & (confidence < UNSURE) & ((sure >= DYNAMIC).mean() <= MOST))
 
 
 def _covered(sure: np.ndarray, scene: np.ndarray | None) -> np.ndarray:
