@@ -96,8 +96,8 @@ def belonging(
         if not (seen >= DYNAMIC).any():
             return np.zeros((4, len(part.areas)))
         depths = _static_depths(world.inverse_depth(k), np.maximum(1 - seen / STATIC, 0) ** 2)
-        static, moved, share = _compared(k, seen, depths, pairs, frames, world)
         allowed = tolerance(frames[k])
+        static, moved, share = _compared(k, seen, allowed, depths, pairs, frames, world)
         limit = np.where(_sought(k, seen, pairs), np.maximum(2 * SURELY_MATCHED, moved + 1) * allowed, 0)
         again = seen_again(k, limit, depths, frames, covered, world) / allowed  # above the limit it changes nothing
         rests = _clear(again - moved)[1] * _matches(again, SURELY_MATCHED)
@@ -139,10 +139,12 @@ def _near(share: np.ndarray) -> np.ndarray:
 
 def _sought(i: int, sure: np.ndarray, pairs: FlowPairs) -> np.ndarray:
     """Where [h, w] bool movers are near, and the flow does not know what a pixel of frame i does."""
+    if (sure >= DYNAMIC).mean() > MOST:
+        return np.zeros(sure.shape, bool)
     near = [e for e in pairs.leaving(i, i + 1) if abs(int(pairs.target[e]) - i) <= SURE_FRAMES]
     confidence = np.mean([pairs.confidence[e].astype(np.float32) for e in near], axis=0) if near else 0
     around = cv2.dilate(sure, np.ones((1 + 2 * SOUGHT_PX,) * 2, np.uint8)) > SOUGHT
-    return np.asarray(around & (confidence < UNSURE) & ((sure >= DYNAMIC).mean() <= MOST))
+    return np.asarray(around & (confidence < UNSURE))
 
 
 def _covered(sure: np.ndarray, scene: np.ndarray | None) -> np.ndarray:
@@ -153,13 +155,14 @@ def _covered(sure: np.ndarray, scene: np.ndarray | None) -> np.ndarray:
 def _compared(
     i: int,
     sure: np.ndarray,
+    allowed: np.ndarray,
     depths: list[np.ndarray],
     pairs: FlowPairs,
     frames: dict[int, np.ndarray],
     world: StaticWorld,
 ) -> np.ndarray:
-    """Static residual and that of the mover, in tolerances, both 0 where nothing is compared, and the share of movers
-    around, [3, h, w].
+    """Static residual and that of the mover, in tolerances `allowed` [h, w], both 0 where nothing is compared, and the
+    share of movers around, [3, h, w].
 
     The better of earlier and later frames counts: what is hidden on one side is usually seen on the other.
     """
@@ -167,7 +170,7 @@ def _compared(
     mean = _residuals(i, mover, depths, pairs, frames, world)
     both = np.stack([mean[:, : len(depths)].min(axis=1), mean[:, len(depths) :].min(axis=1)], axis=1)
     side = both.min(axis=1).argmin(axis=0)
-    static, moved = np.take_along_axis(both, side[None, None], axis=0)[0] / tolerance(frames[i])
+    static, moved = np.take_along_axis(both, side[None, None], axis=0)[0] / allowed
     known = np.isfinite(static) & np.isfinite(moved)
     static, moved = np.where(known, static, 0), np.where(known, moved, 0)
     around = _extended(mover[..., None], mover, _on_grid(MOTION_PX[-1], sure))[1]
