@@ -129,7 +129,7 @@ def _grey_difference(images, expected, A, b, u, v, depth, most):  # type: ignore
     h, w = images.shape[1:]
     worst = np.float32(-1)
     for j in range(len(images)):
-        x_px, y_px = place(A[j], b[j], u, v, depth)
+        x_px, y_px = place(A, b, j, u, v, depth)
         x, y = int(np.rint(x_px)), int(np.rint(y_px))
         if x < 0 or y < 0 or x >= w or y >= h:
             continue
@@ -150,12 +150,16 @@ def _grey_difference(images, expected, A, b, u, v, depth, most):  # type: ignore
 def _difference(images, expected, A, b, later, u, v, depth):  # type: ignore[no-untyped-def]
     """Mean difference of a pixel's window at an inverse depth, of the worse side; infinite where no frame shows it."""
     h, w = images.shape[1:3]
-    total, count = np.zeros(2, np.float32), np.zeros(2, np.float32)
+    before, befores, after, afters = np.float32(0), 0, np.float32(0), 0
     for j in range(len(images)):
-        x, y = place(A[j], b[j], u, v, depth)
-        if 0 <= x <= w - 1 and 0 <= y <= h - 1:
-            total[int(later[j])] += window_difference(images[j], expected[j], u, v, x, y, HALF_WINDOW, np.inf)
-            count[int(later[j])] += 1
-    if count.max() == 0:
+        x, y = place(A, b, j, u, v, depth)
+        if not (0 <= x <= w - 1 and 0 <= y <= h - 1):
+            continue
+        apart = window_difference(images, expected, j, u, v, x, y, HALF_WINDOW, np.inf)
+        if later[j]:
+            after, afters = after + apart, afters + 1
+        else:
+            before, befores = before + apart, befores + 1
+    if befores + afters == 0:
         return np.float32(np.inf)
-    return max(total[0] / max(count[0], 1), total[1] / max(count[1], 1))
+    return np.float32(max(before / max(befores, 1), after / max(afters, 1)))

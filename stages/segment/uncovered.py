@@ -50,51 +50,61 @@ def seen_again(
     expected = np.stack([exposed(frames[i], warp(frames[j], way)) for j, way in zip(others, ways, strict=True)])
     pictures, covers = (np.stack([of[j] for j in others]) for of in (frames, covered))
     least = limit[v, u]
-    alike = np.empty(len(others))
-    _seen_again(pictures, expected, covers, A, b, u, v, np.stack([depth[v, u] for depth in depths]), least, alike)
+    alike, places = np.empty(len(others)), np.empty((len(others), 3))
+    static = np.stack([depth[v, u] for depth in depths])
+    _seen_again(pictures, expected, covers, A, b, u, v, static, least, alike, places)
     found[v, u] = np.where(least < limit[v, u], least, np.inf)
     return found
 
 
 @numba.njit(**KERNEL)
-def _seen_again(images, expected, covered, A, b, u, v, depths, least, alike):  # type: ignore[no-untyped-def]
+def _seen_again(images, expected, covered, A, b, u, v, depths, least, alike, places):  # type: ignore[no-untyped-def]
     """Lower the `least` difference [n] float32 of pixels u, v [n] to images [F, h, w, 3], over their `depths` [d, n].
 
-    What is not below the least so far need not be known: it is counted, and the quantile is among the others, which are
-    sorted in `alike` [F].
+    What is not below the least so far need not be known: the quantile is among the others, which are sorted in `alike`
+    [F], or they are too few. `places` [F, 3] are the frames that show the place uncovered, and where they do.
     """
     for k in range(len(u)):
         for d in range(len(depths)):
-            shown, count = 0, 0
+            shown = 0
             for j in range(len(images)):
-                x, y = place(A[j], b[j], u[k], v[k], depths[d, k])
-                if not _is_uncovered(covered[j], x, y):
-                    continue
-                shown += 1
-                apart = window_difference(images[j], expected[j], u[k], v[k], x, y, HALF_WINDOW, least[k])
-                if apart < least[k]:
-                    _insert(alike, count, apart)
-                    count += 1
-            rank = round(ALIKE * (shown - 1))
-            if shown >= LEAST_FRAMES and count > rank:
-                least[k] = alike[rank]
+                x, y = place(A, b, j, u[k], v[k], depths[d, k])
+                if _is_uncovered(covered, j, x, y):
+                    places[shown, 0], places[shown, 1], places[shown, 2] = j, x, y
+                    shown += 1
+            if shown < LEAST_FRAMES:
+                continue
+            rank, count, most = round(ALIKE * (shown - 1)), 0, least[k]
+            for s in range(shown):
+                j, x, y = int(places[s, 0]), places[s, 1], places[s, 2]
+                apart = window_difference(images, expected, j, u[k], v[k], x, y, HALF_WINDOW, most)
+                if apart < most:
+                    count = _insert(alike, count, apart)
+                    if count > rank:
+                        most = alike[rank]
+                if count + shown - s - 1 <= rank:
+                    break
+            least[k] = most
 
 
 @numba.njit(**KERNEL)
 def _insert(values, count, value):  # type: ignore[no-untyped-def]
-    """Insert a value into the first `count` values, which ascend."""
+    """Insert a value into the first `count` values, which ascend; one more than these."""
+    more = count + 1
     while count > 0 and values[count - 1] > value:
         values[count] = values[count - 1]
         count -= 1
     values[count] = value
+    return more
 
 
 @numba.njit(**KERNEL)
-def _is_uncovered(covered, x, y):  # type: ignore[no-untyped-def]
-    """Whether a place is in the image, and none of the four pixels around it is `covered` [h, w]."""
-    h, w = covered.shape
+def _is_uncovered(covered, j, x, y):  # type: ignore[no-untyped-def]
+    """Whether a place is in the image, and none of the four pixels around it is `covered` [F, h, w]."""
+    h, w = covered.shape[1:]
     if not (0 <= x <= w - 1 and 0 <= y <= h - 1):
         return False
     left, top = int(x), int(y)
     right, low = min(left + 1, w - 1), min(top + 1, h - 1)
-    return not (covered[top, left] or covered[top, right] or covered[low, left] or covered[low, right])
+    above, below = covered[j, top, left] or covered[j, top, right], covered[j, low, left] or covered[j, low, right]
+    return not (above or below)

@@ -29,7 +29,8 @@ def exposed(frame: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 def _line(here: np.ndarray, there: np.ndarray) -> tuple[float, float]:
     """Gain and offset that take the levels [n] of one picture to those [n] of the other."""
-    middle, bright = np.median(here), here > np.median(here)
+    middle = np.median(here)
+    bright = here > middle
     gain = 1.0
     if bright.any() and not bright.all():
         apart = np.median(here[bright]) - np.median(here[~bright])
