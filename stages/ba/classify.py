@@ -26,8 +26,9 @@ TWO_VIEW_PX = 0.5
 """Inlier threshold of a two-view fit."""
 FOCAL_TOLERANCE = 0.003
 """Tolerance of the logarithm of the focal length that fits a rotation best."""
-STILL_PX = 1.0
-"""A camera whose flow fits a rotation and is below this per frame is called near-still."""
+STILL_PX, TURNS_PX = 1.0, 0.2
+"""A camera whose flow fits a rotation and is below the first per frame is called near-still; if a rotation leaves no
+more than noise, below the second."""
 FLOOR_PX = 0.05
 """Two-view residuals below this do not tell models apart."""
 AT_REST, MOVES = 0.1, 0.05
@@ -84,7 +85,8 @@ class Statistics:
         """
         if self.parallax or (self._exceeds(RESIDUAL_RATIO, FLOOR_PX) and not self.by_ground):
             return "moving"
-        return "rotating" if self.flow_px > STILL_PX else "near-still"
+        still_px = STILL_PX if self._exceeds(DOUBT, 0.0) else TURNS_PX
+        return "rotating" if self.flow_px > still_px else "near-still"
 
     @property
     def by_ground(self) -> bool:
