@@ -25,6 +25,8 @@ WALK_M = 2.5
 """How much farther the camera goes into the fog: a third of the distance to what is in the middle of the pictures."""
 FARTHER = 2.5
 """The way past things that shine, over that of the base scene: it turns the views by some 20 degrees instead of 8."""
+SUN, CASTER_M, SHADOW_M = (-0.5, -0.6, 0.9), 7.0, 3.0
+"""Direction towards the sun, how far along it something is that casts a shadow, and how far the shadow goes."""
 Content = dict[str, Any]
 
 
@@ -91,6 +93,20 @@ def _shining(scene: Content, strength: float) -> None:
     scene["effects"]["specular"] = {"strength": strength, "exponent": 30}
 
 
+def _shaded(scene: Content, darkness: float) -> None:
+    """What is out of view, between the sun and the middle of the scene, casts a shadow that passes over it."""
+    keys = scene["camera"]["keys"]
+    eye, target = (np.array(keys[len(keys) // 2][end]) for end in ("eye", "target"))
+    middle = (eye + target) / 2 * [1, 1, 0]
+    away = CASTER_M * np.array(SUN) / np.linalg.norm(SUN)
+    path = [{"time": 0}, {"time": 1, "move": [SHADOW_M, 0.0, 0.0]}]
+    caster = {"name": "caster", "kind": "box", "size": [1.0, 1.0, 1.0], "texture": {"colours": [[0.3] * 3, [0.2] * 3]}}
+    where = (middle + away - [SHADOW_M / 2, 0, 0]).tolist()
+    scene["objects"].append(caster | {"position": where, "path": path})
+    scene.setdefault("lights", {})["sun_from"] = list(SUN)
+    scene["effects"]["shadows"] = {"darkness": darkness}
+
+
 def _rolling(scene: Content, readout: float) -> None:
     scene["camera"]["handheld"] = {"position": 0.01, "rotation_deg": 0.8}
     scene["effects"]["rolling_shutter"] = {"readout": readout}
@@ -114,6 +130,7 @@ EFFECTS = {
         "white_balance", "gain", (0.01, 0.03, 0.1, 0.2, 0.3), _listed("exposure", "white_balance", stops=0)
     ),
     "view-dependent colour": Effect("view_dependent", "peak radiance", (0.8, 1.6, 3.0, 4.5, 6.0), _shining),
+    "moving shadows": Effect("moving_shadows", "share of the sun", (0.05, 0.15, 0.4, 0.6, 0.9), _shaded),
     "fog": Effect("atmosphere", "1 / m", (0.005, 0.02, 0.06, 0.12, 0.2), _foggy),
     "motion blur": Effect("motion_blur", "frames", (0.1, 0.25, 0.5, 0.75, 1.0), _listed("motion_blur", "shutter")),
     "zoom": Effect("zoom", "focal length, last / first", (1.01, 1.03, 1.15, 1.3, 1.5), _zooming),
@@ -124,6 +141,8 @@ PAIRS = (
     ("exposure", "fog"),
     ("exposure", "white balance"),
     ("view-dependent colour", "exposure"),
+    ("moving shadows", "exposure"),
+    ("moving shadows", "moving parts"),
     ("bending movers", "motion blur"),
     ("moving parts", "fog"),
     ("moving parts", "rolling shutter"),

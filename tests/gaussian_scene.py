@@ -89,5 +89,7 @@ def write_artifacts(folder: Path, stride_px: int = 4) -> None:
     columns["filled"] = np.zeros(inverse_depth.shape, np.uint8)
     write_dense(folder / "depth.arrow", columns, {"stride_px": stride_px})
     decisions = {"dynamic": {"needed": True}, "view_dependent": {"sh_degree": 0}, "non_rigid": {"arap_weight": 0.01}}
-    off = {name: {"needed": False} for name in ("exposure", "white_balance", "atmosphere", "motion_blur")}
+    off = {
+        name: {"needed": False} for name in ("exposure", "white_balance", "atmosphere", "moving_shadows", "motion_blur")
+    }
     write_json(folder / "scene.json", decisions | off)

@@ -25,13 +25,16 @@ from stages.splatting.gains import Exposure
 from stages.splatting.gaussian_model import GaussianScene
 from stages.splatting.model_files import scene_tensors
 from stages.splatting.pose_table import PoseTable
+from stages.splatting.shadows import ShadowTable
 from stages.viewer import __main__ as viewer_stage
 from stages.viewer import instances
 from stages.viewer.instances import at_pixels, elected, instance_votes
 from stages.viewer.packing import (
     MOTION_BYTES,
+    SHADOW_BYTES,
     moments_of_motion,
     pack_scene,
+    packed_shadows,
     quantised_pairs,
     quantised_sh,
     to_blob,
@@ -88,7 +91,7 @@ class Drawn:
 
 
 def with_every_effect() -> GaussianScene:
-    """The wall and the square, with colours by view and over time, gains, corrected poses and fog."""
+    """The wall and the square, with colours by view and over time, shadows, gains, corrected poses and fog."""
     scene, random = new_scene(truth.observations(TRAIN)), torch.manual_seed(0)
     cloud = scene.cloud()
     cloud.sh = torch.cat([cloud.sh[:, :1], 0.15 * torch.randn(len(cloud.sh), 15, 3, generator=random)], dim=1)
@@ -98,6 +101,10 @@ def with_every_effect() -> GaussianScene:
     scene.poses = PoseTable(times, length=3.0)
     scene.colours.table.data = 0.4 * torch.randn(len(times), 16, 3, generator=random)
     scene.exposure.log_gains.data = 0.2 * torch.randn(len(times), 3, generator=random)
+    points = torch.cat([2 * torch.rand(12, 2, generator=random) - 1, torch.full((12, 1), truth.WALL_Z)], dim=1)
+    scene.shadows = ShadowTable(times, points, torch.full((12,), 0.3))
+    scene.shadows.table.data = torch.randn(len(times), 12, 1, generator=random) * torch.tensor([0.5, 0.4, 0.2])
+    scene.bind()
     scene.atmosphere = Atmosphere(0.7 / truth.WALL_Z, torch.tensor([0.6, 0.3, 0.9]))
     scene.poses.twists.data = 0.01 * torch.randn(len(times), 6, generator=random)
     return scene
@@ -197,12 +204,16 @@ def test_without_webgl2_the_page_says_so(drawn: dict[str, Drawn]) -> None:
 
 
 def test_the_page_of_50_000_gaussians_and_50_frames_is_below_8_mb() -> None:
-    """With all harmonics, a thousand control points, and every fifth Gaussian moving."""
+    """With all harmonics, a thousand control points, every fifth Gaussian moving, and some under moving shadows."""
     random, N, D, P, T = np.random.default_rng(0), 50_000, 10_000, 1000, 50
     halves = {"quats": (N, 4), "shapes": (N, 4), "sh_dc": (N, 3), "motions": (T, P, 10)}
     arrays = {name: random.normal(size=shape).astype(np.float16) for name, shape in halves.items()}
     arrays |= {"means": random.normal(size=(N, 3)).astype(np.float32), "instances": np.zeros(D, np.uint8)}
     arrays |= {"sh_rest": np.zeros((N, 15, 3), np.int8), "points": np.zeros((P, 3), np.float32)}
+    arrays |= {
+        "shadows": np.zeros((SHADOW_BYTES // 8000, 8000), np.int8),
+        "shadow_colours": np.zeros((8000, 3), np.int8),
+    }
     arrays |= {"index": np.zeros((D, 4), np.uint16), "weights": np.zeros((D, 4), np.uint8)}
     noise = [random.integers(0, 255, (1, 27, 64, 3), np.uint8).repeat(8, 1).repeat(10, 2)[0] for _ in range(T)]
     pictures = encoded(image[..., :3] for image in noise)
@@ -216,6 +227,21 @@ def test_motions_of_a_long_clip_are_packed_at_fewer_moments(T: int, P: int, mome
     found = moments_of_motion(scene, np.linspace(0, 1, T))
     np.testing.assert_allclose(found, np.linspace(0, 1, moments))
     assert 20 * P * len(found) <= MOTION_BYTES
+
+
+@pytest.mark.parametrize("T", [10, 40_000])
+def test_gaussians_under_shadows_come_last_of_the_static_ones(T: int) -> None:
+    """What is added to their colours, at fewer moments than frames where these take too much."""
+    scene, times = with_every_effect(), np.linspace(0, 1, T)
+    order, shadows, colours, step = packed_shadows(scene, times)
+    n, B = scene.n_static, shadows.shape[1]
+    assert scene.shadows is not None
+    assert 0 < B < n
+    assert np.array_equal(order[n - B : n], scene.shadows.rows)
+    assert np.array_equal(np.sort(order), np.arange(len(scene.anchors)))
+    assert shadows.nbytes <= SHADOW_BYTES
+    first = scene.shadows(0.0, scene.shadows.weights, scene.shadows.index).detach()
+    assert np.abs(shadows[0, :, None] / 127 * step * (colours / 127) - first.numpy()).max() < step / 100
 
 
 def test_packed_weights_sum_to_one_and_lose_little() -> None:

@@ -15,6 +15,7 @@ from stages.gaussians.inputs import canonical_row, read_observations
 from stages.gaussians.lifting import near_plane_of
 from stages.gaussians.optimise import Trainer
 from stages.gaussians.options import GaussiansOptions
+from stages.gaussians.shadows import moving_shadows
 from stages.gaussians.training_frames import TrainingFrames, with_movers, with_smear
 from stages.shared.artifacts import read_json, read_metadata
 from stages.shared.cameras import read_cameras
@@ -127,7 +128,8 @@ def _new_scene(
         logger.warning("one Gaussian per %d px, not %d, to stay within max_gaussians", stride_px, options.stride_px)
     background = torch.as_tensor(seen.mean_colour)
     tables = tables_over_time(seen, motion, needs, options)
-    scene = GaussianScene(cloud, motion, background, near_plane_of(seen), neighbours, *tables, air).to(device)
+    shadows = moving_shadows(lifted, cloud) if needs["moving_shadows"]["needed"] else None
+    scene = GaussianScene(cloud, motion, background, near_plane_of(seen), neighbours, *tables, air, shadows).to(device)
     counts = (len(cloud.means), scene.n_static, len(cloud.means) - scene.n_static)
     logger.info("%s; %d Gaussians to start with: %d static, %d dynamic", backend_name(device), *counts)
     return scene

@@ -6,13 +6,14 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from stages.gaussians.densify import GradientRecord, select
+from stages.gaussians.densify import GradientRecord
 from stages.gaussians.optimise import History, Trainer
 from stages.gaussians.options import GaussiansOptions
 from stages.shared import costs
 from stages.shared.artifacts import read_metadata, read_model, unless_damaged, write_model
 from stages.shared.digest import origin
 from stages.shared.log import logger
+from stages.splatting.cloud import select
 
 INTERVAL_S = 20.0
 
@@ -81,6 +82,8 @@ def restore(trainer: Trainer, arrays: dict[str, np.ndarray], n_static: int) -> N
     blank.dynamic = torch.arange(N, device=device) >= n_static
     scene.set_cloud(blank)  # gives every tensor its size
     scene.load_state_dict(scene_state)
+    if scene.shadows is not None:
+        scene.shadows.bind(scene.anchors[:n_static])  # as when these became the anchors
     trainer.optimiser = trainer.new_optimiser()
     for group in trainer.optimiser.param_groups:
         for k, parameter in enumerate(group["params"]):

@@ -9,7 +9,7 @@ from torch import Tensor
 from stages.gaussians import record_kernels
 from stages.shared import quaternions
 from stages.shared.threads import spread
-from stages.splatting.cloud import Cloud
+from stages.splatting.cloud import Cloud, select
 
 MIN_OPACITY = 0.01
 """Gaussians below this opacity are pruned: they change no pixel visibly."""
@@ -93,11 +93,6 @@ def strength(cloud: Cloud, interval: float) -> Tensor:
     """
     lasting = cloud.log_spans.exp() * (math.sqrt(2 * math.pi) / interval)
     return cloud.logits.sigmoid() * lasting.clamp_max(1)
-
-
-def select(cloud: Cloud, rows: Tensor) -> Cloud:
-    """The Gaussians of a cloud with the indices `rows` [M], copied."""
-    return Cloud(*(values[rows] for values in vars(cloud).values()))
 
 
 def _halve(cloud: Cloud, start: int, count: int) -> None:

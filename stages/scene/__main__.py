@@ -11,6 +11,7 @@ from stages.scene import bending, blur_rules, geometry, photometry, rules, shutt
 from stages.scene.camera_effects import camera_decisions
 from stages.scene.figure import decision_table
 from stages.scene.followed import followed_evidence
+from stages.scene.moving_shadows import DENSITY, decide_moving_shadows, shadow_evidence
 from stages.scene.observed import Observed, depth_on_grid, read_edges
 from stages.scene.options import SceneOptions
 from stages.scene.sightings import sight
@@ -44,10 +45,10 @@ def main(
 ) -> str:
     """Decide from evidence which effects the reconstruction has to model, and write why.
 
-    Moving parts, a camera that only rotates, changes of exposure and white balance, fog, view-dependent colour,
-    non-rigid movers and motion blur are modelled where that predicts samples of the training frames better to which it
-    was not fitted. An option can overrule each decision. Those about the camera - zoom, rolling shutter, distortion -
-    were made before, on the same terms, and stand beside them.
+    Moving parts, a camera that only rotates, changes of exposure and white balance, fog, view-dependent colour, moving
+    shadows, non-rigid movers and motion blur are modelled where that predicts samples of the training frames better to
+    which it was not fitted. An option can overrule each decision. Those about the camera - zoom, rolling shutter,
+    distortion - were made before, on the same terms, and stand beside them.
     """
     content = read_sequence(sequence)
     seen = _observe(content, flow, masks, poses, depth, options)
@@ -85,6 +86,8 @@ def _decide(seen: Observed, rotation_only_share: float, options: SceneOptions) -
     atmosphere = timed(rules.decide_atmosphere(light, options.atmosphere))
     view = photometry.view_evidence(sight(seen, textured=True), light.fitted)
     view_dependent = timed(rules.decide_view_dependent(view, options.view_dependent))
+    shadows = shadow_evidence(sight(seen, density=DENSITY), light.fitted)
+    moving_shadows = timed(decide_moving_shadows(shadows, options.moving_shadows))
     non_rigid = timed(rules.decide_non_rigid(bending.bending_evidence(seen), options.non_rigid))
     given = None if options.shutter == "auto" else options.shutter
     blur = shutter.shutter_evidence(seen, blur_rules.MIN_SPEED_PX, given)
@@ -95,6 +98,7 @@ def _decide(seen: Observed, rotation_only_share: float, options: SceneOptions) -
         "white_balance": white_balance,
         "atmosphere": atmosphere,
         "view_dependent": view_dependent,
+        "moving_shadows": moving_shadows,
         "non_rigid": non_rigid,
         "motion_blur": timed(blur_rules.decide_motion_blur(blur, options.motion_blur, given)),
     }

@@ -30,6 +30,9 @@ class SceneOptions(SplitOptions):
         "auto",
         description="colours that change with the view: spherical harmonics; auto: not below 0.5 degrees of views",
     )
+    moving_shadows: Choice = Field(
+        "auto", description="light that changes from place to place and over time, as where shadows of movers pass"
+    )
     non_rigid: Choice = Field("auto", description="non-rigid movers: more control points, weaker rigidity")
     motion_blur: Choice = Field("auto", description="frames that are averaged while the shutter is open")
     shutter: Literal["auto"] | Annotated[float, Field(gt=0, le=1)] = Field(

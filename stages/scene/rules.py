@@ -60,9 +60,9 @@ def decide_dynamic(evidence: MaskEvidence, choice: Choice) -> Decision:
     if few:
         why = f"the masks cover {share:.2%} of the pixels, less than {MIN_MASK_SHARE:.2%}"
     elif needed:
-        why = f"the masks cover {share:.1%}; {_saves(bought, 'px')}; the residual of a static scene is {residuals}"
+        why = f"the masks cover {share:.1%}; {saves(bought, 'px')}; the residual of a static scene is {residuals}"
     else:
-        why = f"a static scene explains the masked pixels as well as the others: {_saves(bought, 'px')}; {residuals}"
+        why = f"a static scene explains the masked pixels as well as the others: {saves(bought, 'px')}; {residuals}"
     numbers = {"mask_share": share}
     numbers |= {"residual_inside_px": evidence.inside_px, "residual_outside_px": evidence.outside_px}
     return _decision(needed, bought, MIN_MOTION_PX, "px", numbers, why, choice)
@@ -85,7 +85,7 @@ def decide_rotation_only(travel: Bought, marked: float, choice: Choice) -> Decis
         marked: share of the frames that the pose stage marks as rotation-only.
     """
     travels = travel.reaches(MIN_TRAVEL_PX, MIN_TRAVEL_SHARE)
-    why = f"beside turning, travel with depth from other frames {_saves(travel, 'px')} of the static flow"
+    why = f"beside turning, travel with depth from other frames {saves(travel, 'px')} of the static flow"
     if marked > 0:
         why += f"; the pose stage marks {marked:.0%} of the frames as rotation-only"
     numbers = {"frames_marked_share": marked}
@@ -96,10 +96,10 @@ def decide_exposure(evidence: LightEvidence, choice: Choice) -> Decision:
     """Exposure change: a gain per frame predicts static points that it was not fitted to."""
     bought, gains = evidence.exposure, evidence.fitted.log_gains.mean(axis=1)
     numbers = {"gain_range_percent": 100 * float(np.expm1(np.ptp(gains)))}
-    why = f"a gain per frame, beside fog and vignetting, {_saves(bought, 'grey levels')}"
+    why = f"a gain per frame, beside fog and vignetting, {saves(bought, 'grey levels')}"
     if not bought.samples:
         why = "not observable: no static point is seen unclipped in several frames"
-    return _light_decision(bought, False, numbers, why, choice)
+    return light_decision(bought, False, numbers, why, choice)
 
 
 def decide_white_balance(evidence: LightEvidence, choice: Choice, exposure: Choice = "auto") -> Decision:
@@ -111,8 +111,8 @@ def decide_white_balance(evidence: LightEvidence, choice: Choice, exposure: Choi
     bought, gains = evidence.white_balance, evidence.fitted.log_gains
     tint = gains - gains.mean(axis=1, keepdims=True)
     numbers = {"tint_range_percent": 100 * float(np.expm1(np.ptp(tint, axis=0).max()))}
-    why = f"a gain per channel, beside one for all, {_saves(bought, 'grey levels')}"
-    decision = _light_decision(bought, False, numbers, why, choice)
+    why = f"a gain per channel, beside one for all, {saves(bought, 'grey levels')}"
+    decision = light_decision(bought, False, numbers, why, choice)
     if exposure != "no" or choice != "auto":
         return decision
     why = f"gains per channel hold the exposure, which the user rules out; {decision['why']}"
@@ -123,7 +123,7 @@ def about_followed(decision: Decision, followed: Bought) -> Decision:
     """Changes to a decision about gains if they do not act on the whole picture: `followed` is what they save there."""
     if not decision["needed"] or decision["source"] != "evidence" or followed.interval[0] > 0:
         return {}
-    why = f"where the flow follows the whole picture, movers too, it {_saves(followed, 'grey levels')}"
+    why = f"where the flow follows the whole picture, movers too, it {saves(followed, 'grey levels')}"
     return {"needed": False, "why": f"{decision['why']}; {why}: not beyond chance"}
 
 
@@ -133,13 +133,13 @@ def decide_atmosphere(evidence: LightEvidence, choice: Choice) -> Decision:
     Where fog is not observable, or the best fog is none at all, there is nothing to model, even if the user asks.
     """
     bought, fitted, change = evidence.atmosphere, evidence.fitted, evidence.distance_change
-    why = f"fog, beside gains and vignetting, {_saves(bought, 'grey levels')}"
+    why = f"fog, beside gains and vignetting, {saves(bought, 'grey levels')}"
     if change < MIN_DISTANCE_CHANGE:
         why = (
             f"not observable: the distance of static points changes by {change:.1%} while they are seen, less than"
             f" {MIN_DISTANCE_CHANGE:.0%}; {why}"
         )
-    decision = _light_decision(bought, True, {"distance_change_percent": 100 * change}, why, choice)
+    decision = light_decision(bought, True, {"distance_change_percent": 100 * change}, why, choice)
     if decision["needed"] and fitted.extinction <= 0:
         found = "no fog is fitted" if change < MIN_DISTANCE_CHANGE else "the fit finds clear air"
         decision |= {"needed": False, "why": f"{decision['why']}; {found}, so nothing is modelled"}
@@ -153,7 +153,7 @@ def decide_view_dependent(evidence: ViewEvidence, choice: Choice) -> Decision:
     beyond_chance = first.rank_sigmas > SIGNIFICANT
     needed = observable and beyond_chance and first.size >= MIN_VIEW_GREY and first.share >= MIN_VIEW_SHARE
     why = (
-        f"the change of neighbours with the view, over {evidence.angle_deg:.0f} degrees, {_saves(first, 'grey levels')}"
+        f"the change of neighbours with the view, over {evidence.angle_deg:.0f} degrees, {saves(first, 'grey levels')}"
         f" (at least {MIN_VIEW_SHARE:.0%}); cells that gain outrank the others by {first.rank_sigmas:.1f} standard"
         f" deviations (more than {SIGNIFICANT:g})"
     )
@@ -185,7 +185,7 @@ def decide_non_rigid(instances: Mapping[int, Bending], choice: Choice) -> Decisi
     bought, static_px = most
     beside = f"on static patches of its shape {static_px:.2f} px" if static_px is not None else "no such static patch"
     why = (
-        f"beside rigid motion with free depth, bending {_saves(bought, 'px')} in the mover that it tells most about;"
+        f"beside rigid motion with free depth, bending {saves(bought, 'px')} in the mover that it tells most about;"
         f" {beside}"
     )
     decision = _decision(
@@ -215,14 +215,14 @@ def _least_bending(evidence: Bending) -> float:
     return max(MIN_BENDING_PX, NOISE_FACTOR * (evidence.static_px or 0.0))
 
 
-def _light_decision(bought: Bought, fog: bool, evidence: dict[str, float], why: str, choice: Choice) -> Decision:
+def light_decision(bought: Bought, fog: bool, evidence: dict[str, float], why: str, choice: Choice) -> Decision:
     grey, share = (LEAST_FOG_GREY, LEAST_FOG_SHARE) if fog else (LEAST_GREY, LEAST_SHARE)
     return _decision(
         is_worth(bought, fog), bought, grey, "grey levels", evidence, f"{why} (at least {share:.0%})", choice
     )
 
 
-def _saves(bought: Bought, unit: str) -> str:
+def saves(bought: Bought, unit: str) -> str:
     if bought == NOTHING:
         return "saves nothing, since nothing is observed"
     low, high = bought.interval

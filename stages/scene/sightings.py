@@ -59,11 +59,12 @@ class Sightings(NamedTuple):
     centres: np.ndarray
 
 
-def sight(seen: Observed, textured: bool = False) -> Sightings:
+def sight(seen: Observed, textured: bool = False, density: int = 1) -> Sightings:
     """Static points of low contrast, where a misplaced sample changes little, looked up by pose and depth.
 
     Args:
         textured: points of any contrast instead, close to one another, where pose and depth are seen to be right.
+        density: so many times as many points as usual.
     """
     F = len(seen.rgb)
     most = HELD_BYTES // (13 * seen.dynamic[0].size)
@@ -72,7 +73,7 @@ def sight(seen: Observed, textured: bool = False) -> Sightings:
     free = Computed(
         F, lambda k: _free_px(seen.dynamic[k] | burnt_in | (_is_misplaced(seen, k) if textured else False)), most
     )
-    points = _points(seen, smooth, free, textured)
+    points = _points(seen, smooth, free, textured, density)
     placed = zip(*(_place(seen, free[k], k, points) for k in range(F)), strict=True)
     uv, shown, front, free_px = (np.stack(part, axis=1) for part in placed)
     squares, some, all_front = (part.reshape(-1, GROUP, *part.shape[1:]) for part in (uv, shown, front))
@@ -102,10 +103,12 @@ def _is_misplaced(seen: Observed, k: int) -> np.ndarray:
     return wrong
 
 
-def _points(seen: Observed, smooth: Frames[list[np.ndarray]], free: Frames[np.ndarray], textured: bool) -> np.ndarray:
+def _points(
+    seen: Observed, smooth: Frames[list[np.ndarray]], free: Frames[np.ndarray], textured: bool, density: int
+) -> np.ndarray:
     """World points [n, 3] of groups of four static pixels, flat or of any contrast, of frames spread over the clip."""
     F, h, w = seen.dynamic.shape
-    groups = min(SAMPLES, max(MAX_SIGHTINGS // F, LEAST_SAMPLES)) // GROUP
+    groups = density * min(SAMPLES, max(MAX_SIGHTINGS // F, LEAST_SAMPLES)) // GROUP
     count = max(MIN_REFERENCES, min(F // FRAMES_PER_REFERENCE, groups))
     references = np.unique(np.linspace(0, F - 1, count).astype(int))
     groups //= len(references)

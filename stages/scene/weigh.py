@@ -49,17 +49,17 @@ class Bought(NamedTuple):
 NOTHING = Bought(0.0, 0.0, 0.0, 0)
 
 
-def weigh(simple: np.ndarray, rich: np.ndarray, groups: np.ndarray) -> Bought:
+def weigh(simple: np.ndarray, rich: np.ndarray, groups: np.ndarray, *, trimmed: bool = True) -> Bought:
     """What errors `rich` [n] save over `simple` [n], both of held-out samples, of one sign or not.
 
-    Samples that both models miss are left out; which ones these are favours neither. The standard error is that of a
-    mean over the groups [n] of samples, since the errors within a group are alike. Of a single group it is all that is
-    saved.
+    Samples that both models miss are left out, if `trimmed`; which ones these are favours neither. The standard error
+    is that of a mean over the groups [n] of samples, since the errors within a group are alike. Of a single group it is
+    all that is saved.
     """
     smaller = np.minimum(np.abs(simple), np.abs(rich))
     if not smaller.size:
         return NOTHING
-    kept = smaller <= OUTLIER * 1.4826 * np.median(smaller)
+    kept = smaller <= OUTLIER * 1.4826 * np.median(smaller) if trimmed else np.ones(len(smaller), bool)
     squares = np.square(simple[kept], dtype=float)
     per_group = _sums(groups[kept], squares - np.square(rich[kept], dtype=float))
     count, n = int(kept.sum()), len(per_group)

@@ -40,3 +40,8 @@ class Cloud:
             self.log_spans = torch.full_like(self.logits, ALWAYS)
         if len(self.drifts) == 0:
             self.drifts = torch.zeros_like(self.means)
+
+
+def select(cloud: Cloud, rows: Tensor) -> Cloud:
+    """The Gaussians of a cloud with the indices `rows` [M], copied."""
+    return Cloud(*(values[rows] for values in vars(cloud).values()))

@@ -15,6 +15,7 @@ from stages.splatting.life_spans import ALWAYS, REACH, presence, rows_of
 from stages.splatting.placed import Canonical, Motion, Placed, drawn, place
 from stages.splatting.pose_table import PoseTable
 from stages.splatting.rasterize import Rendering, rasterize
+from stages.splatting.shadows import ShadowTable
 
 
 class GaussianScene(torch.nn.Module):
@@ -41,6 +42,7 @@ class GaussianScene(torch.nn.Module):
         exposure: Exposure | None = None,
         poses: PoseTable | None = None,
         atmosphere: Atmosphere | None = None,
+        shadows: ShadowTable | None = None,
     ) -> None:
         """A scene of the Gaussians of `cloud`.
 
@@ -51,10 +53,11 @@ class GaussianScene(torch.nn.Module):
             colours: of the control points over time; None if colours are constant.
             exposure, poses: gains and pose corrections over time; None if there are none.
             atmosphere: fog in front of the Gaussians; None if the air is clear.
+            shadows: colours of the static Gaussians over time; None if they are constant.
         """
         super().__init__()
         self.deformation, self.colours, self.exposure, self.poses = deformation, colours, exposure, poses
-        self.atmosphere = atmosphere
+        self.atmosphere, self.shadows = atmosphere, shadows
         self.near_plane, self.neighbours = near_plane, neighbours
         self.register_buffer("background", background)
         self.set_cloud(cloud)
@@ -89,8 +92,11 @@ class GaussianScene(torch.nn.Module):
         return Cloud(self.means.detach(), self.footprints, *shape, sh, dynamic, *life)
 
     def bind(self) -> None:
-        """Find the nearest control points of every dynamic Gaussian at its present canonical mean."""
-        dynamic = self.means[self.n_static :]
+        """Find the nearest control points of every dynamic Gaussian at its present canonical mean, and those of the
+        shadows of every static one."""
+        static, dynamic = self.means[: self.n_static], self.means[self.n_static :]
+        if self.shadows is not None:
+            self.shadows.bind(static)
         if self.deformation is None:
             self.register_buffer("index", torch.zeros(0, 1, dtype=torch.int64, device=dynamic.device))
         else:
@@ -122,6 +128,8 @@ class GaussianScene(torch.nn.Module):
         """
         values, n = self.gaussians, self.n_static
         means, quats, sh_dc = (rows_of(x, rows) for x in (self.means, values["quats"], values["sh_dc"]))
+        if self.shadows is not None:
+            sh_dc = self.shadows.added(sh_dc, time)
         if self.deformation is None or n == len(means):
             return means, quats, sh_dc
         index = self.index if rows is None else self.index[rows[n:] - n]
@@ -188,7 +196,8 @@ class GaussianScene(torch.nn.Module):
             colours = None if self.colours is None else self.colours.of_points(time)
             motion = Motion(self.deformation.points, quats[0], translations[0], radii, colours)
         fixed = Canonical(self.n_static, self.fading, self.anchors, self.footprints, self.births, self.index)
-        return place(self.gaussians, fixed, motion, time, rows)
+        found = place(self.gaussians, fixed, motion, time, rows)
+        return found if self.shadows is None else found._replace(sh_dc=self.shadows.added(found.sh_dc, time))
 
     def placed_torch(self, time: float, detach: bool = False, rows: Tensor | None = None) -> Placed:
         """`place` by torch's operations: for accelerators, and the oracle of the kernel; arguments as in `at`."""

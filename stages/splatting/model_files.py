@@ -18,10 +18,13 @@ from stages.splatting.gaussian_model import GaussianScene
 from stages.splatting.life_spans import rows_of
 from stages.splatting.ply import write_ply
 from stages.splatting.pose_table import PoseTable
+from stages.splatting.shadows import ShadowTable
 from stages.splatting.spz import write_spz
 
 DEFORMATION, COLOURS, EXPOSURE, POSES, AIR = "deformation.", "colours.", "exposure.", "poses.", "atmosphere."
-"""Prefixes of the tensors of the motion, the colours over time, the gains, the pose corrections and the fog."""
+SHADOWS = "shadows."
+"""Prefixes of the tensors of the motion, the colours over time, the gains, the pose corrections, the fog and the
+shadows that move over what rests."""
 LIFE_SPANS = ("births", "log_spans", "drifts")
 """Tensors of the life spans, which dynamic Gaussians alone have."""
 HALVED = (
@@ -34,6 +37,7 @@ HALVED = (
     "drifts",
     DEFORMATION + "table",
     COLOURS + "table",
+    SHADOWS + "table",
 )
 """Tensors that `halved` stores as float16. Births keep their precision: in a clip of 2,000 frames they would be off by
 a fifth of a life span."""
@@ -43,8 +47,8 @@ def scene_tensors(scene: GaussianScene) -> tuple[dict[str, np.ndarray], dict[str
     """Tensors and metadata that rendering needs; footprints, which only training needs, are left out.
 
     The tensors are those of `Cloud`, in its shapes, `background` [3], and those of motion, colours, gains, pose
-    corrections and fog with their prefixes. Life spans and drifts [D, ...] are those of the dynamic Gaussians, and left
-    out if there are none.
+    corrections, fog and shadows with their prefixes. Life spans and drifts [D, ...] are those of the dynamic Gaussians,
+    and left out if there are none.
     """
     cloud = scene.cloud()
     tensors = {name: value.cpu().numpy() for name, value in vars(cloud).items() if name != "footprints"}
@@ -60,6 +64,7 @@ def scene_tensors(scene: GaussianScene) -> tuple[dict[str, np.ndarray], dict[str
         (EXPOSURE, scene.exposure),
         (POSES, scene.poses),
         (AIR, scene.atmosphere),
+        (SHADOWS, scene.shadows),
     ):
         state = {} if module is None else module.state_dict()
         tensors |= {prefix + name: value.cpu().numpy() for name, value in state.items()}
@@ -114,8 +119,12 @@ def scene_from_tensors(tensors: Mapping[str, np.ndarray], metadata: Mapping[str,
     air = (
         Atmosphere(float(values[AIR + "extinction"]), values[AIR + "airlight"]) if AIR + "airlight" in values else None
     )
+    shadows = None
+    if SHADOWS + "knots" in values:
+        shadows = ShadowTable(*(values[SHADOWS + name] for name in ("knots", "points", "radii")))
+        shadows.load_state_dict({name: values[SHADOWS + name] for name in ("knots", "points", "radii", "table")})
     settings = (metadata["near_plane"], metadata["neighbours"])
-    return GaussianScene(cloud, deformation, values["background"], *settings, colours, exposure, poses, air)
+    return GaussianScene(cloud, deformation, values["background"], *settings, colours, exposure, poses, air, shadows)
 
 
 def read_scene(path: Path) -> GaussianScene:

@@ -2,7 +2,8 @@
 
 All lengths are in units of the median distance of the Gaussians from the origin, so that float16 suits scenes of any
 unit. With N Gaussians, D of them dynamic, K control points each, P control points, T frames and R moments, evenly
-spread over them, at which motions are packed, the arrays are:
+spread over them, at which motions are packed, the last B static ones under moving shadows, and as many moments Q of
+these as room is left for, the arrays are:
 
 | array | type | content | precision |
 |---|---|---|---|
@@ -17,6 +18,8 @@ spread over them, at which motions are packed, the arrays are:
 | instances | uint8 [D] | number of the instance, 0: none | - |
 | points | float32 [P, 3] | canonical control points | - |
 | motions | float16 [R, P, 10] | quaternion, translation, colour offset of each point and moment | 1/2048 |
+| shadows | int8 [Q, B] | how much is added of `shadow_colours`, in 1/127 of `shadow_step` | half a step |
+| shadow_colours | int8 [B, 3] | direction of that in the constant coefficients, in 1/127 | half a step |
 | gains | float32 [T, 3] | exposure | - |
 | poses, lenses | float32 [T, 12], [T, 4] | rows of cam_from_world [3, 4]; fx fy cx cy in px of the frame | - |
 """
@@ -30,6 +33,7 @@ import torch
 
 from stages.deformation.splines import at_times, spline_basis
 from stages.shared.cameras import Cameras
+from stages.splatting.cloud import select
 from stages.splatting.gaussian_model import GaussianScene
 from stages.splatting.life_spans import ALWAYS
 from stages.splatting.projection_kernels import BLUR
@@ -38,6 +42,8 @@ SH_LEVELS = 127
 WEIGHT_SUM = 255
 MOTION_BYTES, MOTION_POINT_BYTES = 2_400_000, 20
 """Motions take at most so much, before base64; and what a control point takes at a moment."""
+SHADOW_BYTES = 200_000
+"""The same of moving shadows, of which a Gaussian takes one byte at a moment."""
 ALIGNMENT = 4
 """Arrays begin at multiples of this many bytes, which typed arrays of the browser demand."""
 
@@ -52,7 +58,8 @@ def pack_scene(
         cameras: of the T frames at `times` [T] in 0..1; the pose corrections of the scene are applied to them.
         instances: [D] number of the instance of each dynamic Gaussian, 0 if none; at most 255.
     """
-    cloud, n = scene.cloud(), scene.n_static
+    order, shadows, shadow_colours, shadow_step = packed_shadows(scene, times)
+    cloud, n = select(scene.cloud(), torch.as_tensor(order)), scene.n_static
     means = cloud.means.double().cpu().numpy()
     unit = length_unit(means)
     sh = cloud.sh.cpu().numpy()
@@ -74,6 +81,8 @@ def pack_scene(
         "instances": instances.astype(np.uint8),
         "points": points,
         "motions": motions,
+        "shadows": shadows,
+        "shadow_colours": shadow_colours,
         "gains": _gains(scene, times),
         "poses": poses,
         "lenses": lenses,
@@ -86,6 +95,7 @@ def pack_scene(
         "blur": BLUR,
         **_fog(scene, unit),
         "static": n,
+        "shadow_step": shadow_step,
         "frames": cameras.numbers.tolist(),
     }
     return arrays, numbers
@@ -129,11 +139,40 @@ def quantised_pairs(index: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray,
     return index.astype(np.uint16), (whole + (rank < missing)).astype(np.uint8)
 
 
+def _moments(times: np.ndarray, each: int, most: int) -> np.ndarray:
+    """The times [R] at which values over time are packed that take so many bytes `each`: those of the frames [T], or
+    fewer where these take more than `most`."""
+    count = max(2, most // max(each, 1))
+    return times if len(times) <= count else np.linspace(times[0], times[-1], count)
+
+
 def moments_of_motion(scene: GaussianScene, times: np.ndarray) -> np.ndarray:
-    """The times [R] at which motions are packed: those of the frames [T], or fewer where these take MOTION_BYTES."""
+    """The times [R] at which motions are packed."""
     points = 0 if scene.deformation is None else len(scene.deformation.points)
-    most = max(2, MOTION_BYTES // (MOTION_POINT_BYTES * max(points, 1)))
-    return times if len(times) <= most else np.linspace(times[0], times[-1], most)
+    return _moments(times, MOTION_POINT_BYTES * points, MOTION_BYTES)
+
+
+@torch.no_grad()
+def packed_shadows(scene: GaussianScene, times: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+    """What moving shadows add to the constant coefficients of the Gaussians under them, which change along one line.
+
+    Returns:
+        The order [N] of the Gaussians, in which these come last of all static ones; amounts [Q, B] int8; directions
+        [B, 3] int8, unit vectors times 127; and the amount that 127 stands for.
+    """
+    n, under = scene.n_static, np.zeros(len(scene.anchors), bool)
+    if scene.shadows is None:
+        return np.arange(len(under)), np.zeros((len(times), 0), np.int8), np.zeros((0, 3), np.int8), 0.0
+    table = scene.shadows
+    under[table.rows.cpu().numpy()] = True
+    order = np.concatenate([np.argsort(under[:n], kind="stable"), np.arange(n, len(under))])
+    moments = _moments(times, len(table.rows), SHADOW_BYTES)
+    added = torch.stack([table(float(time), table.weights, table.index) for time in moments]).double().cpu().numpy()
+    directions = np.linalg.eigh(np.einsum("qbi,qbj->bij", added, added))[1][..., -1]
+    amounts = np.einsum("qbc,bc->qb", added, directions)
+    step = float(np.abs(amounts).max(initial=0.0))
+    amounts, directions = (np.round(SH_LEVELS * of).astype(np.int8) for of in (amounts / (step or 1.0), directions))
+    return order, amounts, directions, step
 
 
 def packed_motions(scene: GaussianScene, times: np.ndarray, unit: float) -> tuple[np.ndarray, np.ndarray]:

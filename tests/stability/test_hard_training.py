@@ -8,12 +8,13 @@ import pytest
 import torch
 from gaussian_training import CANONICAL, TRAIN, psnr
 
-from stages.gaussians.densify import densify, select
+from stages.gaussians.densify import densify
 from stages.gaussians.initial_cloud import initial_cloud
 from stages.gaussians.lifting import near_plane_of
 from stages.gaussians.optimise import Trainer
 from stages.gaussians.options import GaussiansOptions
 from stages.gaussians.training_frames import TrainingFrames, with_movers
+from stages.splatting.cloud import select
 from stages.splatting.colours import ColourTable
 from stages.splatting.gaussian_model import GaussianScene
 

@@ -35,19 +35,21 @@ class Model {
     this.motions = Float32Array.from(this.arrays.motions, (half) => table[half]);
     this.drifts = Float32Array.from(this.arrays.drifts, (half) => table[half]);
     this.present = new Float32Array(12 * this.P);
+    [this.Q, this.B] = scene.arrays.shadows.shape;  // moments, and Gaussians under moving shadows
+    this.shade = new Float32Array(3 * this.B);
   }
 
-  // Moments around a time with their weights in the cubic that passes through every moment (Catmull-Rom).
-  around(time) {
-    const at = this.R === this.T ? time : time * (this.R - 1) / Math.max(this.T - 1, 1);
-    const first = Math.min(Math.max(Math.floor(at), 0), this.R - 1), x = Math.min(Math.max(at - first, 0), 1);
+  // Moments, of R, around a time with their weights in the cubic that passes through every moment (Catmull-Rom).
+  around(time, R) {
+    const at = R === this.T ? time : time * (R - 1) / Math.max(this.T - 1, 1);
+    const first = Math.min(Math.max(Math.floor(at), 0), R - 1), x = Math.min(Math.max(at - first, 0), 1);
     const weights = [
       -0.5 * x + x * x - 0.5 * x ** 3, 1 - 2.5 * x * x + 1.5 * x ** 3,
       0.5 * x + 2 * x * x - 1.5 * x ** 3, -0.5 * x * x + 0.5 * x ** 3,
     ];
     const found = [];
     weights.forEach((weight, k) => {
-      if (weight !== 0) found.push([Math.min(Math.max(first - 1 + k, 0), this.R - 1), weight]);
+      if (weight !== 0) found.push([Math.min(Math.max(first - 1 + k, 0), R - 1), weight]);
     });
     return found;
   }
@@ -56,7 +58,7 @@ class Model {
   motionAt(time) {
     const { present, motions, P } = this, target = [0, 1, 2, 3, 4, 5, 6, 8, 9, 10];
     present.fill(0);
-    for (const [moment, weight] of this.around(time)) {
+    for (const [moment, weight] of this.around(time, this.R)) {
       for (let p = 0; p < P; p++) {
         const from = 10 * (moment * P + p), to = 12 * p;
         for (let k = 0; k < 10; k++) present[to + target[k]] += weight * motions[from + k];
@@ -67,6 +69,17 @@ class Model {
       for (let k = 0; k < 4; k++) present[at + k] /= length;
     }
     return present;
+  }
+
+  // What moving shadows add to the constant coefficients [B, 3]. Reused by the next call.
+  shadeAt(time) {
+    const { shade, B, arrays: { shadows, shadow_colours: colours } } = this, moments = this.around(time, this.Q);
+    for (let b = 0; b < B; b++) {
+      let amount = 0;
+      for (const [moment, weight] of moments) amount += weight * shadows[B * moment + b];
+      for (let k = 3 * b; k < 3 * b + 3; k++) shade[k] = amount * this.scene.shadow_step * colours[k] / 127 ** 2;
+    }
+    return shade;
   }
 
   // Rows [n] of an array [T, n] at a time, linear between frames.

@@ -9,9 +9,9 @@ precision highp usampler2D;
 
 in uint gaussian;
 
-uniform sampler2D means, quats, shapes, sh_dc, sh_rest, weights, lives, drifts, motions, points;
+uniform sampler2D means, quats, shapes, sh_dc, sh_rest, weights, lives, drifts, motions, points, shade;
 uniform usampler2D index, instances;
-uniform int n_static, pairs, sh_degree, mode;
+uniform int n_lit, n_static, pairs, sh_degree, mode;  // n_lit: static ones in steady light
 uniform vec3 sh_steps[15];            // what +-1 in sh_rest stands for
 uniform vec3 eye, right, down, ahead;  // centre of the camera, rows of its rotation
 uniform vec4 lens;                     // fx fy cx cy in px, pixel centres at integers
@@ -112,6 +112,8 @@ void main() {
     shape.w *= exp(-away * away);
     mean += away * texelFetch(drifts, at(i - n_static), 0).xyz;
     constant += skin(i - n_static, mean, quat);
+  } else if (i >= n_lit) {
+    constant += texelFetch(shade, at(i - n_lit), 0).rgb;
   }
 
   vec3 from_eye = mean - eye, p = vec3(dot(right, from_eye), dot(down, from_eye), dot(ahead, from_eye));

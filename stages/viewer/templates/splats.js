@@ -17,6 +17,7 @@ class SplatRenderer {
     this.data = {};
     for (const [name, format] of Object.entries(formats)) this.data[name] = makeData(gl, format, arrays[name]);
     this.data.motions = makeData(gl, "RGBA32F", model.present);
+    this.data.shade = makeData(gl, "RGB32F", model.shade);
     this.prepareBuffers();
     this.setConstants();
   }
@@ -54,6 +55,7 @@ class SplatRenderer {
     const { gl, model } = this, { scene } = model, { program, uniforms } = this.projection;
     gl.useProgram(program);
     gl.uniform1i(uniforms.n_static, scene.static);
+    gl.uniform1i(uniforms.n_lit, scene.static - model.B);
     gl.uniform1i(uniforms.pairs, model.pairs);
     gl.uniform1i(uniforms.sh_degree, scene.sh_degree);
     gl.uniform1f(uniforms.near, scene.near);
@@ -89,6 +91,7 @@ class SplatRenderer {
     const { gl, model } = this, { scene } = model, motion = model.motionAt(time);
     const order = this.order.sort(view, motion, time, scene.near, shown);
     this.data.motions.update(motion);
+    this.data.shade.update(model.shadeAt(time));
     this.project(view, order, time, width, height, scene.blur * Math.max(1, scale * scale), mode);
     this.target.resize(width, height);
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.target.framebuffer);
