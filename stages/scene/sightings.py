@@ -64,7 +64,7 @@ def sight(seen: Observed, textured: bool = False, density: int = 1) -> Sightings
 
     Args:
         textured: points of any contrast instead, close to one another, where pose and depth are seen to be right.
-        density: so many times as many points as usual.
+        density: so many times as many points as usual, of a clip that is not long.
     """
     F = len(seen.rgb)
     most = HELD_BYTES // (13 * seen.dynamic[0].size)
@@ -108,7 +108,7 @@ def _points(
 ) -> np.ndarray:
     """World points [n, 3] of groups of four static pixels, flat or of any contrast, of frames spread over the clip."""
     F, h, w = seen.dynamic.shape
-    groups = density * min(SAMPLES, max(MAX_SIGHTINGS // F, LEAST_SAMPLES)) // GROUP
+    groups = min(density * SAMPLES, max(density * MAX_SIGHTINGS // F, LEAST_SAMPLES)) // GROUP
     count = max(MIN_REFERENCES, min(F // FRAMES_PER_REFERENCE, groups))
     references = np.unique(np.linspace(0, F - 1, count).astype(int))
     groups //= len(references)
