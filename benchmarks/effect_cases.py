@@ -97,10 +97,10 @@ def _shaded(scene: Content, darkness: float) -> None:
     """What is out of view, between the sun and the middle of the scene, casts a shadow that passes over it."""
     keys = scene["camera"]["keys"]
     eye, target = (np.array(keys[len(keys) // 2][end]) for end in ("eye", "target"))
-    middle = (eye + target) / 2 * [1, 1, 0]
+    middle = (0.4 * eye + 0.6 * target) * [1, 1, 0]
     away = CASTER_M * np.array(SUN) / np.linalg.norm(SUN)
     path = [{"time": 0}, {"time": 1, "move": [SHADOW_M, 0.0, 0.0]}]
-    caster = {"name": "caster", "kind": "box", "size": [1.0, 1.0, 1.0], "texture": {"colours": [[0.3] * 3, [0.2] * 3]}}
+    caster = {"name": "caster", "kind": "box", "size": [1.4, 1.4, 1.4], "texture": {"colours": [[0.3] * 3, [0.2] * 3]}}
     where = (middle + away - [SHADOW_M / 2, 0, 0]).tolist()
     scene["objects"].append(caster | {"position": where, "path": path})
     scene.setdefault("lights", {})["sun_from"] = list(SUN)
@@ -130,7 +130,7 @@ EFFECTS = {
         "white_balance", "gain", (0.01, 0.03, 0.1, 0.2, 0.3), _listed("exposure", "white_balance", stops=0)
     ),
     "view-dependent colour": Effect("view_dependent", "peak radiance", (0.8, 1.6, 3.0, 4.5, 6.0), _shining),
-    "moving shadows": Effect("moving_shadows", "share of the sun", (0.05, 0.15, 0.4, 0.6, 0.9), _shaded),
+    "moving shadows": Effect("moving_shadows", "share of the sun", (0.05, 0.2, 0.5, 0.75, 1.0), _shaded),
     "fog": Effect("atmosphere", "1 / m", (0.005, 0.02, 0.06, 0.12, 0.2), _foggy),
     "motion blur": Effect("motion_blur", "frames", (0.1, 0.25, 0.5, 0.75, 1.0), _listed("motion_blur", "shutter")),
     "zoom": Effect("zoom", "focal length, last / first", (1.01, 1.03, 1.15, 1.3, 1.5), _zooming),

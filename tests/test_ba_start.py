@@ -130,6 +130,17 @@ def test_a_pan_by_less_than_a_pixel_a_frame_is_no_path() -> None:
     assert solution.state.focal_px == pytest.approx(scene.focal_px, rel=0.03)
 
 
+def test_a_slow_slide_past_a_wall_is_no_pan() -> None:
+    """Turns explain it to the noise, at 4.1 times the focal length, which they leave open."""
+    slide = np.column_stack([-0.012 * np.arange(16), np.zeros((16, 5))])
+    scene = make_scene(T=16, size=(96, 160), path=lie.exp_se3(slide), focal=0.8, planes=(((0.1, 0.0, 1.0), 5.0),))
+    graph = observe(scene, offsets=(1, 2, 4, 8), noise_px=0.1)
+    assert classify.measure(graph, None, 0).camera == "rotating"
+    solution = estimate(Problem(graph, masked=True), OPTIONS)
+    assert (solution.camera, solution.focal["decision"]) == ("near-still", "held at prior")
+    assert trajectory_error(solution.state.cam_from_world, scene.cam_from_world) < 0.02
+
+
 @pytest.mark.parametrize("motion", ["curve", "drift"])
 def test_noise_does_not_hide_that_a_camera_travels(motion: str) -> None:
     scene = make_scene(motion=motion, size=(160, 400), T=10)

@@ -13,7 +13,7 @@ from lit_room import drift, lit_room, room
 from stages.gaussians import checkpoint, optimise
 from stages.gaussians.optimise import Trainer
 from stages.gaussians.options import GaussiansOptions
-from stages.gaussians.shadows import WINDOW_PX, moving_shadows
+from stages.gaussians.shadows import moving_shadows
 from stages.gaussians.training_frames import TrainingFrames
 from stages.scene.moving_shadows import DENSITY, decide_moving_shadows, shadow_evidence
 from stages.scene.observed import Observed
@@ -146,6 +146,7 @@ def test_the_model_file_keeps_the_shadows(tmp_path: Path) -> None:
     write_model(tmp_path / "a.safetensors", *whole)
     again = scene_from_tensors(read_model(tmp_path / "a.safetensors"), read_metadata(tmp_path / "a.safetensors"))
     assert np.array_equal(image_at(scene, 7), image_at(again, 7))
+    assert half[0]["shadows.table"].dtype == np.float16
     assert np.abs(image_at(scene, 7) - image_at(scene_from_tensors(*half), 7)).mean() < 0.002
     assert scene.shadows is not None
     scene.shadows.table.data *= 0
@@ -186,7 +187,7 @@ def test_a_shadow_fades_out_around_its_points() -> None:
     table.table.data += 1.0
     means = torch.tensor([[0.0, 0, 1], [0.1995, 0, 1], [0.201, 0, 1], [5, 0, 1]])
     table.bind(means)
-    added = table.added(torch.zeros(4, 1, 3), 0.5)[:, 0, 0]
+    added = table.added(torch.zeros(4, 1, 3), means, 0.5)[:, 0, 0]
     assert added.tolist() == pytest.approx([1 - np.exp(-2), 0, 0, 0], abs=0.02)
     added.sum().backward()
     assert table.table.grad is not None
@@ -197,4 +198,65 @@ def test_a_scene_without_static_gaussians_has_no_shadows() -> None:
     seen, cloud = truth.observations(TRAIN), new_scene(truth.observations(TRAIN)).cloud()
     moving = Cloud(*(value[cloud.dynamic] for value in vars(cloud).values()))
     assert moving_shadows(seen, moving) is None
-    assert WINDOW_PX % 2
+
+
+def test_a_flicker_of_single_frames_is_no_shadow() -> None:
+    """The frames around say nothing of it, as they will say nothing of one that is not trained on."""
+    flickering = lit_room().rgb.copy()
+    flickering[::2, :, 60:100] *= 0.6
+    seen = replace(lit_room(), rgb=flickering)
+    assert not decide_moving_shadows(
+        shadow_evidence(sight(seen, density=DENSITY), light_evidence(sight(seen)).fitted), "auto"
+    )["needed"]
+
+
+def test_only_what_rests_is_shaded() -> None:
+    """A wall behind the square, and the square that passes before it, keep their colours."""
+    seen = shaded_frames()
+    scene = shaded_scene(seen)
+    assert scene.shadows is not None
+    n = scene.n_static
+    shaded, plain = scene.placed(0.3).sh_dc, new_scene(seen).placed(0.3).sh_dc
+    assert torch.equal(shaded[n:], plain[n:])
+    assert not torch.equal(shaded[:n], plain[:n])
+    hidden = replace(seen, depths=0.5 * seen.depths)  # something else is seen before the wall
+    assert moving_shadows(hidden, scene.cloud()) is None
+
+
+def test_a_shadow_is_learnt() -> None:
+    seen, scene = shaded_frames(), shaded_scene(shaded_frames())
+    assert scene.shadows is not None
+    found = scene.shadows.table.detach().clone()
+    scene.shadows.table.data.zero_()
+    Trainer(scene, seen, GaussiansOptions(steps=200), arap_weight=0.0).run(lambda _: None)
+    learnt = scene.shadows.table.detach()
+    assert np.corrcoef(found.numpy().ravel(), learnt.numpy().ravel())[0, 1] > 0.6
+
+
+def test_the_light_of_a_trained_gaussian_stays_when_its_points_are_found_again() -> None:
+    """Without movers, whose points are found again as well."""
+    seen, scene, pictures = shaded_frames(), new_scene(shaded_frames(), moving=False), []
+    scene.shadows = moving_shadows(seen, scene.cloud())
+    scene.bind()
+
+    def draw(trainer: Trainer) -> None:
+        pictures[:] = [image_at(trainer.scene, 4)]
+
+    Trainer(scene, seen, GaussiansOptions(steps=60, densify=False), arap_weight=0.0).run(draw)
+    assert np.abs(image_at(scene, 4) - pictures[0]).mean() < 2e-4
+
+
+@pytest.mark.parametrize("what", ["logo", "dark", "clipped"])
+def test_what_is_burnt_in_dark_or_clipped_is_no_change_of_light(what: str) -> None:
+    seen = truth.observations(TRAIN)
+    cloud, images, visible = new_scene(seen).cloud(), seen.images.copy(), None
+    if what == "logo":
+        visible = np.ones(seen.size, bool)
+        visible[20:30, 40:70] = False
+        images[:, ~visible] = 1.0
+    elif what == "dark":
+        images[3:6] *= 0.02
+    else:
+        images = np.clip(images * np.linspace(0.8, 1.6, len(images))[:, None, None, None], 0, 1)
+    table = moving_shadows(replace(seen, images=images.astype(np.float32), scene=visible), cloud)
+    assert table is None

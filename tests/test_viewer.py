@@ -204,12 +204,13 @@ def test_without_webgl2_the_page_says_so(drawn: dict[str, Drawn]) -> None:
 
 
 def test_the_page_of_50_000_gaussians_and_50_frames_is_below_8_mb() -> None:
-    """With all harmonics, a thousand control points, every fifth Gaussian moving, and some under moving shadows."""
+    """With harmonics of degree 2, the most that a scene is given, a thousand control points, every fifth Gaussian
+    moving, and some under moving shadows."""
     random, N, D, P, T = np.random.default_rng(0), 50_000, 10_000, 1000, 50
     halves = {"quats": (N, 4), "shapes": (N, 4), "sh_dc": (N, 3), "motions": (T, P, 10)}
     arrays = {name: random.normal(size=shape).astype(np.float16) for name, shape in halves.items()}
     arrays |= {"means": random.normal(size=(N, 3)).astype(np.float32), "instances": np.zeros(D, np.uint8)}
-    arrays |= {"sh_rest": np.zeros((N, 15, 3), np.int8), "points": np.zeros((P, 3), np.float32)}
+    arrays |= {"sh_rest": np.zeros((N, 8, 3), np.int8), "points": np.zeros((P, 3), np.float32)}
     arrays |= {
         "shadows": np.zeros((SHADOW_BYTES // 8000, 8000), np.int8),
         "shadow_colours": np.zeros((8000, 3), np.int8),
@@ -240,7 +241,7 @@ def test_gaussians_under_shadows_come_last_of_the_static_ones(T: int) -> None:
     assert np.array_equal(order[n - B : n], scene.shadows.rows)
     assert np.array_equal(np.sort(order), np.arange(len(scene.anchors)))
     assert shadows.nbytes <= SHADOW_BYTES
-    first = scene.shadows(0.0, scene.shadows.weights, scene.shadows.index).detach()
+    first = scene.shadows.of_static(scene.means[:n], 0.0).detach()
     assert np.abs(shadows[0, :, None] / 127 * step * (colours / 127) - first.numpy()).max() < step / 100
 
 

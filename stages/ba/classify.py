@@ -56,6 +56,7 @@ class Statistics:
         sampson_1_px, sampson_px: the same of epipolar geometry (Sampson distance).
         homography_px: the same of a homography, over the long baseline.
         most_sampson_px, most_homography_px: their 80th percentiles, over the long baseline.
+        turns: whether turns may explain flow below STILL_PX; not where they leave the focal length open.
         parallax: whether a path was found to explain the matches far better than a doubtful rotation.
         ground: what `stages.ba.ground.at_rest` gives; None too where it was not asked for.
     """
@@ -69,6 +70,7 @@ class Statistics:
     homography_px: float
     most_sampson_px: float
     most_homography_px: float
+    turns: bool = True
     parallax: bool = False
     ground: float | None = None
 
@@ -85,8 +87,14 @@ class Statistics:
         """
         if self.parallax or (self._exceeds(RESIDUAL_RATIO, FLOOR_PX) and not self.by_ground):
             return "moving"
-        still_px = STILL_PX if self._exceeds(DOUBT, 0.0) else TURNS_PX
-        return "rotating" if self.flow_px > still_px else "near-still"
+        if self.flow_px > STILL_PX:
+            return "rotating"
+        return "rotating" if self.turns and self.slow and not self._exceeds(DOUBT, 0.0) else "near-still"
+
+    @property
+    def slow(self) -> bool:
+        """Whether the flow is that of a camera which hardly moves, or turns slowly."""
+        return TURNS_PX < self.flow_px <= STILL_PX
 
     @property
     def by_ground(self) -> bool:

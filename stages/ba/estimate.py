@@ -67,7 +67,9 @@ def _estimate(problem: Problem, options: BAOptions) -> Estimate:
         statistics = replace(statistics, ground=ground.at_rest(graph, prior, known))
     if statistics.camera == "rotating":
         rotations = estimate_rotations(problem, statistics, prior, options)
-        if rotations.failed_checks and not statistics.by_ground:
+        if statistics.slow and rotations.focal["decision"] == "weakly observed":
+            statistics = replace(statistics, turns=False)  # turns and travel past a wall look alike
+        if statistics.turns and rotations.failed_checks and not statistics.by_ground:
             focal_px = rotations.state.focal_px
             again = classify.measure(graph, focal_px, options.seed, classify.longest_step(graph))
             statistics = replace(again, ground=statistics.ground)

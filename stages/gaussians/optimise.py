@@ -42,8 +42,7 @@ MOTION_RATE = 1e-4
 """Of rotations and translations of the control points. At several times this rate, control points that few pixels
 constrain drift and blur fast movers; without any, PSNR of movers is lower too (`gaussians.detach` measures that)."""
 COLOUR_RATE = 5e-2
-"""Of the colours of the control points over time, and of shadows on the static scene, SH coefficients. Of these, four
-times as much costs .2 dB in orbit_two, a fifth .2 in long_shadows."""
+"""Of the colours of the control points over time, and of moving shadows, SH coefficients."""
 RADIUS_RATE = 2e-3
 """Of the logarithms of the kernel radii."""
 EXPOSURE_RATE = 2e-2

@@ -1,8 +1,8 @@
 """Evidence of light that changes from place to place and over time, as where shadows of movers pass, and the decision.
 
-A change of exposure acts on the whole picture, a highlight moves with the camera. A shadow that passes darkens a point
-and its neighbours for some frames. So the change of two of four neighbours in the frames before and after predicts that
-of the others, as it will predict frames that are not trained on.
+A change of exposure acts on the whole picture. A shadow that passes darkens a point and its neighbours for some frames.
+So the change of two of four neighbours in the frames before and after predicts that of the others, as it will predict
+frames that are not trained on. Other light that comes and goes in one place counts as well.
 """
 
 from typing import Any

@@ -216,6 +216,7 @@ def _least_bending(evidence: Bending) -> float:
 
 
 def light_decision(bought: Bought, fog: bool, evidence: dict[str, float], why: str, choice: Choice) -> Decision:
+    """The entry of scene.json of what gains, or fog, must save."""
     grey, share = (LEAST_FOG_GREY, LEAST_FOG_SHARE) if fog else (LEAST_GREY, LEAST_SHARE)
     return _decision(
         is_worth(bought, fog), bought, grey, "grey levels", evidence, f"{why} (at least {share:.0%})", choice
@@ -223,6 +224,7 @@ def light_decision(bought: Bought, fog: bool, evidence: dict[str, float], why: s
 
 
 def saves(bought: Bought, unit: str) -> str:
+    """What a model saves, in words."""
     if bought == NOTHING:
         return "saves nothing, since nothing is observed"
     low, high = bought.interval

@@ -11,12 +11,10 @@ from stages.scene.windows import SMOOTH_PX, TAP_WEIGHTS, TAPS, WIDEST, Windows, 
 from stages.shared import lie
 from stages.shared.cameras import pixel_grid, project, unproject
 from stages.shared.frame_store import Computed, Frames
-from stages.shared.images import DISPLAY_GAMMA
+from stages.shared.images import BRIGHT, DARK, DISPLAY_GAMMA
 from stages.shared.log import progress
 from stages.shared.warp import bilinear
 
-DARK, BRIGHT = 0.06, 0.94
-"""Colours outside this range are clipped or mostly noise: a channel there says nothing about light."""
 SPANS = (1.0, 2**0.5, WIDEST)
 """Widths of the smoothed images, in SMOOTH_PX, between which colours are interpolated by their variance."""
 DEPTH_TOLERANCE = 0.05

@@ -129,7 +129,7 @@ class GaussianScene(torch.nn.Module):
         values, n = self.gaussians, self.n_static
         means, quats, sh_dc = (rows_of(x, rows) for x in (self.means, values["quats"], values["sh_dc"]))
         if self.shadows is not None:
-            sh_dc = self.shadows.added(sh_dc, time)
+            sh_dc = self.shadows.added(sh_dc, means[:n], time)
         if self.deformation is None or n == len(means):
             return means, quats, sh_dc
         index = self.index if rows is None else self.index[rows[n:] - n]
@@ -197,7 +197,9 @@ class GaussianScene(torch.nn.Module):
             motion = Motion(self.deformation.points, quats[0], translations[0], radii, colours)
         fixed = Canonical(self.n_static, self.fading, self.anchors, self.footprints, self.births, self.index)
         found = place(self.gaussians, fixed, motion, time, rows)
-        return found if self.shadows is None else found._replace(sh_dc=self.shadows.added(found.sh_dc, time))
+        if self.shadows is None:
+            return found
+        return found._replace(sh_dc=self.shadows.added(found.sh_dc, found.means[: self.n_static], time))
 
     def placed_torch(self, time: float, detach: bool = False, rows: Tensor | None = None) -> Placed:
         """`place` by torch's operations: for accelerators, and the oracle of the kernel; arguments as in `at`."""

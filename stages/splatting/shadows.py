@@ -10,7 +10,10 @@ from stages.splatting.colours import ColourTable
 
 FADED = 2.0
 """Kernel radii from a point at which its change has faded out."""
-NEIGHBOURS = 4
+REACH = 3.0
+"""Kernel radii within which a Gaussian may come nearer while it is trained."""
+NEIGHBOURS = 8
+"""Points that blend; on a surface no more are within FADED radii, so that none comes or goes at once."""
 
 
 class ShadowTable(ColourTable):
@@ -18,15 +21,14 @@ class ShadowTable(ColourTable):
 
     Attributes:
         knots, table: as of `ColourTable`, of these points. points: [S, 3] scene units. radii: [S] of their kernels.
-        rows: [B] ascending indices of the static Gaussians within FADED radii of a point. index, weights: [B, K], of
-            the points nearest to each; weights sum to less than one, the less the farther all points are.
+        rows: [B] ascending indices of the static Gaussians within REACH radii of a point. index: [B, K], of the points
+            nearest to each.
     """
 
     points: Tensor
     radii: Tensor
     rows: Tensor
     index: Tensor
-    weights: Tensor
 
     def __init__(self, knots: Tensor, points: Tensor, radii: Tensor) -> None:
         super().__init__(knots, len(points))
@@ -38,13 +40,25 @@ class ShadowTable(ColourTable):
     def bind(self, means: Tensor) -> None:
         """Find the points nearest to the static Gaussians at means [n, 3]."""
         index, sq_dist = neighbours(self.points, means, NEIGHBOURS)
-        exponents = sq_dist / (2 * self.radii[index].square())
-        rows, least = torch.nonzero(exponents[:, 0] < FADED**2 / 2)[:, 0], math.exp(-(FADED**2) / 2)
-        kernel = (torch.exp(-exponents[rows]) - least).clamp_min(0)
-        weights = kernel / (kernel.sum(dim=1, keepdim=True) + least)
-        for name, value in (("rows", rows), ("index", index[rows]), ("weights", weights)):
+        rows = torch.nonzero(sq_dist[:, 0] < (REACH * self.radii[index[:, 0]]).square())[:, 0]
+        for name, value in (("rows", rows), ("index", index[rows])):
             self.register_buffer(name, value, persistent=False)  # found again from the means
 
-    def added(self, sh_dc: Tensor, time: float) -> Tensor:
-        """Constant SH coefficients [M, 1, 3] with these offsets at `time` 0..1; all static Gaussians come first."""
-        return sh_dc.index_add(0, self.rows, self(time, self.weights, self.index)[:, None])
+    @torch.no_grad()
+    def weights(self, means: Tensor) -> Tensor:
+        """Weights [B, K] at the present means [n, 3]; rows sum to less than one, the less the farther all points are.
+
+        They have no gradient to the means: otherwise Gaussians would move in order to change their light.
+        """
+        sq_dist = (means[self.rows][:, None] - self.points[self.index]).square().sum(dim=-1)
+        least = math.exp(-(FADED**2) / 2)
+        kernel = (torch.exp(-sq_dist / (2 * self.radii[self.index].square())) - least).clamp_min(0)
+        return kernel / (kernel.sum(dim=1, keepdim=True) + least)
+
+    def of_static(self, means: Tensor, time: float) -> Tensor:
+        """Offsets [B, 3] at `time` 0..1 of the static Gaussians `rows` of means [n, 3]."""
+        return self(time, self.weights(means), self.index)
+
+    def added(self, sh_dc: Tensor, means: Tensor, time: float) -> Tensor:
+        """Constant SH coefficients [M, 1, 3] with these offsets; the n static Gaussians, at means [n, 3], come first."""
+        return sh_dc.index_add(0, self.rows, self.of_static(means, time)[:, None])

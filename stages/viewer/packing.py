@@ -18,7 +18,7 @@ these as room is left for, the arrays are:
 | instances | uint8 [D] | number of the instance, 0: none | - |
 | points | float32 [P, 3] | canonical control points | - |
 | motions | float16 [R, P, 10] | quaternion, translation, colour offset of each point and moment | 1/2048 |
-| shadows | int8 [Q, B] | how much is added of `shadow_colours`, in 1/127 of `shadow_step` | half a step |
+| shadows | int8 [Q, B] | how much of `shadow_colours` is added, in 1/127 of `shadow_step` | half a step then |
 | shadow_colours | int8 [B, 3] | direction of that in the constant coefficients, in 1/127 | half a step |
 | gains | float32 [T, 3] | exposure | - |
 | poses, lenses | float32 [T, 12], [T, 4] | rows of cam_from_world [3, 4]; fx fy cx cy in px of the frame | - |
@@ -42,7 +42,7 @@ SH_LEVELS = 127
 WEIGHT_SUM = 255
 MOTION_BYTES, MOTION_POINT_BYTES = 2_400_000, 20
 """Motions take at most so much, before base64; and what a control point takes at a moment."""
-SHADOW_BYTES = 200_000
+SHADOW_BYTES = 800_000
 """The same of moving shadows, of which a Gaussian takes one byte at a moment."""
 ALIGNMENT = 4
 """Arrays begin at multiples of this many bytes, which typed arrays of the browser demand."""
@@ -167,7 +167,7 @@ def packed_shadows(scene: GaussianScene, times: np.ndarray) -> tuple[np.ndarray,
     under[table.rows.cpu().numpy()] = True
     order = np.concatenate([np.argsort(under[:n], kind="stable"), np.arange(n, len(under))])
     moments = _moments(times, len(table.rows), SHADOW_BYTES)
-    added = torch.stack([table(float(time), table.weights, table.index) for time in moments]).double().cpu().numpy()
+    added = torch.stack([table.of_static(scene.means[:n], float(time)) for time in moments]).double().cpu().numpy()
     directions = np.linalg.eigh(np.einsum("qbi,qbj->bij", added, added))[1][..., -1]
     amounts = np.einsum("qbc,bc->qb", added, directions)
     step = float(np.abs(amounts).max(initial=0.0))
