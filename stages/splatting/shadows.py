@@ -60,5 +60,5 @@ class ShadowTable(ColourTable):
         return self(time, self.weights(means), self.index)
 
     def added(self, sh_dc: Tensor, means: Tensor, time: float) -> Tensor:
-        """Constant SH coefficients [M, 1, 3] with these offsets; the n static Gaussians, at means [n, 3], come first."""
+        """Constant SH coefficients [M, 1, 3] with these offsets; static Gaussians, at means [n, 3], come first."""
         return sh_dc.index_add(0, self.rows, self.of_static(means, time)[:, None])
