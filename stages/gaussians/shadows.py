@@ -8,7 +8,7 @@ import torch
 
 from stages.gaussians.training_frames import TrainingFrames
 from stages.gaussians.votes import DEPTH_TOLERANCE, pixels_of
-from stages.shared.images import BRIGHT, DARK, LIGHT_CHANGES
+from stages.shared.light import BRIGHT, DARK, LIGHT_CHANGES
 from stages.shared.log import logger, progress
 from stages.splatting.cloud import Cloud
 from stages.splatting.sh import C0

@@ -14,7 +14,7 @@ from stages.scene.photometry import GREY_LEVELS
 from stages.scene.rules import Choice, light_decision, saves
 from stages.scene.sightings import GROUP, Sightings
 from stages.scene.weigh import NOTHING, Bought, weigh
-from stages.shared.images import LIGHT_CHANGES
+from stages.shared.light import LIGHT_CHANGES
 
 DENSITY = 4
 """Shadows fall on a small part of the scene: so many times as many points as for the light of the whole."""

@@ -11,7 +11,8 @@ from stages.scene.windows import SMOOTH_PX, TAP_WEIGHTS, TAPS, WIDEST, Windows, 
 from stages.shared import lie
 from stages.shared.cameras import pixel_grid, project, unproject
 from stages.shared.frame_store import Computed, Frames
-from stages.shared.images import BRIGHT, DARK, DISPLAY_GAMMA
+from stages.shared.images import DISPLAY_GAMMA
+from stages.shared.light import BRIGHT, DARK
 from stages.shared.log import progress
 from stages.shared.warp import bilinear
 

@@ -15,10 +15,6 @@ from stages.shared.threads import threaded
 cv2.setNumThreads(int(os.environ["OMP_NUM_THREADS"]))
 DISPLAY_GAMMA = 2.2
 """Power that stands for the curve of the display where fog is fitted and drawn, which must agree."""
-DARK, BRIGHT = 0.06, 0.94
-"""Colours in 0..1 outside this range are clipped or mostly noise: a channel there says nothing about light."""
-LIGHT_CHANGES = 8 / 255
-"""Colours in 0..1 of one place at rest that differ by more are lit differently: less is noise, or misplaced texture."""
 
 
 def read_rgb(path: Path) -> np.ndarray:
