@@ -5,10 +5,11 @@ import numpy as np
 
 from stages.scene.geometry import LONGEST, MIN_CONFIDENCE
 from stages.scene.observed import Observed
-from stages.scene.sightings import BRIGHT, CELLS, DARK
+from stages.scene.sightings import CELLS
 from stages.scene.weigh import NOTHING, Bought, weigh
 from stages.scene.windows import SMOOTH_PX
 from stages.shared.cameras import pixel_grid
+from stages.shared.light import BRIGHT, DARK
 from stages.shared.warp import bilinear
 
 EDGES, STRIDE_PX = 60, 4

@@ -23,9 +23,9 @@ from stages.scene.blur_rules import is_ruled_out
 from stages.scene.geometry import MIN_CONFIDENCE
 from stages.scene.observed import Observed
 from stages.scene.shutter_fit import SHUTTERS, TILES, judge
-from stages.scene.sightings import BRIGHT
 from stages.shared.frame_store import Computed, Frames
 from stages.shared.images import DISPLAY_GAMMA
+from stages.shared.light import BRIGHT
 from stages.shared.log import progress
 from stages.shared.warp import is_inside, matches, warp
 
