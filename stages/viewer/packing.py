@@ -163,11 +163,12 @@ def packed_shadows(scene: GaussianScene, times: np.ndarray) -> tuple[np.ndarray,
     n, under = scene.n_static, np.zeros(len(scene.anchors), bool)
     if scene.shadows is None:
         return np.arange(len(under)), np.zeros((len(times), 0), np.int8), np.zeros((0, 3), np.int8), 0.0
-    table = scene.shadows
-    under[table.rows.cpu().numpy()] = True
+    table, means = scene.shadows, scene.means[:n]
+    near = table.weights(means).sum(dim=1) > 0
+    under[table.rows[near].cpu().numpy()] = True
     order = np.concatenate([np.argsort(under[:n], kind="stable"), np.arange(n, len(under))])
-    moments = _moments(times, len(table.rows), SHADOW_BYTES)
-    added = torch.stack([table.of_static(scene.means[:n], float(time)) for time in moments]).double().cpu().numpy()
+    moments = _moments(times, int(under.sum()), SHADOW_BYTES)
+    added = torch.stack([table.of_static(means, float(time))[near] for time in moments]).double().cpu().numpy()
     directions = np.linalg.eigh(np.einsum("qbi,qbj->bij", added, added))[1][..., -1]
     amounts = np.einsum("qbc,bc->qb", added, directions)
     step = float(np.abs(amounts).max(initial=0.0))
