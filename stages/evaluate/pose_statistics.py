@@ -15,7 +15,8 @@ STATISTICS: Mapping[str, tuple[str, str, str]] = {
     "flow_px": (
         "flow between neighbouring frames",
         "px",
-        "If a rotation explains the flow: with little flow the camera is near-still, with more it is rotation-only.",
+        "If a rotation explains the flow: with less than 0.2 px the camera is near-still, with more than 1 px it is "
+        "rotation-only. Between them it is so if the rotation leaves no more than noise and tells the focal length.",
     ),
     "offset": (
         "long baseline",

@@ -39,7 +39,8 @@ class Model {
     this.shade = new Float32Array(3 * this.B);
   }
 
-  // Moments, of R, around a time with their weights in the cubic that passes through every moment (Catmull-Rom).
+  // Moments, of R, around a time with their weights in the cubic that passes through every moment (Catmull-Rom); at
+  // either end as if one more followed along a line, so that what changes evenly does so up to the end.
   around(time, R) {
     const at = R === this.T ? time : time * (R - 1) / Math.max(this.T - 1, 1);
     const first = Math.min(Math.max(Math.floor(at), 0), R - 1), x = Math.min(Math.max(at - first, 0), 1);
@@ -49,7 +50,9 @@ class Model {
     ];
     const found = [];
     weights.forEach((weight, k) => {
-      if (weight !== 0) found.push([Math.min(Math.max(first - 1 + k, 0), R - 1), weight]);
+      const moment = first - 1 + k, there = Math.min(Math.max(moment, 0), R - 1);
+      if (weight !== 0) found.push([there, moment === there ? weight : 2 * weight]);
+      if (weight !== 0 && moment !== there) found.push([2 * there - moment, -weight]);
     });
     return found;
   }
