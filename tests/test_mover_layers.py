@@ -1,85 +1,44 @@
 """What the pictures give to movers and to the static scene, where flow is lost."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from passing_square import (
+    GROUND_PX,
+    MOVER_PX,
+    TILE_PX,
+    H,
+    T,
+    W,
+    clip,
+    flow_columns,
+    left_part,
+    square,
+    static_cameras,
+    static_world,
+    tiles,
+)
 
 from stages.segment import __main__ as segment_stage
 from stages.segment import layers, refinement, uncovered
 from stages.segment.layers import MOVING, Belonging, belonging
 from stages.segment.options import SegmentOptions
 from stages.segment.permanence import persistent
-from stages.segment.static_world import StaticWorld
 from stages.segment.superpixels import Superpixels
 from stages.shared import flow_pairs
 from stages.shared.artifacts import Dense, write_dense, write_json
-from stages.shared.cameras import Cameras, intrinsics, make_cameras, scale_intrinsics, write_cameras
+from stages.shared.cameras import scale_intrinsics, write_cameras
 from stages.shared.errors import InputError
 from stages.shared.flow_pairs import FlowPairs
 from stages.shared.images import read_mask, write_image
 from stages.shared.sequences import check_sequence, sequence_to_json
 
-T, H, W = 5, 96, 256
-TILE_PX = 8
-GROUND_PX, MOVER_PX = 2, -3
-"""Motion to the right from frame to frame."""
-
-
-def square(k: int) -> np.ndarray:
-    """The mover in frame k, [H, W] bool; its flow is known on the left part alone."""
-    mover = np.zeros((H, W), bool)
-    mover[24:72, 120 + MOVER_PX * k : 184 + MOVER_PX * k] = True
-    return mover
-
-
-def left_part(k: int) -> np.ndarray:
-    """The part of the mover that is known to move, [H, W] bool."""
-    return square(k) & (np.arange(W) < 160 + MOVER_PX * k)
-
-
-def clip(contrast: int, ground_px: int = GROUND_PX) -> np.ndarray:
-    """Frames [T, H, W, 3] of a textured square before ground that a camera passes; with no contrast both are flat."""
-    random = np.random.default_rng(0)
-    noise = (random.normal(128, contrast, (H, 2 * W, 3)) for _ in range(2))
-    ground, thing = (cv2.GaussianBlur(image, (0, 0), 1.5).clip(0, 255) for image in noise)
-    frames = []
-    for k in range(T):
-        rgb = np.roll(ground, ground_px * k, axis=1)[:, :W]
-        frames.append(np.where(square(k)[..., None], np.roll(thing, MOVER_PX * k, axis=1)[:, :W], rgb))
-    return np.stack(frames).astype(np.uint8)
-
-
-def flow_columns(ground_px: int = GROUND_PX) -> dict[str, np.ndarray]:
-    """Flow of the ground everywhere but on the left part of the mover."""
-    source, target = np.array([(i, j) for i in range(T) for j in range(T) if 1 <= abs(i - j) <= 2]).T
-    flow = np.zeros((len(source), H, W, 2), np.float32)
-    for e, (i, j) in enumerate(zip(source, target, strict=True)):
-        flow[e, ..., 0] = np.where(left_part(i), MOVER_PX, ground_px) * (j - i)
-    return {"source": source, "target": target, "flow": flow, "confidence": np.ones(flow.shape[:3], np.float32)}
-
-
-def static_cameras(ground_px: int = GROUND_PX) -> Cameras:
-    """Cameras that move to the left before a wall at depth 1: its picture moves by `ground_px` from frame to frame."""
-    poses = np.tile(np.eye(4), (T, 1, 1))
-    poses[:, 0, 3] = ground_px / 100 * np.arange(T)
-    return make_cameras(poses, intrinsics(100, 100, W / 2, H / 2), np.arange(1, T + 1))
-
-
-def static_world(ground_px: int = GROUND_PX) -> StaticWorld:
-    """These cameras and the wall."""
-    cameras = static_cameras(ground_px)
-    return StaticWorld(cameras, cameras.Ks, lambda _: np.ones((H, W), np.float32))
-
-
-def tiles() -> Superpixels:
-    """Squares of 8 px in place of superpixels."""
-    v, u = np.mgrid[:H, :W] // TILE_PX
-    labels, count = v * (W // TILE_PX) + u, H * W // TILE_PX**2
-    first = count * np.arange(T + 1)
-    return Superpixels(np.stack(T * [labels]).astype(np.uint16), first, np.full(first[-1], TILE_PX**2), np.zeros(0))
+PREVIOUS = "poses.parquet", "depth.arrow"
+"""Cameras and depth of the round before."""
 
 
 def evidence(contrast: int, ground_px: int = GROUND_PX) -> tuple[Superpixels, Belonging]:
@@ -227,44 +186,55 @@ def test_a_logo_beside_a_mover_is_no_part_of_it() -> None:
         assert shown[around & inner(~square(k))].max() < 0.1 * MOVING
 
 
-def test_cameras_of_the_round_before_make_a_mover_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its flow, on half the size of the frames, is known in its left part alone; the pictures show the rest."""
-    folder = tmp_path / "clip"
-    frames = clip(60)
-    for k, rgb in enumerate(frames):
-        write_image(folder / f"frame_{k + 1:04d}.png", cv2.resize(rgb, None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC))
-    write_json(tmp_path / "sequence.json", sequence_to_json(check_sequence("clip", folder)))
-    columns = flow_columns()
-    write_dense(tmp_path / "pairs.arrow", columns, {"width": W, "height": H, "scale": 0.5})
-    known = np.stack([left_part(k) for k in range(T)]).astype(np.float16)
-    evidence = {"frame": np.arange(1, T + 1), "probability": known, "weight": np.ones_like(known)}
-    write_dense(tmp_path / "prior.arrow", evidence)
-    cameras = static_cameras()
-    write_cameras(tmp_path / "poses.parquet", replace(cameras, Ks=scale_intrinsics(cameras.Ks, 2)))
-    cells = {"inverse_depth": np.ones((T, H // 4, W // 4), np.float32)}
-    write_dense(tmp_path / "depth.arrow", cells, {"stride_px": 8.0})
+def masks_of(folder: Path, prior: np.ndarray, weight: float) -> Callable[..., list[np.ndarray]]:
+    """Masks [H, W] bool of the clip by the stage, from a prior [T, H, W] and, if their files are given, the cameras.
 
-    def overlaps(*previous: Path) -> list[float]:
-        inputs = tmp_path / "sequence.json", tmp_path / "masks", tmp_path / "segment.png", SegmentOptions()
-        segment_stage.main(*inputs, tmp_path / "pairs.arrow", tmp_path / "prior.arrow", *previous)
-        masks = [read_mask(tmp_path / f"masks/frame_{k + 1:04d}.png") for k in range(T)]
-        found = [(mask[::2, ::2], square(k)) for k, mask in enumerate(masks)]
+    Frames have twice the size of the flow, as flow is often found on smaller frames.
+    """
+    for k, rgb in enumerate(clip(60)):
+        double = cv2.resize(rgb, None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)
+        write_image(folder / "clip" / f"frame_{k + 1:04d}.png", double)
+    write_json(folder / "sequence.json", sequence_to_json(check_sequence("clip", folder / "clip")))
+    write_dense(folder / "pairs.arrow", flow_columns(), {"width": W, "height": H, "scale": 0.5})
+    evidence = {"frame": np.arange(1, T + 1), "probability": prior.astype(np.float16)}
+    evidence["weight"] = np.full(prior.shape, weight, np.float16)
+    write_dense(folder / "prior.arrow", evidence)
+    cameras = static_cameras()
+    write_cameras(folder / "poses.parquet", replace(cameras, Ks=scale_intrinsics(cameras.Ks, 2)))
+    cells = {"inverse_depth": np.ones((T, H // 4, W // 4), np.float32)}
+    write_dense(folder / "depth.arrow", cells, {"stride_px": 8.0})
+
+    def masks(*previous: str) -> list[np.ndarray]:
+        inputs = folder / "sequence.json", folder / "masks", folder / "segment.png", SegmentOptions()
+        evidence = folder / "pairs.arrow", folder / "prior.arrow"
+        segment_stage.main(*inputs, *evidence, *(folder / name for name in previous))
+        return [read_mask(folder / f"masks/frame_{k + 1:04d}.png")[::2, ::2] for k in range(T)]
+
+    return masks
+
+
+def test_cameras_of_the_round_before_make_a_mover_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its flow is known in its left part alone; the pictures show the rest."""
+    masks = masks_of(tmp_path, np.stack([left_part(k) for k in range(T)]), weight=1.0)
+
+    def overlaps(*previous: str) -> list[float]:
+        found = zip(masks(*previous), map(square, range(T)), strict=True)
         return [(mask & mover).sum() / (mask | mover).sum() for mask, mover in found]
 
-    alone, together = overlaps(), overlaps(tmp_path / "poses.parquet", tmp_path / "depth.arrow")
+    alone, together = overlaps(), overlaps(*PREVIOUS)
     assert min(np.subtract(together, alone)) > 0.02
     assert np.mean(together) > np.mean(alone) + 0.05
     with monkeypatch.context() as patch:
         patch.setattr(refinement, "SHOWN_WEIGHT", 0.0)
-        blunt = overlaps(tmp_path / "poses.parquet", tmp_path / "depth.arrow")
+        blunt = overlaps(*PREVIOUS)
     assert np.mean(together) > np.mean(blunt) + 0.02, "borders follow what single pixels show"
     asked, of_frame = [], Belonging.of_frame
     with monkeypatch.context() as patch:
         patch.setattr(Belonging, "of_frame", lambda shown, k: asked.append(k) or of_frame(shown, k))
-        overlaps(tmp_path / "poses.parquet", tmp_path / "depth.arrow")
+        overlaps(*PREVIOUS)
     assert sorted(asked) == list(range(T)), "each frame's mask goes by the pixels of that frame"
     with pytest.raises(InputError, match="together with --previous-depth"):
-        overlaps(tmp_path / "poses.parquet")
-    lost = replace(cameras, status=np.full(T, "failed", object))
+        overlaps("poses.parquet")
+    lost = replace(static_cameras(), status=np.full(T, "failed", object))
     write_cameras(tmp_path / "poses.parquet", lost)
-    assert overlaps(tmp_path / "poses.parquet", tmp_path / "depth.arrow") == alone
+    assert overlaps(*PREVIOUS) == alone
