@@ -238,3 +238,21 @@ def test_cameras_of_the_round_before_make_a_mover_whole(tmp_path: Path, monkeypa
     lost = replace(static_cameras(), status=np.full(T, "failed", object))
     write_cameras(tmp_path / "poses.parquet", lost)
     assert overlaps(*PREVIOUS) == alone
+
+
+def test_a_weak_mover_is_kept_if_the_pictures_confirm_it(tmp_path: Path) -> None:
+    """Its flow alone is not enough."""
+    prior = np.stack([np.where(left_part(k), 0.59, 0.02) for k in range(T)])
+    masks = masks_of(tmp_path, prior, weight=0.667)
+    assert not np.any(masks())
+    found = zip(masks(*PREVIOUS), map(square, range(T)), strict=True)
+    assert all((mask & mover).sum() > 0.5 * (mask | mover).sum() for mask, mover in found)
+
+
+def test_ground_that_seems_to_move_is_dropped_if_the_pictures_do_not_confirm_it(tmp_path: Path) -> None:
+    prior = np.full((T, H, W), 0.02)
+    for k in range(T):
+        prior[k, 24:72, 24 + GROUND_PX * k : 72 + GROUND_PX * k] = 0.54
+    masks = masks_of(tmp_path, prior, weight=0.667)
+    assert all(mask.sum() > 1000 for mask in masks())
+    assert not np.any(masks(*PREVIOUS))

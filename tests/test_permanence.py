@@ -76,6 +76,16 @@ def test_an_instance_needs_strength_and_confidence(prior: float, confidence: flo
     assert found.any() == (numbers > 0).any() == kept
 
 
+@pytest.mark.parametrize("prior", [0.42, 0.46])
+def test_more_is_needed_of_an_instance_once_the_pictures_were_asked(prior: float) -> None:
+    rgb, pairs, where = squares()
+    pixels = superpixels(T, lambda k: rgb[k])
+    given = pixels, pairs, pixels.means(np.where(where == 1, prior, 0.0)), np.ones(len(pixels.areas)), 3.0, 0.33
+    needed = permanence.CANDIDATE, (1.0, 1.0), permanence.CONFIRMED
+    kept = [persistent(*given, needed=these)[1].any() for these in needed]
+    assert kept == [True, prior == 0.46, False]
+
+
 def test_the_system_is_that_of_the_energy() -> None:
     """Against a dense solution of the normal equations, term by term."""
     random = np.random.default_rng(1)

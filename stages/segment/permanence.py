@@ -51,6 +51,9 @@ MIN_STRENGTH, MIN_SUPPORT = 1.3, 0.15
 """Least mean x of an instance, in thresholds (at most halfway from the threshold to 1), and least mean of x times the
 share by which it counts. Flow fails at occlusions and on textureless sky; what shows there is weak, or unsure, in every
 frame of it."""
+CANDIDATE, CONFIRMED = (0.95, 0.8), (1.15, 1.0)
+"""Shares of both that an instance needs before the pictures are asked, and with what they have shown: it makes a mover
+stronger, and hardly what only seemed to move."""
 
 
 def confidence_of(weight: np.ndarray) -> np.ndarray:
@@ -119,6 +122,7 @@ def persistent(
     threshold: float,
     stated: np.ndarray | None = None,
     shown: np.ndarray | None = None,
+    needed: tuple[float, float] = (1.0, 1.0),
 ) -> tuple[np.ndarray, np.ndarray]:
     """How surely each superpixel is dynamic [N], and its instance [N].
 
@@ -126,6 +130,7 @@ def persistent(
         pairs: source, target [E], flow [E, h, w, 2] px, confidence [E, h, w].
         prior: [N] probability of motion; confidence: [N] share by which it counts.
         threshold: least x of a dynamic superpixel. stated, shown: [N] as in `solve`.
+        needed: what an instance needs, in shares of MIN_STRENGTH and MIN_SUPPORT.
 
     Returns:
         x over twice its threshold, at most 1: from DYNAMIC on dynamic, 0 for what is no part of a kept instance.
@@ -146,10 +151,11 @@ def persistent(
         near = (found[W.row] > threshold / 2) & (found[W.col] > threshold / 2) & (W.row < W.col)
         joined.append(pixels.first[start] + np.stack([W.row[near], W.col[near]]))
     sure = x / (2 * np.maximum(threshold, RELATIVE * levels))
-    least = min(MIN_STRENGTH * threshold, (1 + threshold) / 2)
     for told in (stated, shown):  # where the flow is unsure, both may say what moves
         confidence = confidence if told is None else np.maximum(confidence, told)
-    evidence = x / least, x * confidence
+    strength, support = needed
+    least = min(strength * MIN_STRENGTH * threshold, (1 + threshold) / 2)
+    evidence = x / least, x * confidence / support
     instance = instances(sure >= DYNAMIC, np.concatenate(joined, axis=1), *evidence, pixels.areas)
     return np.where((sure >= DYNAMIC) & (instance == 0), 0, np.minimum(sure, 1)), instance
 
