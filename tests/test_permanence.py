@@ -76,14 +76,27 @@ def test_an_instance_needs_strength_and_confidence(prior: float, confidence: flo
     assert found.any() == (numbers > 0).any() == kept
 
 
-@pytest.mark.parametrize("prior", [0.42, 0.46])
-def test_more_is_needed_of_an_instance_once_the_pictures_were_asked(prior: float) -> None:
+@pytest.mark.parametrize(
+    ("prior", "shown", "asked", "kept"),
+    [(0.42, 0.0, True, False), (0.46, 0.0, True, False), (0.46, 0.05, True, True), (0.6, 0.0, True, True)],
+)
+def test_a_weak_instance_needs_the_pictures(prior: float, shown: float, asked: bool, kept: bool) -> None:
+    """Below what is needed it is asked about; with it the pictures must show it, unless it is much stronger."""
     rgb, pairs, where = squares()
     pixels = superpixels(T, lambda k: rgb[k])
     given = pixels, pairs, pixels.means(np.where(where == 1, prior, 0.0)), np.ones(len(pixels.areas)), 3.0, 0.33
-    needed = permanence.CANDIDATE, (1.0, 1.0), permanence.CONFIRMED
-    kept = [persistent(*given, needed=these)[1].any() for these in needed]
-    assert kept == [True, prior == 0.46, False]
+    assert persistent(*given, candidates=True)[1].any() == asked
+    weight = pixels.means(np.where(where == 1, shown, 0.0))
+    assert persistent(*given, shown=weight)[1].any() == kept
+    assert persistent(*given)[1].any() == (prior > 0.42)
+
+
+def test_what_the_user_marks_needs_no_pictures() -> None:
+    rgb, pairs, where = squares()
+    pixels = superpixels(T, lambda k: rgb[k])
+    given = pixels, pairs, pixels.means(np.where(where == 1, 0.46, 0.0)), np.ones(len(pixels.areas)), 3.0, 0.33
+    marked, nothing = pixels.means((where == 1).astype(float)), np.zeros(len(pixels.areas))
+    assert persistent(*given, marked, nothing)[1].any()
 
 
 def test_the_system_is_that_of_the_energy() -> None:
@@ -215,7 +228,7 @@ def test_confidence_counts_half_at_a_weight_of_one() -> None:
 def test_instances_are_numbered_by_size() -> None:
     dynamic = np.array([True, True, False, True, True, True])
     joined = np.array([[0, 1, 3, 4], [1, 2, 4, 5]])
-    evidence = np.full(6, 2.0), np.full(6, 0.7), np.ones(6)
+    evidence = np.full(6, 2.0), np.full(6, 1.4), np.ones(6)
     np.testing.assert_array_equal(instances(dynamic, joined, *evidence), [2, 2, 0, 1, 1, 1])
     assert not instances(np.zeros(6, bool), joined, *evidence).any()
 

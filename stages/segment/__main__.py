@@ -11,7 +11,7 @@ from stages.given import masks as given_masks
 from stages.given.files import of_sequence
 from stages.given.masks import GivenMasks
 from stages.segment.options import SegmentOptions
-from stages.segment.permanence import CANDIDATE, CONFIRMED, DYNAMIC, confidence_of, persistent
+from stages.segment.permanence import DYNAMIC, confidence_of, persistent
 from stages.segment.refinement import guarded_threshold, smooth_along_edges, to_instances, to_mask
 from stages.segment.static_world import StaticWorld
 from stages.segment.superpixels import AT_ONCE, superpixels
@@ -163,13 +163,13 @@ def _refined(options: SegmentOptions, frames: Sequence, flow: Path, prior: Path,
     matched = read_dense(flow)
     given = pixels, matched, probability, confidence_of(weight), options.permanence, options.threshold, stated
     world, shown = _static_world(*previous, flow, size), None
-    sure, instance = persistent(*given) if world is None else persistent(*given, needed=CANDIDATE)
+    sure, instance = persistent(*given, candidates=world is not None)
     if world is not None and instance.any():
         from stages.segment.layers import belonging
 
         pairs = FlowPairs(matched, scene=read_scene_on_grid(frames, size))
         shown = belonging(pixels, pairs, picture, world, sure)
-        sure, instance = persistent(*given, shown.weight, CONFIRMED)
+        sure, instance = persistent(*given, shown.weight)
 
     def mask(k: int, rgb: np.ndarray) -> Mask:
         of_pixels = None if shown is None else shown.of_frame(k)

@@ -51,9 +51,11 @@ MIN_STRENGTH, MIN_SUPPORT = 1.3, 0.15
 """Least mean x of an instance, in thresholds (at most halfway from the threshold to 1), and least mean of x times the
 share by which it counts. Flow fails at occlusions and on textureless sky; what shows there is weak, or unsure, in every
 frame of it."""
-CANDIDATE, CONFIRMED = (0.95, 0.8), (1.15, 1.0)
-"""Shares of both that an instance needs before the pictures are asked, and with what they have shown: it makes a mover
-stronger, and hardly what only seemed to move."""
+CANDIDATE = 0.95, 0.8
+"""Shares of both that are enough for an instance to be asked about: the pictures tell which of these move."""
+CONFIRMED, EVIDENT = 0.03, 1.25
+"""Least mean weight with which they show then that it moves (of at most `stages.segment.layers.MOVING`); what is so
+many times as strong as it needs to be is kept without."""
 
 
 def confidence_of(weight: np.ndarray) -> np.ndarray:
@@ -122,7 +124,7 @@ def persistent(
     threshold: float,
     stated: np.ndarray | None = None,
     shown: np.ndarray | None = None,
-    needed: tuple[float, float] = (1.0, 1.0),
+    candidates: bool = False,
 ) -> tuple[np.ndarray, np.ndarray]:
     """How surely each superpixel is dynamic [N], and its instance [N].
 
@@ -130,7 +132,7 @@ def persistent(
         pairs: source, target [E], flow [E, h, w, 2] px, confidence [E, h, w].
         prior: [N] probability of motion; confidence: [N] share by which it counts.
         threshold: least x of a dynamic superpixel. stated, shown: [N] as in `solve`.
-        needed: what an instance needs, in shares of MIN_STRENGTH and MIN_SUPPORT.
+        candidates: whether instances are kept that the pictures are to be asked about.
 
     Returns:
         x over twice its threshold, at most 1: from DYNAMIC on dynamic, 0 for what is no part of a kept instance.
@@ -153,29 +155,42 @@ def persistent(
     sure = x / (2 * np.maximum(threshold, RELATIVE * levels))
     for told in (stated, shown):  # where the flow is unsure, both may say what moves
         confidence = confidence if told is None else np.maximum(confidence, told)
-    strength, support = needed
-    least = min(strength * MIN_STRENGTH * threshold, (1 + threshold) / 2)
-    evidence = x / least, x * confidence / support
-    instance = instances(sure >= DYNAMIC, np.concatenate(joined, axis=1), *evidence, pixels.areas)
+    strength, support = CANDIDATE if candidates else (1.0, 1.0)
+    least = strength * min(MIN_STRENGTH * threshold, (1 + threshold) / 2)
+    evidence = x / least, x * confidence / (support * MIN_SUPPORT)
+    confirmed = None if shown is None else np.maximum(shown, 0.0 if stated is None else stated)
+    instance = instances(sure >= DYNAMIC, np.concatenate(joined, axis=1), *evidence, pixels.areas, confirmed)
     return np.where((sure >= DYNAMIC) & (instance == 0), 0, np.minimum(sure, 1)), instance
 
 
 def instances(
-    dynamic: np.ndarray, joined: np.ndarray, strength: np.ndarray, support: np.ndarray, areas: np.ndarray
+    dynamic: np.ndarray,
+    joined: np.ndarray,
+    strength: np.ndarray,
+    support: np.ndarray,
+    areas: np.ndarray,
+    confirmed: np.ndarray | None = None,
 ) -> np.ndarray:
     """Numbers [N] of connected dynamic superpixels, 1 for the largest; 0 for static ones and for what is too weak.
 
     Args:
         dynamic: [N] bool; joined: [2, L] pairs of superpixels that are linked.
-        strength: [N] x in units of the least that an instance needs; support: [N] x times its confidence.
-        areas: [N] px.
+        strength, support: [N] x, and x times its confidence, in units of the least that an instance needs.
+        areas: [N] px. confirmed: [N] weight with which pictures, or the user, show that each moves; None: not asked.
     """
     inner = joined[:, dynamic[joined[0]] & dynamic[joined[1]]]
     graph = sparse.coo_matrix((np.ones(inner.shape[1]), tuple(inner)), (len(areas), len(areas)))
     component = connected_components(graph, directed=False)[1]
     labels = np.unique(component[dynamic], return_inverse=True)[1]
-    sizes, *sums = (np.bincount(labels, (areas * values)[dynamic]) for values in (1, strength, support))
-    kept = (sums[0] >= sizes) & (sums[1] >= MIN_SUPPORT * sizes)
+    sizes = np.bincount(labels, areas[dynamic])
+
+    def mean(values: np.ndarray) -> np.ndarray:
+        return np.asarray(np.bincount(labels, (areas * values)[dynamic]) / sizes)
+
+    strong = mean(strength)
+    kept = (strong >= 1) & (mean(support) >= 1)
+    if confirmed is not None:
+        kept &= (mean(confirmed) >= CONFIRMED) | (strong >= EVIDENT)
     order = np.argsort(np.where(kept, -sizes, 0), kind="stable")
     numbers = np.zeros(len(sizes), np.int64)
     numbers[order[: kept.sum()]] = np.arange(1, kept.sum() + 1)
