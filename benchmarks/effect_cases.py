@@ -142,6 +142,7 @@ PAIRS = (
     ("exposure", "white balance"),
     ("view-dependent colour", "exposure"),
     ("moving shadows", "exposure"),
+    ("moving shadows", "view-dependent colour"),
     ("moving shadows", "moving parts"),
     ("bending movers", "motion blur"),
     ("moving parts", "fog"),

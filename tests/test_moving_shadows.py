@@ -57,6 +57,26 @@ def test_a_shadow_is_found_if_it_moves(speed: float | None, percent: float, fog:
     assert decision["interval"][0] <= decision["statistic"] <= decision["interval"][1]
 
 
+def glossy_room(seen: Observed) -> Observed:
+    """The frames with colours that change with the direction from which they are seen."""
+    scene = room()[0]
+    frames = zip(scene.depth, scene.cam_from_world, strict=True)
+    rays = [unproject(pixel_grid(96, 160), depth, pose, scene.K) - np.linalg.inv(pose)[:3, 3] for depth, pose in frames]
+    across = np.stack([ray[..., 0] / np.linalg.norm(ray, axis=-1) for ray in rays])
+    gloss = 0.5 * np.sin(6 * across)[..., None]
+    return replace(seen, rgb=(seen.rgb * (1 + gloss)).clip(0, 1).astype(np.float32))
+
+
+@pytest.mark.parametrize("moves", [False, True])
+def test_highlights_are_no_shadows_where_the_view_explains_them(moves: bool) -> None:
+    """They are without harmonics; with these a shadow beside them is found still."""
+    seen = glossy_room(shaded_room(-0.4, 0.1, lit_room()) if moves else lit_room())
+    shown, fitted = sight(seen, density=DENSITY), light_evidence(sight(lit_room())).fitted
+    plain, explained = (decide_moving_shadows(shadow_evidence(shown, fitted, degree), "auto") for degree in (0, 1))
+    assert plain["needed"]
+    assert explained["needed"] == moves
+
+
 def test_who_asks_for_shadows_or_rules_them_out_decides() -> None:
     assert decide_moving_shadows(NOTHING, "yes")["needed"]
     assert not decide_moving_shadows(NOTHING._replace(saved=100.0, before=200.0, samples=9), "no")["needed"]

@@ -86,7 +86,7 @@ def _decide(seen: Observed, rotation_only_share: float, options: SceneOptions) -
     atmosphere = timed(rules.decide_atmosphere(light, options.atmosphere))
     view = photometry.view_evidence(sight(seen, textured=True), light.fitted)
     view_dependent = timed(rules.decide_view_dependent(view, options.view_dependent))
-    shadows = shadow_evidence(sight(seen, density=DENSITY), light.fitted)
+    shadows = shadow_evidence(sight(seen, density=DENSITY), light.fitted, view_dependent["sh_degree"])
     moving_shadows = timed(decide_moving_shadows(shadows, options.moving_shadows))
     non_rigid = timed(rules.decide_non_rigid(bending.bending_evidence(seen), options.non_rigid))
     given = None if options.shutter == "auto" else options.shutter

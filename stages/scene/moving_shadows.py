@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from stages.scene.light_model import Light, cleared
-from stages.scene.photometry import GREY_LEVELS
+from stages.scene.photometry import GREY_LEVELS, seen_change
 from stages.scene.rules import Choice, light_decision, saves
 from stages.scene.sightings import GROUP, Sightings
 from stages.scene.weigh import NOTHING, Bought, weigh
@@ -22,10 +22,14 @@ HALVES = ((0, 3), (1, 2)), ((1, 2), (0, 3))
 """Of four neighbours, those that are predicted, and by which."""
 
 
-def shadow_evidence(seen: Sightings, fitted: Light) -> Bought:
+def shadow_evidence(seen: Sightings, fitted: Light, degree: int = 0) -> Bought:
     """What changes over time save that neighbours show one training frame before and after, in grey levels.
 
     They count where both neighbours change by more than LIGHT_CHANGES, to the same side; elsewhere the light is steady.
+    A highlight passes over a surface like a shadow. So what the view explains is taken out first, where it is modelled.
+
+    Args:
+        degree: of the harmonics by which colours depend on the view; 0 if they do not.
     """
     usable: np.ndarray = seen.usable.all(axis=2).reshape(-1, GROUP, seen.usable.shape[1])
     colours = np.where(usable[..., None], GREY_LEVELS * cleared(seen, fitted).reshape(*usable.shape, 3), np.nan)
@@ -33,6 +37,8 @@ def shadow_evidence(seen: Sightings, fitted: Light) -> Bought:
     usable, colours = usable[kept], colours[kept]
     if not len(usable) or usable.shape[2] < 3:
         return NOTHING
+    if degree:
+        colours = colours - GREY_LEVELS * seen_change(seen, fitted, degree)[kept]
     change = colours - np.nanmedian(colours, axis=2, keepdims=True)
     steady, moving, groups = [], [], []
     for rows, others in HALVES:
