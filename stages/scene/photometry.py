@@ -176,7 +176,7 @@ def seen_change(seen: Sightings, fitted: Light, degree: int) -> np.ndarray:
 
 
 def _groups(seen: Sightings, fitted: Light) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Cleared colours and viewing directions [g, GROUP, F, 3] of the points, and where they are usable [g, GROUP, F]."""
+    """Cleared colours and viewing directions [g, GROUP, F, 3] of the points; where they are usable [g, GROUP, F]."""
     usable = seen.usable.all(axis=2).reshape(-1, GROUP, seen.usable.shape[1])
     rays = seen.points[:, None] - seen.centres
     directions = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
