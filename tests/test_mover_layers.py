@@ -1,9 +1,5 @@
 """What the pictures give to movers and to the static scene, where flow is lost."""
 
-from collections.abc import Callable
-from dataclasses import replace
-from pathlib import Path
-
 import cv2
 import numpy as np
 import pytest
@@ -18,27 +14,17 @@ from passing_square import (
     flow_columns,
     left_part,
     square,
-    static_cameras,
     static_world,
     tiles,
 )
 
-from stages.segment import __main__ as segment_stage
-from stages.segment import layers, refinement, uncovered
+from stages.segment import layers, uncovered
 from stages.segment.layers import MOVING, Belonging, belonging
-from stages.segment.options import SegmentOptions
 from stages.segment.permanence import persistent
 from stages.segment.superpixels import Superpixels
 from stages.shared import flow_pairs
-from stages.shared.artifacts import Dense, write_dense, write_json
-from stages.shared.cameras import scale_intrinsics, write_cameras
-from stages.shared.errors import InputError
+from stages.shared.artifacts import Dense
 from stages.shared.flow_pairs import FlowPairs
-from stages.shared.images import read_mask, write_image
-from stages.shared.sequences import check_sequence, sequence_to_json
-
-PREVIOUS = "poses.parquet", "depth.arrow"
-"""Cameras and depth of the round before."""
 
 
 def evidence(contrast: int, ground_px: int = GROUND_PX) -> tuple[Superpixels, Belonging]:
@@ -186,73 +172,11 @@ def test_a_logo_beside_a_mover_is_no_part_of_it() -> None:
         assert shown[around & inner(~square(k))].max() < 0.1 * MOVING
 
 
-def masks_of(folder: Path, prior: np.ndarray, weight: float) -> Callable[..., list[np.ndarray]]:
-    """Masks [H, W] bool of the clip by the stage, from a prior [T, H, W] and, if their files are given, the cameras.
-
-    Frames have twice the size of the flow, as flow is often found on smaller frames.
-    """
-    for k, rgb in enumerate(clip(60)):
-        double = cv2.resize(rgb, None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)
-        write_image(folder / "clip" / f"frame_{k + 1:04d}.png", double)
-    write_json(folder / "sequence.json", sequence_to_json(check_sequence("clip", folder / "clip")))
-    write_dense(folder / "pairs.arrow", flow_columns(), {"width": W, "height": H, "scale": 0.5})
-    evidence = {"frame": np.arange(1, T + 1), "probability": prior.astype(np.float16)}
-    evidence["weight"] = np.full(prior.shape, weight, np.float16)
-    write_dense(folder / "prior.arrow", evidence)
-    cameras = static_cameras()
-    write_cameras(folder / "poses.parquet", replace(cameras, Ks=scale_intrinsics(cameras.Ks, 2)))
-    cells = {"inverse_depth": np.ones((T, H // 4, W // 4), np.float32)}
-    write_dense(folder / "depth.arrow", cells, {"stride_px": 8.0})
-
-    def masks(*previous: str) -> list[np.ndarray]:
-        inputs = folder / "sequence.json", folder / "masks", folder / "segment.png", SegmentOptions()
-        evidence = folder / "pairs.arrow", folder / "prior.arrow"
-        segment_stage.main(*inputs, *evidence, *(folder / name for name in previous))
-        return [read_mask(folder / f"masks/frame_{k + 1:04d}.png")[::2, ::2] for k in range(T)]
-
-    return masks
-
-
-def test_cameras_of_the_round_before_make_a_mover_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its flow is known in its left part alone; the pictures show the rest."""
-    masks = masks_of(tmp_path, np.stack([left_part(k) for k in range(T)]), weight=1.0)
-
-    def overlaps(*previous: str) -> list[float]:
-        found = zip(masks(*previous), map(square, range(T)), strict=True)
-        return [(mask & mover).sum() / (mask | mover).sum() for mask, mover in found]
-
-    alone, together = overlaps(), overlaps(*PREVIOUS)
-    assert min(np.subtract(together, alone)) > 0.02
-    assert np.mean(together) > np.mean(alone) + 0.05
-    with monkeypatch.context() as patch:
-        patch.setattr(refinement, "SHOWN_WEIGHT", 0.0)
-        blunt = overlaps(*PREVIOUS)
-    assert np.mean(together) > np.mean(blunt) + 0.02, "borders follow what single pixels show"
-    asked, of_frame = [], Belonging.of_frame
-    with monkeypatch.context() as patch:
-        patch.setattr(Belonging, "of_frame", lambda shown, k: asked.append(k) or of_frame(shown, k))
-        overlaps(*PREVIOUS)
-    assert sorted(asked) == list(range(T)), "each frame's mask goes by the pixels of that frame"
-    with pytest.raises(InputError, match="together with --previous-depth"):
-        overlaps("poses.parquet")
-    lost = replace(static_cameras(), status=np.full(T, "failed", object))
-    write_cameras(tmp_path / "poses.parquet", lost)
-    assert overlaps(*PREVIOUS) == alone
-
-
-def test_a_weak_mover_is_kept_if_the_pictures_confirm_it(tmp_path: Path) -> None:
-    """Its flow alone is not enough."""
-    prior = np.stack([np.where(left_part(k), 0.59, 0.02) for k in range(T)])
-    masks = masks_of(tmp_path, prior, weight=0.667)
-    assert not np.any(masks())
-    found = zip(masks(*PREVIOUS), map(square, range(T)), strict=True)
-    assert all((mask & mover).sum() > 0.5 * (mask | mover).sum() for mask, mover in found)
-
-
-def test_ground_that_seems_to_move_is_dropped_if_the_pictures_do_not_confirm_it(tmp_path: Path) -> None:
-    prior = np.full((T, H, W), 0.02)
-    for k in range(T):
-        prior[k, 24:72, 24 + GROUND_PX * k : 72 + GROUND_PX * k] = 0.54
-    masks = masks_of(tmp_path, prior, weight=0.667)
-    assert all(mask.sum() > 1000 for mask in masks())
-    assert not np.any(masks(*PREVIOUS))
+def test_pictures_are_not_asked_in_frames_that_movers_fill() -> None:
+    """Cameras may follow a mover there, which then seems to rest."""
+    _, some = evidence(contrast=60)
+    assert some.asked.mean() > 0.3
+    frames, pixels = clip(60), tiles()
+    everywhere = np.ones(len(pixels.areas))
+    filled = belonging(pixels, FlowPairs(Dense(flow_columns())), lambda k: frames[k], static_world(), everywhere)
+    assert (filled.asked == 0).all()

@@ -76,27 +76,28 @@ def test_an_instance_needs_strength_and_confidence(prior: float, confidence: flo
     assert found.any() == (numbers > 0).any() == kept
 
 
+@pytest.mark.parametrize(("prior", "confidence", "kept"), [(0.38, 1, False), (0.42, 1, True), (0.6, 0.22, True)])
+def test_less_is_needed_to_be_asked_about(prior: float, confidence: float, kept: bool) -> None:
+    rgb, pairs, where = squares()
+    pixels = superpixels(T, lambda k: rgb[k])
+    N = len(pixels.areas)
+    given = pixels, pairs, pixels.means(np.where(where == 1, prior, 0.0)), np.full(N, confidence), 3.0, 0.33
+    assert persistent(*given, candidates=True)[1].any() == kept
+    assert not persistent(*given)[1].any()
+
+
 @pytest.mark.parametrize(
     ("prior", "shown", "asked", "kept"),
-    [(0.42, 0.0, True, False), (0.46, 0.0, True, False), (0.46, 0.05, True, True), (0.6, 0.0, True, True)],
-)
-def test_a_weak_instance_needs_the_pictures(prior: float, shown: float, asked: bool, kept: bool) -> None:
-    """Below what is needed it is asked about; with it the pictures must show it, unless it is much stronger."""
+    [(0.46, 0.0, 1.0, False), (0.46, 0.02, 1.0, False), (0.46, 0.05, 1.0, True), (0.46, 0.02, 0.3, True),
+     (0.46, 0.0, 0.0, True), (0.5, 0.0, 1.0, False), (0.6, 0.0, 1.0, True)],
+)  # fmt: skip
+def test_the_pictures_must_show_a_weak_instance(prior: float, shown: float, asked: float, kept: bool) -> None:
+    """Over what was compared of it, unless it is much stronger than needed."""
     rgb, pairs, where = squares()
     pixels = superpixels(T, lambda k: rgb[k])
     given = pixels, pairs, pixels.means(np.where(where == 1, prior, 0.0)), np.ones(len(pixels.areas)), 3.0, 0.33
-    assert persistent(*given, candidates=True)[1].any() == asked
     weight = pixels.means(np.where(where == 1, shown, 0.0))
-    assert persistent(*given, shown=weight)[1].any() == kept
-    assert persistent(*given)[1].any() == (prior > 0.42)
-
-
-def test_what_the_user_marks_needs_no_pictures() -> None:
-    rgb, pairs, where = squares()
-    pixels = superpixels(T, lambda k: rgb[k])
-    given = pixels, pairs, pixels.means(np.where(where == 1, 0.46, 0.0)), np.ones(len(pixels.areas)), 3.0, 0.33
-    marked, nothing = pixels.means((where == 1).astype(float)), np.zeros(len(pixels.areas))
-    assert persistent(*given, marked, nothing)[1].any()
+    assert persistent(*given, shown=weight, asked=np.full(len(weight), asked))[1].any() == kept
 
 
 def test_the_system_is_that_of_the_energy() -> None:
@@ -150,8 +151,11 @@ def test_certain_motion_is_kept_at_every_threshold(threshold: float) -> None:
     rgb, pairs, where = squares()
     pixels = superpixels(T, lambda k: rgb[k])
     means = pixels.means((where > 0).astype(float))
-    _, instance = persistent(pixels, pairs, means, np.ones(len(means)), 3.0, threshold)
+    given = pixels, pairs, means, np.ones(len(means)), 3.0, threshold
+    _, instance = persistent(*given)
     assert set(np.unique(instance)) == {0, 1, 2}
+    _, unseen = persistent(*given, shown=np.zeros(len(means)), asked=np.ones(len(means)))
+    np.testing.assert_array_equal(unseen, instance)
 
 
 @given(st.integers(1, 700))
@@ -228,9 +232,9 @@ def test_confidence_counts_half_at_a_weight_of_one() -> None:
 def test_instances_are_numbered_by_size() -> None:
     dynamic = np.array([True, True, False, True, True, True])
     joined = np.array([[0, 1, 3, 4], [1, 2, 4, 5]])
-    evidence = np.full(6, 2.0), np.full(6, 1.4), np.ones(6)
-    np.testing.assert_array_equal(instances(dynamic, joined, *evidence), [2, 2, 0, 1, 1, 1])
-    assert not instances(np.zeros(6, bool), joined, *evidence).any()
+    evidence = np.full(6, 2.0), np.full(6, 1.4)
+    np.testing.assert_array_equal(instances(dynamic, joined, np.ones(6), evidence), [2, 2, 0, 1, 1, 1])
+    assert not instances(np.zeros(6, bool), joined, np.ones(6), evidence).any()
 
 
 def test_links_count_borders_and_matches() -> None:

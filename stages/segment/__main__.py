@@ -169,7 +169,7 @@ def _refined(options: SegmentOptions, frames: Sequence, flow: Path, prior: Path,
 
         pairs = FlowPairs(matched, scene=read_scene_on_grid(frames, size))
         shown = belonging(pixels, pairs, picture, world, sure)
-        sure, instance = persistent(*given, shown.weight)
+        sure, instance = persistent(*given, shown.weight, shown.asked)
 
     def mask(k: int, rgb: np.ndarray) -> Mask:
         of_pixels = None if shown is None else shown.of_frame(k)

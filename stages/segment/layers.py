@@ -68,10 +68,12 @@ class Belonging(NamedTuple):
 
     Attributes:
         weight: [N] with which they say so of a superpixel, relative to certain motion by the flow.
+        asked: [N] share of its pixels that were compared; 0 in frames of which masks hold more than MOST.
         pixels: [T, h, w] int8, how clearly they say so of a pixel, -SHOWN_MOST to SHOWN_MOST.
     """
 
     weight: np.ndarray
+    asked: np.ndarray
     pixels: np.ndarray
 
     def of_frame(self, k: int) -> np.ndarray:
@@ -94,10 +96,11 @@ def belonging(
     def of_frame(k: int, frames: dict[int, np.ndarray], covered: dict[int, np.ndarray]) -> np.ndarray:
         part, seen = pixels.part(k, k + 1), pixels.paint(sure, k).astype(np.float32)
         if not (seen >= DYNAMIC).any():
-            return np.zeros((4, len(part.areas)))
+            return np.zeros((5, len(part.areas)))
         depths = _static_depths(world.inverse_depth(k), np.maximum(1 - seen / STATIC, 0) ** 2)
         allowed = tolerance(frames[k])
-        static, moved, share = _compared(k, seen, allowed, depths, pairs, frames, world)
+        static, moved, share, known = _compared(k, seen, allowed, depths, pairs, frames, world)
+        asked = known * ((seen >= DYNAMIC).mean() <= MOST)
         limit = np.where(_sought(k, seen, pairs), np.maximum(2 * SURELY_MATCHED, moved + 1) * allowed, 0)
         again = seen_again(k, limit, depths, frames, covered, world) / allowed  # above the limit it changes nothing
         rests = _clear(again - moved)[1] * _matches(again, SURELY_MATCHED)
@@ -105,7 +108,7 @@ def belonging(
         moving, resting = _clear(static - moved)
         clear = moving * _matches(moved, SURELY_MATCHED) - resting * _matches(static, SURELY_MATCHED)
         shown[k] = np.rint(SHOWN_MOST * _near(share) * clear)
-        images = np.clip(static - moved, -1, 1), np.minimum(moved, 2 * MATCHED), share, rests
+        images = np.clip(static - moved, -1, 1), np.minimum(moved, 2 * MATCHED), share, rests, asked
         return np.stack([part.means([image]) for image in images])
 
     for first, last in pairs.blocks(T, "movers against the static scene"):
@@ -114,10 +117,10 @@ def belonging(
         frames = dict(zip(near, threaded(picture, near), strict=True))
         covered = {k: _covered(pixels.paint(sure, k), pairs.scene) for k in near}
         found += threaded(of_frame, range(first, last), *(itertools.repeat(of) for of in (frames, covered)))
-    excess, residual, share, rests = np.concatenate(found, axis=1)
+    excess, residual, share, rests, asked = np.concatenate(found, axis=1)
     moving, resting = _clear(excess)
     weight = MOVING * moving * _matches(residual, MATCHED) - RESTING * (resting * (sure < DYNAMIC) + rests)
-    return Belonging(_near(share) * weight, shown)
+    return Belonging(_near(share) * weight, asked, shown)
 
 
 def _clear(excess: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -161,8 +164,8 @@ def _compared(
     frames: dict[int, np.ndarray],
     world: StaticWorld,
 ) -> np.ndarray:
-    """Static residual and that of the mover, in tolerances `allowed` [h, w], both 0 where nothing is compared, and the
-    share of movers around, [3, h, w].
+    """Static residual and that of the mover, in tolerances `allowed` [h, w], both 0 where nothing is compared; share of
+    movers around; 1 where something is compared: [4, h, w].
 
     The better of earlier and later frames counts: what is hidden on one side is usually seen on the other.
     """
@@ -174,7 +177,7 @@ def _compared(
     known = np.isfinite(static) & np.isfinite(moved)
     static, moved = np.where(known, static, 0), np.where(known, moved, 0)
     around = _extended(mover[..., None], mover, _on_grid(MOTION_PX[-1], sure))[1]
-    return np.stack([static, moved, around])
+    return np.stack([static, moved, around, known])
 
 
 def _residuals(

@@ -23,7 +23,8 @@ class SegmentOptions(Options):
         0.33,
         ge=0.05,
         le=0.95,
-        description="least probability, over the clip, of what is dynamic; a whole mover needs 1.3 times as much",
+        description="least probability, over the clip, of what is dynamic; a whole mover needs 1.3 times as much, "
+        "and 1.6 times where pictures do not show that it moves",
     )
     permanence: float = Field(
         3.0,

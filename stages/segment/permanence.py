@@ -11,7 +11,7 @@ s_a (x_a - m_a)^2, and so does what the pictures show (`layers`). The idea of la
 Faktor and Irani (Video segmentation by non-local consensus voting, BMVC 2014).
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 from scipy import sparse
@@ -54,8 +54,8 @@ frame of it."""
 CANDIDATE = 0.95, 0.8
 """Shares of both that are enough for an instance to be asked about: the pictures tell which of these move."""
 CONFIRMED, EVIDENT = 0.03, 1.25
-"""Least mean weight with which they show then that it moves (of at most `stages.segment.layers.MOVING`); what is so
-many times as strong as it needs to be is kept without."""
+"""Least mean weight with which they show then that it moves, over what was compared of it (of at most
+`stages.segment.layers.MOVING`); what is so many times as strong as it needs to be is kept without."""
 
 
 def confidence_of(weight: np.ndarray) -> np.ndarray:
@@ -124,6 +124,7 @@ def persistent(
     threshold: float,
     stated: np.ndarray | None = None,
     shown: np.ndarray | None = None,
+    asked: np.ndarray | None = None,
     candidates: bool = False,
 ) -> tuple[np.ndarray, np.ndarray]:
     """How surely each superpixel is dynamic [N], and its instance [N].
@@ -132,6 +133,7 @@ def persistent(
         pairs: source, target [E], flow [E, h, w, 2] px, confidence [E, h, w].
         prior: [N] probability of motion; confidence: [N] share by which it counts.
         threshold: least x of a dynamic superpixel. stated, shown: [N] as in `solve`.
+        asked: [N] share of each of which the pictures could show whether it moves; None: they need not show it.
         candidates: whether instances are kept that the pictures are to be asked about.
 
     Returns:
@@ -156,27 +158,27 @@ def persistent(
     for told in (stated, shown):  # where the flow is unsure, both may say what moves
         confidence = confidence if told is None else np.maximum(confidence, told)
     strength, support = CANDIDATE if candidates else (1.0, 1.0)
-    least = strength * min(MIN_STRENGTH * threshold, (1 + threshold) / 2)
+    most = (1 + threshold) / 2  # certain motion is kept at every threshold
+    least, evident = strength * min(MIN_STRENGTH * threshold, most), min(EVIDENT * MIN_STRENGTH * threshold, most)
     evidence = x / least, x * confidence / (support * MIN_SUPPORT)
-    confirmed = None if shown is None else np.maximum(shown, 0.0 if stated is None else stated)
-    instance = instances(sure >= DYNAMIC, np.concatenate(joined, axis=1), *evidence, pixels.areas, confirmed)
+    confirmed = () if shown is None or asked is None else (shown - CONFIRMED * asked, x - evident)
+    instance = instances(sure >= DYNAMIC, np.concatenate(joined, axis=1), pixels.areas, evidence, confirmed)
     return np.where((sure >= DYNAMIC) & (instance == 0), 0, np.minimum(sure, 1)), instance
 
 
 def instances(
     dynamic: np.ndarray,
     joined: np.ndarray,
-    strength: np.ndarray,
-    support: np.ndarray,
     areas: np.ndarray,
-    confirmed: np.ndarray | None = None,
+    evidence: Sequence[np.ndarray],
+    confirmed: Sequence[np.ndarray] = (),
 ) -> np.ndarray:
     """Numbers [N] of connected dynamic superpixels, 1 for the largest; 0 for static ones and for what is too weak.
 
     Args:
-        dynamic: [N] bool; joined: [2, L] pairs of superpixels that are linked.
-        strength, support: [N] x, and x times its confidence, in units of the least that an instance needs.
-        areas: [N] px. confirmed: [N] weight with which pictures, or the user, show that each moves; None: not asked.
+        dynamic: [N] bool; joined: [2, L] pairs of superpixels that are linked. areas: [N] px.
+        evidence: [N] each; an instance needs a mean of at least 1 of all.
+        confirmed: [N] each; it needs a mean of at least 0 of one of them, if there are any.
     """
     inner = joined[:, dynamic[joined[0]] & dynamic[joined[1]]]
     graph = sparse.coo_matrix((np.ones(inner.shape[1]), tuple(inner)), (len(areas), len(areas)))
@@ -187,10 +189,9 @@ def instances(
     def mean(values: np.ndarray) -> np.ndarray:
         return np.asarray(np.bincount(labels, (areas * values)[dynamic]) / sizes)
 
-    strong = mean(strength)
-    kept = (strong >= 1) & (mean(support) >= 1)
-    if confirmed is not None:
-        kept &= (mean(confirmed) >= CONFIRMED) | (strong >= EVIDENT)
+    kept = np.logical_and.reduce([mean(values) >= 1 for values in evidence])
+    if confirmed:
+        kept &= np.logical_or.reduce([mean(values) >= 0 for values in confirmed])
     order = np.argsort(np.where(kept, -sizes, 0), kind="stable")
     numbers = np.zeros(len(sizes), np.int64)
     numbers[order[: kept.sum()]] = np.arange(1, kept.sum() + 1)
