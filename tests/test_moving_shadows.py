@@ -63,7 +63,7 @@ def glossy_room(seen: Observed) -> Observed:
     frames = zip(scene.depth, scene.cam_from_world, strict=True)
     rays = [unproject(pixel_grid(96, 160), depth, pose, scene.K) - np.linalg.inv(pose)[:3, 3] for depth, pose in frames]
     across = np.stack([ray[..., 0] / np.linalg.norm(ray, axis=-1) for ray in rays])
-    gloss = 0.5 * np.sin(6 * across)[..., None]
+    gloss = 2 * (across - across.mean())[..., None]
     return replace(seen, rgb=(seen.rgb * (1 + gloss)).clip(0, 1).astype(np.float32))
 
 

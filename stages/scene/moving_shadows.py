@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from stages.scene.light_model import Light, cleared
-from stages.scene.photometry import GREY_LEVELS, seen_change
+from stages.scene.light_model import Light
+from stages.scene.photometry import GREY_LEVELS, by_view, view_groups
 from stages.scene.rules import Choice, light_decision, saves
 from stages.scene.sightings import GROUP, Sightings
 from stages.scene.weigh import NOTHING, Bought, weigh
@@ -20,6 +20,8 @@ DENSITY = 4
 """Shadows fall on a small part of the scene: so many times as many points as for the light of the whole."""
 HALVES = ((0, 3), (1, 2)), ((1, 2), (0, 3))
 """Of four neighbours, those that are predicted, and by which."""
+REFITS = 3
+"""Times that the change with the view is fitted without the frames in which it leaves a change of light."""
 
 
 def shadow_evidence(seen: Sightings, fitted: Light, degree: int = 0) -> Bought:
@@ -31,14 +33,14 @@ def shadow_evidence(seen: Sightings, fitted: Light, degree: int = 0) -> Bought:
     Args:
         degree: of the harmonics by which colours depend on the view; 0 if they do not.
     """
-    usable: np.ndarray = seen.usable.all(axis=2).reshape(-1, GROUP, seen.usable.shape[1])
-    colours = np.where(usable[..., None], GREY_LEVELS * cleared(seen, fitted).reshape(*usable.shape, 3), np.nan)
+    colours, directions, usable = view_groups(seen, fitted)
     kept = np.flatnonzero(usable.any(axis=2).sum(axis=1) == GROUP)
-    usable, colours = usable[kept], colours[kept]
+    colours, directions, usable = colours[kept], directions[kept], usable[kept]
     if not len(usable) or usable.shape[2] < 3:
         return NOTHING
     if degree:
-        colours = colours - GREY_LEVELS * seen_change(seen, fitted, degree)[kept]
+        colours = colours - _by_view(colours, directions, usable, degree)
+    colours = np.where(usable[..., None], GREY_LEVELS * colours, np.nan)
     change = colours - np.nanmedian(colours, axis=2, keepdims=True)
     steady, moving, groups = [], [], []
     for rows, others in HALVES:
@@ -55,6 +57,17 @@ def shadow_evidence(seen: Sightings, fitted: Light, degree: int = 0) -> Bought:
             groups.append(np.repeat(np.nonzero(judged)[0], 3))
     errors = np.concatenate(steady), np.concatenate(moving)
     return weigh(*errors, np.concatenate(groups), trimmed=False)
+
+
+def _by_view(colours: np.ndarray, directions: np.ndarray, usable: np.ndarray, degree: int) -> np.ndarray:
+    """How colours change with the view, [g, GROUP, F, 3], in frames in which no shadow is seen to pass over a group."""
+    lit = usable
+    for _ in range(REFITS):
+        left = np.where(usable[..., None], colours - by_view(colours, directions, usable, lit, degree), np.nan)
+        change = np.where(usable[..., None], left - np.nanmedian(left, axis=2, keepdims=True), 0)
+        shared = change.sum(axis=(1, 3)) / np.maximum(3 * usable.sum(axis=1), 1)
+        lit = usable & (np.abs(shared) < LIGHT_CHANGES)[:, None]
+    return by_view(colours, directions, usable, lit, degree)
 
 
 def decide_moving_shadows(bought: Bought, choice: Choice) -> dict[str, Any]:

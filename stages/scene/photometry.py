@@ -157,7 +157,7 @@ def view_evidence(seen: Sightings, fitted: Light) -> ViewEvidence:
     Gloss changes neighbours on a surface alike. A pose or depth that is slightly wrong also changes a colour smoothly
     over the frames, but each point's by its own surroundings.
     """
-    colours, directions, usable = _groups(seen, fitted)
+    colours, directions, usable = view_groups(seen, fitted)
     errors, judged = zip(*(_predicted(colours, directions, usable, degree) for degree in range(3)), strict=True)
     kept = np.logical_and.reduce(judged)
     if not kept.any():
@@ -168,19 +168,20 @@ def view_evidence(seen: Sightings, fitted: Light) -> ViewEvidence:
     return ViewEvidence(degrees, _angle_deg(directions, usable))
 
 
-def seen_change(seen: Sightings, fitted: Light, degree: int) -> np.ndarray:
-    """How the colour changes with the view, [g, GROUP, F, 3], as harmonics that the points of a group share."""
-    colours, directions, usable = _groups(seen, fitted)
-    basis = _basis(directions, usable, degree)
-    return np.asarray(basis @ _coefficients(colours, basis, usable)[:, None])
-
-
-def _groups(seen: Sightings, fitted: Light) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def view_groups(seen: Sightings, fitted: Light) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Cleared colours and viewing directions [g, GROUP, F, 3] of the points; where they are usable [g, GROUP, F]."""
     usable = seen.usable.all(axis=2).reshape(-1, GROUP, seen.usable.shape[1])
     rays = seen.points[:, None] - seen.centres
     directions = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
     return cleared(seen, fitted).reshape(*usable.shape, 3), directions.reshape(*usable.shape, 3), usable
+
+
+def by_view(
+    colours: np.ndarray, directions: np.ndarray, usable: np.ndarray, fitted: np.ndarray, degree: int
+) -> np.ndarray:
+    """How colours change with the view, [g, GROUP, F, 3]: harmonics that a group shares, of its sightings `fitted`."""
+    basis = _basis(directions, usable, degree)
+    return np.asarray(basis @ _coefficients(colours, basis, fitted)[:, None])
 
 
 def _angle_deg(directions: np.ndarray, usable: np.ndarray) -> float:
