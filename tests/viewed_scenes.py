@@ -69,7 +69,7 @@ def brightening() -> GaussianScene:
     It is seen aslant: of Gaussians equally far away the page may draw another one first.
     """
     scene, random, times = at_rest(), torch.manual_seed(0), torch.tensor(truth.TIMES)
-    shade(scene, times, times[:, None].float() * torch.randn(12, generator=random), random)
+    shade(scene, times, 2 * times[:, None].float() * torch.randn(12, generator=random), random)
     scene.poses = PoseTable(times, length=3.0)
     scene.poses.twists.data = 0.01 * torch.randn(len(times), 6, generator=random)
     return scene
