@@ -32,7 +32,15 @@ from stages.gaussians.training_frames import TrainingFrames
 from stages.shared.adam import Adam
 from stages.shared.artifacts import read_metadata
 from stages.shared.cameras import centred_intrinsics
-from stages.splatting import placed, projection_kernels, raster_adjoint, raster_bins, raster_kernels, shutter_kernels
+from stages.splatting import (
+    placed,
+    projection_kernels,
+    raster_adjoint,
+    raster_bins,
+    raster_kernels,
+    shadow_kernels,
+    shutter_kernels,
+)
 from stages.splatting.cloud import Cloud
 from stages.splatting.colours import ColourTable
 from stages.splatting.gaussian_model import GaussianScene
@@ -56,6 +64,7 @@ PARTS: dict[str, list[tuple[Any, str]]] = {
         )
         for suffix in ("", "_adjoint")
     ],
+    "shade": [(shadow_kernels, "faded_weights")],
     "mean of moments": [(shutter_kernels, name) for name in ("average", "average_adjoint")],
     "loss with gradient": [(ssim_kernels, "compare")],
     "Adam": [(Adam, "step")],

@@ -214,6 +214,20 @@ def test_a_shadow_fades_out_around_its_points() -> None:
     assert bool((table.table.grad[..., 0] > 0).all())
 
 
+def test_the_kernel_of_weights_equals_torch() -> None:
+    """Near the points, between them, where they fade out and beyond."""
+    random = torch.manual_seed(3)
+    points, means = (torch.rand(n, 3, generator=random) for n in (40, 3000))
+    table = ShadowTable(torch.tensor([0.0, 1.0]), points, 0.05 + 0.1 * torch.rand(40, generator=random))
+    table.bind(means)
+    moved = means + 0.02 * torch.randn(means.shape, generator=random)
+    weights, expected = table.weights(moved), table.weights_torch(moved)
+    assert torch.allclose(weights, expected, atol=1e-6)
+    total = weights.sum(dim=1)
+    assert total.min() == 0
+    assert total.max() > 0.9
+
+
 def test_a_scene_without_static_gaussians_has_no_shadows() -> None:
     seen, cloud = truth.observations(TRAIN), new_scene(truth.observations(TRAIN)).cloud()
     moving = Cloud(*(value[cloud.dynamic] for value in vars(cloud).values()))

@@ -33,6 +33,15 @@ def test_every_item_is_worked_on_once(threads: str, count: int, monkeypatch: pyt
     assert (times == 1).all()
 
 
+def test_the_last_runs_are_short(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whoever takes the last one keeps the others waiting for a hundredth of the work, not for an eighth."""
+    monkeypatch.setenv("OMP_NUM_THREADS", "2")
+    lengths: dict[int, int] = {}
+    spread(lambda first, last: lengths.update({first: last - first}), 1000)
+    assert lengths[max(lengths)] < 20
+    assert lengths[0] > 200
+
+
 def test_an_error_on_any_thread_reaches_the_caller(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("OMP_NUM_THREADS", "2")
     both = threading.Barrier(2, timeout=30)

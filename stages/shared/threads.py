@@ -4,6 +4,7 @@ import functools
 import os
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
 from typing import Any, TypeVar
 
 import cv2
@@ -31,15 +32,17 @@ def threaded(function: Callable[..., ResultT], *items: Iterable[Any]) -> list[Re
 def spread(kernel: Callable[..., Any], count: int, *arguments: Any) -> None:
     """Call `kernel(first, last, *arguments)` on runs of the items 0..count - 1, in parallel on all threads of the job.
 
-    The kernel is compiled with `nogil`, and its result for an item depends on no other item. Numba's own parallel loops
-    take much longer to compile: each passes through LLVM as a function, as its wrapper and as part of the caller.
+    The kernel is compiled with `nogil`, and its result for an item depends on no other item. Runs become shorter towards
+    the end, so that no thread waits long for the last. Numba's own parallel loops take much longer to compile: each
+    passes through LLVM as a function, as its wrapper and as part of the caller.
     """
     threads = int(os.environ["OMP_NUM_THREADS"])
     parts = min(count, RUNS * threads)
     if threads == 1 or parts <= 1:
         kernel(0, count, *arguments)
         return
-    runs = iter([(part * count // parts, (part + 1) * count // parts) for part in range(parts)])
+    edges = [count + -count * (parts - part) ** 2 // parts**2 for part in range(parts + 1)]
+    runs = iter([run for run in pairwise(edges) if run[0] < run[1]])
 
     def work() -> None:
         for first, last in runs:  # a list iterator yields every entry to one thread only

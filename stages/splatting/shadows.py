@@ -2,14 +2,18 @@
 
 import math
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from stages.deformation.lbs import neighbours
+from stages.splatting import shadow_kernels
 from stages.splatting.colours import ColourTable
 
 FADED = 2.0
 """Kernel radii from a point at which its change has faded out."""
+LEAST = math.exp(-(FADED**2) / 2)
+"""The kernel there, and the weight of what does not change."""
 REACH = 3.0
 """Kernel radii within which a Gaussian may come nearer while it is trained."""
 NEIGHBOURS = 8
@@ -50,10 +54,19 @@ class ShadowTable(ColourTable):
 
         They have no gradient to the means: otherwise Gaussians would move in order to change their light.
         """
+        if means.device.type != "cpu":
+            return self.weights_torch(means)
+        halves = 0.5 / self.radii.square()
+        rows, index, points = self.rows.numpy(), self.index.numpy(), self.points.numpy()
+        given = means.numpy(), rows, points, halves.numpy(), index, np.float32(LEAST)
+        return torch.from_numpy(shadow_kernels.faded_weights(*given))
+
+    @torch.no_grad()
+    def weights_torch(self, means: Tensor) -> Tensor:
+        """`weights` by torch's operations: for accelerators, and the oracle of the kernel."""
         sq_dist = (means[self.rows][:, None] - self.points[self.index]).square().sum(dim=-1)
-        least = math.exp(-(FADED**2) / 2)
-        kernel = (torch.exp(-sq_dist / (2 * self.radii[self.index].square())) - least).clamp_min(0)
-        return kernel / (kernel.sum(dim=1, keepdim=True) + least)
+        kernel = (torch.exp(-0.5 * sq_dist / self.radii[self.index].square()) - LEAST).clamp_min(0)
+        return kernel / (kernel.sum(dim=1, keepdim=True) + LEAST)
 
     def of_static(self, means: Tensor, time: float) -> Tensor:
         """Offsets [B, 3] at `time` 0..1 of the static Gaussians `rows` of means [n, 3]."""
