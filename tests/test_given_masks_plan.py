@@ -18,13 +18,13 @@ def test_masks_that_are_not_estimated_are_made_once_and_before_all_poses() -> No
     (given, other), _ = settings.compared({"sweep": {"runs": runs, "presets": [], "knobs": {}}})
     every = [settings.configured({}), given, other]
     assert list(plan.rounds_of(given, "motion")) == []
-    assert list(plan.rounds_of(given, "segment")) == [3]
-    assert plan.steps(given, "scene")[1:6] == (("flow", 3), ("lens", 3), ("segment", 3), ("ba", 1), ("ba", 2))
+    assert list(plan.rounds_of(given, "segment")) == [4]
+    assert plan.steps(given, "scene")[1:6] == (("flow", 4), ("lens", 4), ("segment", 4), ("ba", 1), ("ba", 2))
     assert (
-        plan.find_home(every, given, "segment", 1) == plan.find_home(every, other, "segment", 3) == "settings/a-given/"
+        plan.find_home(every, given, "segment", 1) == plan.find_home(every, other, "segment", 4) == "settings/a-given/"
     )
-    assert plan.find_home(every, other, "flow", 3) == ""
-    assert [plan.round_to_read(given, "segment", number) for number in (0, 1, 3)] == [None, 3, 3]
+    assert plan.find_home(every, other, "flow", 4) == ""
+    assert [plan.round_to_read(given, "segment", number) for number in (0, 1, 3)] == [None, 4, 4]
     assert [plan.round_to_read(every[0], "segment", number) for number in (0, 1, 3)] == [None, 1, 3]
     assert plan.round_to_read(given, "motion", 2) is None
 
@@ -45,7 +45,7 @@ def test_given_masks_leave_out_motion_and_wait_for_nothing(repo_copy: Path) -> N
     plan = run_snakemake(repo_copy, "-n", "--config", f"segment={{source: {folder}}}")
     assert "motion" not in planned(plan)
     assert (plan.stdout + plan.stderr).count("rule segment:") == 1
-    assert (plan.stdout + plan.stderr).count("rule ba:") == 3
+    assert (plan.stdout + plan.stderr).count("rule ba:") == 4
     job = next(part for part in re.split(r"\n\n", plan.stdout + plan.stderr) if "rule segment:" in part)
     assert re.search(r"input: results/simulated/demo/sequence.json$", job, re.MULTILINE)  # no flow
     (folder / "frame_0014.png").unlink()

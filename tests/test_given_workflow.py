@@ -45,10 +45,10 @@ def test_truth_that_the_simulator_will_write_is_there(repo_copy: Path) -> None:
     [
         ({}, 2, "none"),
         ({"preset": "accurate"}, 2, "none"),
-        ({"rounds": 4, "first_masks": "flow"}, 4, "flow"),
-        ({"ba": {"poses_as": "start"}}, 3, "flow"),
+        ({"rounds": 3, "first_masks": "flow"}, 3, "flow"),
+        ({"ba": {"poses_as": "start"}}, 4, "flow"),
         ({"segment": {"source": "masks"}}, 1, "flow"),
-        ({"segment": {"source": "masks"}, "ba": {"poses_as": "start"}}, 3, "flow"),
+        ({"segment": {"source": "masks"}, "ba": {"poses_as": "start"}}, 4, "flow"),
     ],
 )
 def test_rounds_under_given_poses(options: dict, rounds: int, first_masks: str) -> None:

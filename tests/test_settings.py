@@ -19,7 +19,7 @@ from stages.shared.sequences import TRUTH_KINDS, Sequence, list_sequence
 
 SWEEP: dict[str, Any] = {
     "presets": ["fast", "balanced"],
-    "knobs": {"ba.stride_px": [4, 16], "rounds": [1, 4], "gaussians.steps": [5]},
+    "knobs": {"ba.stride_px": [4, 16], "rounds": [1, 5], "gaussians.steps": [5]},
     "runs": {"claims": {"static only": {"scene.dynamic": "no"}, "left out": None}, "none": None},
 }
 WITHOUT_FIRST = {"first_masks": "none", "rounds": 2}
@@ -79,17 +79,17 @@ def test_stages_before_the_first_difference_are_shared() -> None:
 def test_the_configured_value_stands_in_every_series_and_is_not_run_again() -> None:
     evaluated = homes("evaluate")
     assert {name for name, home in evaluated.items() if home == ""} == {
-        *("balanced", "ba.stride_px=8", "rounds=3", "gaussians.steps=1000")
+        *("balanced", "ba.stride_px=8", "rounds=4", "gaussians.steps=1000")
     }
     assert "left out" not in evaluated
 
 
 def test_rounds_in_common_are_shared() -> None:
     assert homes("ba", 1)["rounds=1"] == "round1/"
-    assert homes("ba", 1)["rounds=4"] == "round1/"
-    assert homes("ba", 2)["rounds=4"] == "round2/"
-    assert homes("ba", 3)["rounds=4"] == ""  # the last round of the configured run has no prefix
-    assert homes("ba", 4)["rounds=4"] == "settings/rounds=4/"
+    assert homes("ba", 1)["rounds=5"] == "round1/"
+    assert homes("ba", 3)["rounds=5"] == "round3/"
+    assert homes("ba", 4)["rounds=5"] == ""  # the last round of the configured run has no prefix
+    assert homes("ba", 5)["rounds=5"] == "settings/rounds=5/"
     assert homes("scene")["rounds=1"] == "settings/rounds=1/"
     assert homes("motion", 1)["ba.stride_px=4"] == "round1/"  # the first prior knows no adjustment
     assert homes("motion", 2)["ba.stride_px=4"] == "settings/ba.stride_px=4/round2/"

@@ -200,7 +200,7 @@ def test_the_plan_has_a_job_per_shot_and_none_more(tmp_path: Path) -> None:
     other = run_snakemake(tmp_path, *arguments, "video={every: 2}")
     assert told in other.stdout + other.stderr
     jobs = Counter(re.findall(r"log: logs/data/(\w+)/", plan.stdout + plan.stderr))
-    rounds = 3 * 3
+    rounds = 4 * 3
     assert jobs == dict.fromkeys(("one", "two_shot1", "two_shot2"), rounds + 3)  # and inspect, flow, lens
 
 

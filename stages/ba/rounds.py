@@ -1,6 +1,5 @@
 """Rounds that find what the round before found: where the static area has not changed, neither has the solution."""
 
-import shutil
 from pathlib import Path
 from typing import NamedTuple
 
@@ -8,7 +7,7 @@ import numpy as np
 
 from stages.ba.graph import static_areas
 from stages.shared.artifacts import read_metadata, read_table, write_table
-from stages.shared.atomic import atomic
+from stages.shared.atomic import copy
 from stages.shared.cameras import read_cameras, write_tum
 from stages.shared.errors import InputError
 from stages.shared.log import logger
@@ -84,7 +83,6 @@ def carry_over(frames: Sequence, before: Results, after: Results, trajectory: Pa
     write_table(after.poses, read_table(before.poses), about | {"flags": flags})
     write_tum(trajectory, read_cameras(after.poses), frames.stamps)
     for source, target in zip(before[1:], after[1:], strict=True):
-        with atomic(target) as file:
-            shutil.copyfile(source, file)
+        copy(source, target)
     logger.info("%s: the static area is that of the round before, and so are the poses", frames.name)
     return "static area unchanged: the poses of the round before"

@@ -54,10 +54,11 @@ class Config(Options):
         description="keep the flow, about half of a sequence's disk; false: remove it once all that reads it has run",
     )
     rounds: int = Field(
-        3,
+        4,
         ge=1,
         le=5,
-        description="how often motion, masks and poses are estimated in turn; poses only where masks have changed",
+        description="how often motion, masks and poses are estimated in turn; from the fourth on only while cameras "
+        "still change, and poses only where masks have changed",
     )
     first_masks: Literal["flow", "none"] = Field(
         "flow", description="masks of the first of several rounds: from flow alone, or none, which saves their time"

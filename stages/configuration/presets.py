@@ -19,7 +19,7 @@ PRESETS: dict[Preset, Overrides] = {
     },
     "balanced": {},
     "accurate": {
-        "rounds": 4,
+        "rounds": 5,
         "ba.stride_px": 4,
         "control.steps": 1000,
         "gaussians.steps": 2000,

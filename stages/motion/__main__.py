@@ -12,6 +12,7 @@ from stages.motion.pooling import pool
 from stages.motion.static_paths import StaticScene
 from stages.shared import cli, drawing
 from stages.shared.artifacts import read_dense, read_metadata, write_dense
+from stages.shared.atomic import copy
 from stages.shared.cameras import Cameras, read_readout, scale_intrinsics, usable_cameras
 from stages.shared.cli import In, Out
 from stages.shared.flow_pairs import FlowPairs
@@ -19,6 +20,7 @@ from stages.shared.images import read_reduced, write_figure
 from stages.shared.log import logger
 from stages.shared.masks import read_scene_on_grid
 from stages.shared.sequences import read_sequence
+from stages.shared.settled import Solved, results_to_keep
 from stages.shared.static_flow import resample
 
 FLOW_CURVE = (0.17, 0.04)
@@ -39,6 +41,10 @@ def main(
     options: MotionOptions,
     previous_poses: Annotated[Path | None, In("poses.parquet of the round before")] = None,
     previous_depth: Annotated[Path | None, In("depth.arrow of the round before")] = None,
+    previous_prior: Annotated[Path | None, In("prior.arrow of the round before")] = None,
+    previous_figure: Annotated[Path | None, In("picture of the round before")] = None,
+    earlier_poses: Annotated[Path | None, In("poses.parquet that the round before began with")] = None,
+    earlier_depth: Annotated[Path | None, In("depth.arrow that the round before began with")] = None,
 ) -> str:
     """Estimate the probability that a pixel moves in the world, from geometry alone.
 
@@ -47,10 +53,16 @@ def main(
     pixel, which the images must confirm where flow is unreliable; the drift of long tracks, which shows slow motion;
     what hides static surface that seems nearer; and, of things that the flow loses, what a single frame shows. A
     rolling shutter that these cameras have is taken out of the flow first. Evidence is pooled along the flow as it is.
-    The metadata of the output says which was used, and why.
+    The metadata of the output says which was used, and why. If the round before began with the same cameras, its
+    results are carried over.
     """
-    frames = read_sequence(sequence)
-    matched, scale = read_dense(flow), float(read_metadata(flow)["scale"])
+    frames, scale = read_sequence(sequence), float(read_metadata(flow)["scale"])
+    begun = Solved(previous_poses, previous_depth), Solved(earlier_poses, earlier_depth)
+    if kept := results_to_keep(*begun, (previous_prior, previous_figure), scale):
+        for source, target in zip(kept, (output, figure), strict=True):
+            copy(source, target)
+        return "cameras unchanged: the prior of the round before"
+    matched = read_dense(flow)
     scene = read_scene_on_grid(frames, matched["confidence"].shape[:0:-1])
     pairs = FlowPairs(matched, scene=scene)
     rgb = read_reduced(frames.frames, pairs.confidence.shape[:0:-1])

@@ -17,7 +17,7 @@ from stages.segment.static_world import StaticWorld
 from stages.segment.superpixels import AT_ONCE, superpixels
 from stages.shared import cli, drawing
 from stages.shared.artifacts import Dense, read_dense, read_metadata, write_json
-from stages.shared.atomic import atomic_folder
+from stages.shared.atomic import atomic_folder, copy, copy_folder
 from stages.shared.cameras import scale_intrinsics, usable_cameras
 from stages.shared.cli import In, Out
 from stages.shared.errors import InputError
@@ -26,6 +26,7 @@ from stages.shared.images import enlarge, read_mask, read_rgb, reduce, write_fig
 from stages.shared.log import logger, progress
 from stages.shared.masks import instances_path, mask_path, read_burnt_in, read_scene_on_grid
 from stages.shared.sequences import Sequence, read_sequence
+from stages.shared.settled import Solved, results_to_keep
 
 
 class Mask(NamedTuple):
@@ -38,8 +39,8 @@ class Mask(NamedTuple):
 
 Masks = Callable[[int, np.ndarray], Mask]
 """From a frame's index and picture [H, W, 3] to its mask."""
-Previous = tuple[Path | None, Path | None]
-"""Poses and depth of the round before."""
+WRITES = ("frame_*.png", "instances/frame_*.png", "masks.json")
+"""Files of a folder of masks."""
 
 
 def main(
@@ -51,6 +52,10 @@ def main(
     prior: Annotated[Path | None, In("motion/prior.arrow, for refined masks and the prior as mask")] = None,
     previous_poses: Annotated[Path | None, In("poses.parquet of the round before, for refined masks")] = None,
     previous_depth: Annotated[Path | None, In("depth.arrow of the round before")] = None,
+    previous_masks: Annotated[Path | None, In("masks of the round before")] = None,
+    previous_figure: Annotated[Path | None, In("picture of the round before")] = None,
+    earlier_poses: Annotated[Path | None, In("poses.parquet that the round before began with")] = None,
+    earlier_depth: Annotated[Path | None, In("depth.arrow that the round before began with")] = None,
 ) -> str:
     """Refine the motion prior to binary dynamic masks, or take over masks that are given.
 
@@ -58,16 +63,22 @@ def main(
     cameras of the round before it is solved again, with what the pictures give to movers and to the static scene. Its
     borders then follow the colour edges of each frame. A mask may be empty. A frame that would be masked beyond
     --max-share keeps its surest part; masks.json and the log name it. What is connected over space and time has one
-    number through the clip, in instances/frame_0001.png (16 bit, 0 = static). Other sources write the masks that
-    refinement is compared with, as one instance, or those of the user as they are.
+    number through the clip, in instances/frame_0001.png (16 bit, 0 = static). If the round before began with the same
+    cameras, its masks are carried over. Other sources write the masks that refinement is compared with, as one
+    instance, or those of the user as they are.
     """
-    frames = read_sequence(sequence)
+    frames, scale = read_sequence(sequence), float(read_metadata(flow)["scale"]) if flow else 1.0
+    begun = Solved(previous_poses, previous_depth), Solved(earlier_poses, earlier_depth)
+    if kept := results_to_keep(*begun, (previous_masks, previous_figure), scale):
+        copy_folder(kept[0], output, WRITES)
+        copy(kept[1], figure)
+        return "cameras unchanged: the masks of the round before"
     handed, burnt_in = _handed_in(options.given, frames), read_burnt_in(frames)
     if options.evidence and options.source != "refined":
         logger.warning("%s: masks as evidence are not used by `source: %s`", frames.name, options.source)
-    masks = _given(handed) if handed else _masks(options, frames, flow, prior, (previous_poses, previous_depth))
+    masks = _given(handed) if handed else _masks(options, frames, flow, prior, begun[0])
     found, shown, overlays = _Facts(), set(drawing.spread(len(frames.numbers), 6).tolist()), []
-    with atomic_folder(output, ("frame_*.png", "instances/frame_*.png", "masks.json")) as folder:
+    with atomic_folder(output, WRITES) as folder:
         for k, number in progress(list(enumerate(frames.numbers)), "masks"):
             path = frames.frames[k]
             rgb = read_rgb(path)
@@ -108,9 +119,7 @@ class _Facts:
         return {"dynamic_share": self.shares, "guarded": self.guarded, "instances": seen}
 
 
-def _masks(
-    options: SegmentOptions, frames: Sequence, flow: Path | None, prior: Path | None, previous: Previous
-) -> Masks:
+def _masks(options: SegmentOptions, frames: Sequence, flow: Path | None, prior: Path | None, previous: Solved) -> Masks:
     """The function that computes the mask of a frame, for the chosen source."""
     size = frames.width, frames.height
     if options.source == "truth":
@@ -143,7 +152,7 @@ def _given(handed: GivenMasks) -> Masks:
     return mask
 
 
-def _refined(options: SegmentOptions, frames: Sequence, flow: Path, prior: Path, previous: Previous) -> Masks:
+def _refined(options: SegmentOptions, frames: Sequence, flow: Path, prior: Path, previous: Solved) -> Masks:
     evidence = read_dense(prior)
     if "weight" not in evidence or len(evidence["weight"]) != len(frames.frames):
         expected = f"columns 'probability' and 'weight' of {len(frames.frames)} frames"

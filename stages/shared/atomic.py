@@ -40,6 +40,22 @@ def atomic_folder(path: Path, writes: Iterable[str]) -> Iterator[Path]:
         yield partial
 
 
+def copy(source: Path, target: Path) -> None:
+    """Copy a file, `atomic` as any that is written."""
+    with atomic(target) as partial:
+        shutil.copyfile(source, partial)
+
+
+def copy_folder(source: Path, target: Path, writes: Iterable[str]) -> None:
+    """Copy the files of a folder that match the patterns `writes`, relative to it, as `atomic_folder` writes them."""
+    patterns = tuple(writes)
+    with atomic_folder(target, patterns) as partial:
+        for file in (file for pattern in patterns for file in source.glob(pattern)):
+            copied = partial / file.relative_to(source)
+            copied.parent.mkdir(exist_ok=True)
+            shutil.copyfile(file, copied)
+
+
 def _refuse_foreign(path: Path, writes: Iterable[str]) -> None:
     advice = "choose another folder, or empty it yourself"
     if path.exists() and not path.is_dir():

@@ -32,9 +32,9 @@ def threaded(function: Callable[..., ResultT], *items: Iterable[Any]) -> list[Re
 def spread(kernel: Callable[..., Any], count: int, *arguments: Any) -> None:
     """Call `kernel(first, last, *arguments)` on runs of the items 0..count - 1, in parallel on all threads of the job.
 
-    The kernel is compiled with `nogil`, and its result for an item depends on no other item. Runs become shorter towards
-    the end, so that no thread waits long for the last. Numba's own parallel loops take much longer to compile: each
-    passes through LLVM as a function, as its wrapper and as part of the caller.
+    The kernel is compiled with `nogil`, and its result for an item depends on no other item. Runs become shorter
+    towards the end, so that no thread waits long for the last. Numba's own parallel loops take much longer to compile:
+    each passes through LLVM as a function, as its wrapper and as part of the caller.
     """
     threads = int(os.environ["OMP_NUM_THREADS"])
     parts = min(count, RUNS * threads)

@@ -225,22 +225,26 @@ def page_parts(stage):
     return sorted(map(str, (REPO / "stages" / stage / "templates").iterdir()))
 
 
-def optional(stage, name, before=0):
-    """The input function of a stage's results `before` rounds ago; empty if the stage does not run in that round."""
+def optional(stage, name, before=0, since=1):
+    """The input function of a stage's results `before` rounds ago; empty if the stage does not run in that round.
+
+    Nothing is read in rounds before `since`.
+    """
 
     @of_job
     def of_round(wildcards):
-        number = plan.round_to_read(
-            setting_of(wildcards), stage, round_number(wildcards) - before
-        )
-        return [] if number is None else artifact_path(wildcards, stage, name, number)
+        setting, now = setting_of(wildcards), round_number(wildcards)
+        number = plan.round_to_read(setting, stage, now - before)
+        if number is None or now < since:
+            return []
+        return artifact_path(wildcards, stage, name, number)
 
     return of_round
 
 
-def for_estimated_masks(stage, name, before=0):
+def for_estimated_masks(stage, name, before=0, since=1):
     """The input function of a stage's results, now or rounds ago; empty where masks are not estimated from them."""
-    read = optional(stage, name, before) if before else artifact(stage, name)
+    read = optional(stage, name, before, since) if before else artifact(stage, name)
 
     @of_job
     def of_setting(wildcards):

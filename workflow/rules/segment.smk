@@ -5,6 +5,12 @@ rule segment:
         prior=for_estimated_masks("motion", "motion/prior.arrow"),
         previous_poses=for_estimated_masks("ba", "ba/poses.parquet", before=1),
         previous_depth=for_estimated_masks("ba", "ba/depth.arrow", before=1),
+        previous_masks=for_estimated_masks("segment", "masks", before=1, since=3),
+        previous_figure=for_estimated_masks(
+            "segment", "figures/segment.png", before=1, since=3
+        ),
+        earlier_poses=for_estimated_masks("ba", "ba/poses.parquet", before=2, since=3),
+        earlier_depth=for_estimated_masks("ba", "ba/depth.arrow", before=2, since=3),
     output:
         masks=directory("<results>/{dataset}/{seq}/{setting}{round}masks"),
         figure="<results>/{dataset}/{seq}/{setting}{round}figures/segment.png",
@@ -22,7 +28,10 @@ rule segment:
     params:
         code=code_digest("stages.segment"),
         flags=flags("segment"),
-        estimated=optional_flags("flow", "prior", "previous_poses", "previous_depth"),
+        estimated=optional_flags(
+            *("flow", "prior", "previous_poses", "previous_depth", "previous_masks"),
+            *("previous_figure", "earlier_poses", "earlier_depth"),
+        ),
         given=given_files("segment"),
     shell:
         "{{ python -m stages.segment --sequence {input.sequence:q} {params.estimated}"
