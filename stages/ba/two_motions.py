@@ -5,6 +5,9 @@ away, before cameras of another path and focal length. These fit mover and world
 cost than the right ones at any robust scale, and no adjustment leads away from them. At the scale of the noise they fit
 half of each. So the motion of a part of the image is taken, and that of all that it leaves: where one part holds the
 mover alone, each fits its own pixels, nearly all of them, and hardly any of the other's.
+
+What comes the other way looks like something static and near. Cameras that fit it, and what is far, leave the ground
+before the camera: a step aside of a hand would move what is near by more. So the nearest of what they fit is left out.
 """
 
 from dataclasses import replace
@@ -29,6 +32,8 @@ GAIN = 0.1
 """Two motions explain, each for itself, so much more of the pixels than the cameras found."""
 OVERLAP = 0.5
 """Largest share of the pixels of either motion that the other one fits too."""
+FAR = 0.3
+"""Share of the pixels that the cameras found fit, the farthest of them, without all that may come the other way."""
 SAME = 0.8
 """Cameras that fit this share of the pixels of a motion, or of all that either fits, have found it."""
 WIDE = (Level(1.0, 8, 1e-3), Level(0.4, 8, 1e-3))
@@ -78,22 +83,21 @@ def background(plain: FlowGraph, masked: FlowGraph, found: State, prior: FocalPr
     graph, used = thin_graph(plain, factor), thin_graph(masked, factor)
     matched, along = matched_pixels(graph), border(graph)
     start = initialise.initial_state(used, found.cam_from_world, found.focal_px, zoom=found.zoom)
-    single = _fits(graph, _adjusted(used, start, WIDE, prior))
+    mixed = _adjusted(used, start, WIDE, prior)
+    single = _fits(graph, mixed)
     alone = share(single, matched)
     if alone >= EXPLAINED:
         return None
     start = replace(start, zoom=None)
     pairs = [_pair(graph, part, start, prior, matched, single) for part in parts(graph)]
     pair = max((pair for pair in pairs if pair), key=lambda pair: pair.share, default=None)
-    if pair is None:
+    if pair is None or pair.share < alone + GAIN or _overlap(pair, matched) > OVERLAP:
+        pair = _pair(graph, _without_near(graph, mixed, single & matched), start, prior, matched, single)
+        if pair is None or not _explain_more(pair, single, matched, along):
+            return None
+    state, fits = max(pair[:2], key=lambda motion: share(motion.fits, matched & along))
+    if masked is not plain and share(single, fits & matched) >= SAME:
         return None
-    motions = sorted(pair[:2], key=lambda motion: share(motion.fits, matched & along))
-    mover, world = (motion.fits & matched for motion in motions)
-    both = (mover & world).sum() / max(1, min(mover.sum(), world.sum()))
-    confirmed = masked is not plain and (single & world).sum() >= SAME * world.sum()
-    if pair.share < alone + GAIN or both > OVERLAP or confirmed:
-        return None
-    state = motions[1].state
     whole = initialise.initial_state(plain, state.cam_from_world, state.focal_px, SHARP_PX)
     return Motion(whole, _fits(plain, whole) & matched_pixels(plain))
 
@@ -105,10 +109,32 @@ def matched_pixels(graph: FlowGraph) -> np.ndarray:
     return np.asarray(weights > MIN_WEIGHT * np.diff(graph.pointer)[:, None])
 
 
+def _overlap(pair: Pair, matched: np.ndarray) -> float:
+    """Share of the pixels of the smaller of two motions that the other one fits too."""
+    first, second = (motion.fits & matched for motion in pair[:2])
+    return float((first & second).sum() / max(1, min(first.sum(), second.sum())))
+
+
+def _without_near(graph: FlowGraph, state: State, fits: np.ndarray) -> np.ndarray:
+    """All pixels [T, P] but the nearest of those that fit the cameras of a state."""
+    inverse_depth = initialise.search_depth(graph, state, SHARP_PX).inverse_depth
+    return ~(fits & (inverse_depth > np.quantile(inverse_depth[fits], FAR))) if fits.any() else ~fits
+
+
+def _explain_more(pair: Pair, single: np.ndarray, matched: np.ndarray, along: np.ndarray) -> bool:
+    """Whether two motions together explain more than the cameras found, and one of them more of the image border.
+
+    What is far fits both.
+    """
+    together = share(pair.first.fits | pair.second.fits, matched)
+    at_border = max(share(motion.fits, matched & along) for motion in pair[:2])
+    return together >= share(single, matched) + GAIN and at_border >= share(single, matched & along) + GAIN
+
+
 def _pair(
     graph: FlowGraph, part: np.ndarray, start: State, prior: FocalPrior, matched: np.ndarray, single: np.ndarray
 ) -> Pair | None:
-    """The motion of a part [P] of the image, and that of what does not fit it.
+    """The motion of a part, [P] or [T, P], of the image, and that of what does not fit it.
 
     None if the first is that of the pixels `single` [T, P], which the cameras found fit: one of a pair is not.
     """

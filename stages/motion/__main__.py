@@ -61,7 +61,7 @@ def main(
     if kept := results_to_keep(*begun, (previous_prior, previous_figure), scale):
         for source, target in zip(kept, (output, figure), strict=True):
             copy(source, target)
-        return "cameras unchanged: the prior of the round before"
+        return f"cameras unchanged: {read_metadata(output)['moving_share']:.1%} of the pixels seem to move"
     matched = read_dense(flow)
     scene = read_scene_on_grid(frames, matched["confidence"].shape[:0:-1])
     pairs = FlowPairs(matched, scene=scene)

@@ -16,7 +16,7 @@ from stages.segment.refinement import guarded_threshold, smooth_along_edges, to_
 from stages.segment.static_world import StaticWorld
 from stages.segment.superpixels import AT_ONCE, superpixels
 from stages.shared import cli, drawing
-from stages.shared.artifacts import Dense, read_dense, read_metadata, write_json
+from stages.shared.artifacts import Dense, read_dense, read_json, read_metadata, write_json
 from stages.shared.atomic import atomic_folder, copy, copy_folder
 from stages.shared.cameras import scale_intrinsics, usable_cameras
 from stages.shared.cli import In, Out
@@ -72,7 +72,7 @@ def main(
     if kept := results_to_keep(*begun, (previous_masks, previous_figure), scale):
         copy_folder(kept[0], output, WRITES)
         copy(kept[1], figure)
-        return "cameras unchanged: the masks of the round before"
+        return f"cameras unchanged: {_tell(frames, read_json(output / 'masks.json'), options)}"
     handed, burnt_in = _handed_in(options.given, frames), read_burnt_in(frames)
     if options.evidence and options.source != "refined":
         logger.warning("%s: masks as evidence are not used by `source: %s`", frames.name, options.source)
@@ -89,9 +89,8 @@ def main(
             overlays += [drawing.overlay_instances(rgb, mask.instances)] if k in shown else []
         facts = found.to_json() | ({"given": handed.kind} if handed else {})
         write_json(folder / "masks.json", facts | {"options": options.model_dump()})
-    _tell(frames, found, options)
     write_figure(figure, drawing.contact_sheet(overlays, columns=3))
-    return f"{np.mean(list(found.shares.values())):.1%} of the pixels dynamic"
+    return _tell(frames, facts, options)
 
 
 class _Facts:
@@ -229,13 +228,14 @@ def _as_one(dynamic: np.ndarray) -> Mask:
     return Mask(dynamic, dynamic.astype(np.uint16))
 
 
-def _tell(frames: Sequence, found: _Facts, options: SegmentOptions) -> None:
-    """Log the shares; warn of guarded frames."""
-    share, count = 100 * float(np.mean(list(found.shares.values()))), len(found.pixels)
-    logger.info("%s: %.1f %% of the pixels are dynamic, in %d instances", frames.name, share, count)
-    if found.guarded:
+def _tell(frames: Sequence, facts: dict[str, Any], options: SegmentOptions) -> str:
+    """The share of dynamic pixels, in words, by the facts of masks.json; warns of guarded frames."""
+    share, count = float(np.mean(list(facts["dynamic_share"].values()))), len(facts["instances"])
+    logger.info("%s: %.1f %% of the pixels are dynamic, in %d instances", frames.name, 100 * share, count)
+    if facts["guarded"]:
         text = "%s: masks of frames %s were cut back to %.0f %% of the frame, their surest part"
-        logger.warning(text, frames.name, found.guarded, 100 * options.max_share)
+        logger.warning(text, frames.name, facts["guarded"], 100 * options.max_share)
+    return f"{share:.1%} of the pixels dynamic"
 
 
 if __name__ == "__main__":

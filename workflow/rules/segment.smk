@@ -5,12 +5,12 @@ rule segment:
         prior=for_estimated_masks("motion", "motion/prior.arrow"),
         previous_poses=for_estimated_masks("ba", "ba/poses.parquet", before=1),
         previous_depth=for_estimated_masks("ba", "ba/depth.arrow", before=1),
-        previous_masks=for_estimated_masks("segment", "masks", before=1, since=3),
+        previous_masks=for_estimated_masks("segment", "masks", before=1, since=4),
         previous_figure=for_estimated_masks(
-            "segment", "figures/segment.png", before=1, since=3
+            "segment", "figures/segment.png", before=1, since=4
         ),
-        earlier_poses=for_estimated_masks("ba", "ba/poses.parquet", before=2, since=3),
-        earlier_depth=for_estimated_masks("ba", "ba/depth.arrow", before=2, since=3),
+        earlier_poses=for_estimated_masks("ba", "ba/poses.parquet", before=2, since=4),
+        earlier_depth=for_estimated_masks("ba", "ba/depth.arrow", before=2, since=4),
     output:
         masks=directory("<results>/{dataset}/{seq}/{setting}{round}masks"),
         figure="<results>/{dataset}/{seq}/{setting}{round}figures/segment.png",
