@@ -57,8 +57,8 @@ class Config(Options):
         4,
         ge=1,
         le=5,
-        description="how often motion, masks and poses are estimated in turn; from the fourth on only while cameras "
-        "still change, and poses only where masks have changed",
+        description="how often motion, masks and poses are estimated in turn; from the third on poses only where "
+        "masks have changed, from the fourth on masks only where cameras have",
     )
     first_masks: Literal["flow", "none"] = Field(
         "flow", description="masks of the first of several rounds: from flow alone, or none, which saves their time"

@@ -35,7 +35,7 @@ masks. This does no harm unless movers fill nearly half of the view: there the e
 flagged.
 
 `accurate` halves the stride of the adjustment. This doubles its time and lowers the path error by at most a tenth (four
-sequences). It has one round more for scenes half of which moves.
+sequences). It has one round more, for scenes half of which moves.
 """
 
 FIXED_POSES: Overrides = {"rounds": 2, "first_masks": "none"}
