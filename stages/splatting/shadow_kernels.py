@@ -10,11 +10,12 @@ from stages.shared.threads import spread
 def faded_weights(
     means: np.ndarray, rows: np.ndarray, points: np.ndarray, halves: np.ndarray, index: np.ndarray, least: np.float32
 ) -> np.ndarray:
-    """Weights [B, K] of the points [S, 3] `index` [B, K] at the means [n, 3] in `rows` [B]: exp(-halves sq_dist) less
-    `least`, at least 0, over their sum and `least`.
+    """Weights [B, K] in 0..1 of the points nearest to B means: k / (sum k + least), k = max(exp(-h d^2) - least, 0) by
+    the squared distance d^2 of a mean and a point.
 
     Args:
-        halves: [S], over twice the squared kernel radius.
+        means: [n, 3] scene units, of which B count. rows: [B] theirs, 0..n-1. points: [S, 3]. index: [B, K], of S.
+        halves: [S] h, one over twice the squared kernel radius. least: 0..1, what fades out, and what no point has.
     """
     weights = np.empty(index.shape, np.float32)
     spread(_faded_weights, len(rows), means, rows, points, halves, index, least, weights)
