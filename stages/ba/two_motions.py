@@ -27,11 +27,13 @@ SHARP_PX = 0.2
 AGREEING = 0.6
 """Share of its matches, by weight, that must fit for a pixel to fit."""
 EXPLAINED = 0.85
-"""If the cameras found fit this share of the pixels, no second motion is looked for."""
+"""If the cameras found fit this share of the pixels, no mover that travels along is looked for."""
 GAIN = 0.1
 """Two motions explain, each for itself, so much more of the pixels than the cameras found."""
 OVERLAP = 0.5
 """Largest share of the pixels of either motion that the other one fits too."""
+LEFT = 0.5
+"""Share of the pixels that the cameras found leave, which two motions explain."""
 FAR = 0.3
 """Share of the pixels that the cameras found fit, the farthest of them, without all that may come the other way."""
 SAME = 0.8
@@ -86,10 +88,9 @@ def background(plain: FlowGraph, masked: FlowGraph, found: State, prior: FocalPr
     mixed = _adjusted(used, start, WIDE, prior)
     single = _fits(graph, mixed)
     alone = share(single, matched)
-    if alone >= EXPLAINED:
-        return None
     start = replace(start, zoom=None)
-    pairs = [_pair(graph, part, start, prior, matched, single) for part in parts(graph)]
+    looked_at = parts(graph) if alone < EXPLAINED else []
+    pairs = [_pair(graph, part, start, prior, matched, single) for part in looked_at]
     pair = max((pair for pair in pairs if pair), key=lambda pair: pair.share, default=None)
     if pair is None or pair.share < alone + GAIN or _overlap(pair, matched) > OVERLAP:
         pair = _pair(graph, _without_near(graph, mixed, single & matched), start, prior, matched, single)
@@ -122,13 +123,13 @@ def _without_near(graph: FlowGraph, state: State, fits: np.ndarray) -> np.ndarra
 
 
 def _explain_more(pair: Pair, single: np.ndarray, matched: np.ndarray, along: np.ndarray) -> bool:
-    """Whether two motions together explain more than the cameras found, and one of them more of the image border.
+    """Whether two motions together explain what the cameras found leave, and one of them more of the image border.
 
     What is far fits both.
     """
-    together = share(pair.first.fits | pair.second.fits, matched)
+    together, alone = share(pair.first.fits | pair.second.fits, matched), share(single, matched)
     at_border = max(share(motion.fits, matched & along) for motion in pair[:2])
-    return together >= share(single, matched) + GAIN and at_border >= share(single, matched & along) + GAIN
+    return together - alone >= LEFT * (1 - alone) and at_border >= share(single, matched & along) + GAIN
 
 
 def _pair(
