@@ -1,4 +1,6 @@
-"""A large mover that travels along with the camera: its motion is told from that of the world, and nothing else is."""
+"""A large mover that travels along with the camera, or comes: its motion is told from the world's, and nothing else."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -76,21 +78,29 @@ def test_the_background_is_what_lies_along_the_border() -> None:
     assert motion.fits[moves].mean() < 0.1
 
 
-def against() -> Scene:
-    """A disc over two fifths of the view that comes at twice the speed of a camera whose hand shakes up and down."""
+def against(radius: float, shake: float) -> Scene:
+    """A disc that comes at twice the speed of a camera whose hand shakes up and down."""
     twists = np.zeros((8, 6))
     twists[:, 0], twists[:, 2] = 0.06 * np.arange(8), -0.018 * np.arange(8)
-    twists[:, 1] = 0.05 * np.array([0, 1, -1, 0.5, -0.7, 1, -0.3, 0.6])
-    return make_scene(T=8, size=(96, 144), disc_radius=0.8, velocity=(0.12, 0, -0.036), path=lie.exp_se3(twists))
+    twists[:, 1] = shake * np.array([0, 1, -1, 0.5, -0.7, 1, -0.3, 0.6])
+    return make_scene(T=8, size=(96, 144), disc_radius=radius, velocity=(0.12, 0, -0.036), path=lie.exp_se3(twists))
 
 
-def test_what_comes_the_other_way_is_told_by_what_lies_along_the_border(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It looks like something near at rest before cameras that do not shake, even from the true ones on."""
-    scene = against()
+@pytest.mark.parametrize(("radius", "shake", "enough"), [(0.8, 0.05, False), (0.6, 0.02, True)])
+def test_what_comes_the_other_way_is_told_by_what_lies_along_the_border(
+    radius: float, shake: float, enough: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It looks like something near at rest before cameras that do not shake, even from the true ones on.
+
+    So it does if these cameras explain `enough` that no mover that travels along is looked for.
+    """
+    scene = against(radius, shake)
     graph = observe(scene, stride=6, masked=False, noise_px=NOISE_PX)
     moves = graph.resample(scene.dynamic.astype(float), 1) > 0.5
     mixed = cameras(graph, scene)
-    assert two_motions._fits(graph, mixed)[moves].mean() > 0.9
+    fits = two_motions._fits(graph, mixed)
+    assert (two_motions.share(fits, two_motions.matched_pixels(graph)) > two_motions.EXPLAINED) == enough
+    assert fits[moves].mean() > 0.9
     assert trajectory_error(mixed.cam_from_world, scene.cam_from_world) > 0.02
     motion = two_motions.background(graph, graph, mixed, FocalPrior(1.1 * graph.width))
     assert motion is not None
@@ -99,6 +109,13 @@ def test_what_comes_the_other_way_is_told_by_what_lies_along_the_border(monkeypa
     assert trajectory_error(motion.state.cam_from_world, scene.cam_from_world) < 0.003
     monkeypatch.setattr(two_motions, "border", lambda graph: np.zeros(len(graph.pixels), bool))
     assert two_motions.background(graph, graph, mixed, FocalPrior(1.1 * graph.width)) is None
+
+
+def test_without_matches_along_the_border_nothing_tells_which_is_the_background() -> None:
+    scene = beside()
+    graph = observe(scene, stride=6, masked=False, noise_px=NOISE_PX)
+    graph = replace(graph, weights=graph.weights * ~two_motions.border(graph))
+    assert two_motions.background(graph, graph, cameras(graph, scene), FocalPrior(1.1 * graph.width)) is None
 
 
 def test_a_handful_of_pixels_does_not_tell_motions_apart() -> None:

@@ -145,4 +145,4 @@ def test_a_sweep_runs_what_differs_and_joins_the_report(finished: Path) -> None:
     page = (finished / "results/simulated/report/index.html").read_text()
     assert "render.novel_views=2" in page
     assert "made under other options" not in page
-    assert read_metadata(first.parent / "sweep/costs.parquet")["made_under"]["moving"]["ba"]["ran"] == 3
+    assert read_metadata(first.parent / "sweep/costs.parquet")["made_under"]["moving"]["ba"]["ran"] == 4

@@ -235,7 +235,7 @@ def test_names_with_spaces_stay_one_word(repo_copy: Path) -> None:
     options = with_options(repo_copy, 'dataset: "my clips"')
     plan = run_snakemake(repo_copy, "-p", *options)
     commands = [shlex.split(line) for line in plan.stdout.splitlines() if "python -m stages" in line]
-    assert len(commands) == len(EVERY_RULE - {"simulate", "all"}) + 2 * len(("motion", "segment", "ba"))
+    assert len(commands) == len(EVERY_RULE - {"simulate", "all"}) + 3 * len(("motion", "segment", "ba"))
     for words in commands:
         assert "" not in words
         assert any("my clips/take 1; two" in word for word in words)
@@ -255,9 +255,9 @@ def test_a_sweep_runs_only_what_differs(repo_copy: Path) -> None:
     counts = dict(re.findall(r"^(\w+) +(\d+)$", result.stdout, re.MULTILINE))
     # Configured, fast, one round, static, other COLMAPs. The one round is the first of the configured run; fast has
     # flow of its own, and no masks in its first round; other COLMAPs are evaluated apart and share all else.
-    expected = {"simulate": 1, "inspect": 1, "colmap": 2, "colmap_masked": 1, "flow": 2, "lens": 2, "motion": 5}
-    expected |= {"segment": 5}
-    expected |= {"ba": 6, "scene": 4, "control": 4, "gaussians": 4, "render": 4, "evaluate": 5, "collect_sweep": 1}
+    expected = {"simulate": 1, "inspect": 1, "colmap": 2, "colmap_masked": 1, "flow": 2, "lens": 2, "motion": 7}
+    expected |= {"segment": 7}
+    expected |= {"ba": 8, "scene": 4, "control": 4, "gaussians": 4, "render": 4, "evaluate": 5, "collect_sweep": 1}
     assert {name: int(counts[name]) for name in expected} == expected
     assert "collect_scaling" not in counts
 

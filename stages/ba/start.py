@@ -88,7 +88,7 @@ def _apart(observed: Observed, plain: FlowGraph, coarse: FlowGraph, best: Candid
     candidate = initialise.adjust(
         masked, motion.state, two_motions.NARROW, Unknowns(focal=True), observed.prior, "apart"
     )
-    reason = "two motions: a mover that travels along was left out of the first cameras"
+    reason = "two motions: a mover was left out of the first cameras"
     start = _start_on(observed, candidate, [], static, reason)
     if not observed.tested:
         return start

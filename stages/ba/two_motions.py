@@ -1,4 +1,4 @@
-"""Two rigid motions at once, where a large mover travels along with the camera and shares wrong cameras with the world.
+"""Two rigid motions at once, where a large mover shares wrong cameras with the world: it travels along, or comes.
 
 What keeps nearly the velocity of the camera stays at its place in the image and looks like something static and far
 away, before cameras of another path and focal length. These fit mover and world to some tenths of a pixel, at a lower
@@ -84,6 +84,8 @@ def background(plain: FlowGraph, masked: FlowGraph, found: State, prior: FocalPr
     factor = thinning(plain, PIXELS)
     graph, used = thin_graph(plain, factor), thin_graph(masked, factor)
     matched, along = matched_pixels(graph), border(graph)
+    if not (matched & along).any():
+        return None
     start = initialise.initial_state(used, found.cam_from_world, found.focal_px, zoom=found.zoom)
     mixed = _adjusted(used, start, WIDE, prior)
     single = _fits(graph, mixed)
@@ -96,8 +98,9 @@ def background(plain: FlowGraph, masked: FlowGraph, found: State, prior: FocalPr
         pair = _pair(graph, _without_near(graph, mixed, single & matched), start, prior, matched, single)
         if pair is None or not _explain_more(pair, single, matched, along):
             return None
-    state, fits = max(pair[:2], key=lambda motion: share(motion.fits, matched & along))
-    if masked is not plain and share(single, fits & matched) >= SAME:
+    _, (state, fits) = sorted(pair[:2], key=lambda motion: share(motion.fits, matched & along))
+    world = fits & matched
+    if masked is not plain and (single & world).sum() >= SAME * world.sum():
         return None
     whole = initialise.initial_state(plain, state.cam_from_world, state.focal_px, SHARP_PX)
     return Motion(whole, _fits(plain, whole) & matched_pixels(plain))

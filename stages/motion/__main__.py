@@ -56,13 +56,13 @@ def main(
     The metadata of the output says which was used, and why. If the round before began with the same cameras, its
     results are carried over.
     """
-    frames, scale = read_sequence(sequence), float(read_metadata(flow)["scale"])
+    frames = read_sequence(sequence)
     begun = Solved(previous_poses, previous_depth), Solved(earlier_poses, earlier_depth)
-    if kept := results_to_keep(*begun, (previous_prior, previous_figure), scale):
+    if kept := results_to_keep(*begun, (previous_prior, previous_figure), flow):
         for source, target in zip(kept, (output, figure), strict=True):
             copy(source, target)
         return f"cameras unchanged: {read_metadata(output)['moving_share']:.1%} of the pixels seem to move"
-    matched = read_dense(flow)
+    matched, scale = read_dense(flow), float(read_metadata(flow)["scale"])
     scene = read_scene_on_grid(frames, matched["confidence"].shape[:0:-1])
     pairs = FlowPairs(matched, scene=scene)
     rgb = read_reduced(frames.frames, pairs.confidence.shape[:0:-1])

@@ -67,9 +67,9 @@ def main(
     cameras, its masks are carried over. Other sources write the masks that refinement is compared with, as one
     instance, or those of the user as they are.
     """
-    frames, scale = read_sequence(sequence), float(read_metadata(flow)["scale"]) if flow else 1.0
+    frames = read_sequence(sequence)
     begun = Solved(previous_poses, previous_depth), Solved(earlier_poses, earlier_depth)
-    if kept := results_to_keep(*begun, (previous_masks, previous_figure), scale):
+    if kept := results_to_keep(*begun, (previous_masks, previous_figure), flow):
         copy_folder(kept[0], output, WRITES)
         copy(kept[1], figure)
         return f"cameras unchanged: {_tell(frames, read_json(output / 'masks.json'), options)}"

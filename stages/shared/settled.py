@@ -31,12 +31,11 @@ class Solved(NamedTuple):
     depth: Path | None
 
 
-def results_to_keep(last: Solved, earlier: Solved, results: Sequence[Path | None], scale: float) -> list[Path]:
+def results_to_keep(last: Solved, earlier: Solved, results: Sequence[Path | None], flow: Path | None) -> list[Path]:
     """The results of the round before, if this one begins as that one did; [] if not, or if there are none.
 
     Args:
-        last, earlier: what the round before ended and began with. results: what it made of that.
-        scale: as of `is_settled`.
+        last, earlier: what the round before ended and began with. results: what it made of that, and of `flow`.
 
     Raises:
         InputError: if some of these files are given and others not.
@@ -44,9 +43,10 @@ def results_to_keep(last: Solved, earlier: Solved, results: Sequence[Path | None
     given = [file for file in (*earlier, *results) if file is not None]
     if not given:
         return []
-    if len(given) < len(earlier) + len(results) or last.poses is None or last.depth is None:
+    if len(given) < len(earlier) + len(results) or last.poses is None or last.depth is None or flow is None:
         expected = "together with --earlier-depth, --previous-poses, --previous-depth and what that round made of them"
         raise InputError("--earlier-poses", expected, "only some of them", "give all or none")
+    scale = float(read_metadata(flow)["scale"])
     return given[len(earlier) :] if is_settled((last.poses, last.depth), (given[0], given[1]), scale) else []
 
 
