@@ -111,6 +111,35 @@ def test_what_comes_the_other_way_is_told_by_what_lies_along_the_border(
     assert two_motions.background(graph, graph, mixed, FocalPrior(1.1 * graph.width)) is None
 
 
+@pytest.mark.parametrize(
+    ("together", "at_border", "told"), [(0.85, 0.7, True), (0.75, 0.7, False), (0.85, 0.55, False)]
+)
+def test_a_pair_explains_half_of_what_is_left_and_more_of_the_border(
+    together: float, at_border: float, told: bool
+) -> None:
+    """Of 100 pixels, 20 of them along the border, the cameras found fit 60 and 10: a pair is to fit 80 and 12."""
+    place, state = np.arange(100), State(np.eye(4)[None], np.ones((1, 100)), 1.0)
+    along, matched = place < 20, np.ones((1, 100), bool)
+    single = ((place < 10) | (place >= 50))[None]
+    first = ((place < round(20 * at_border)) | (place >= 60))[None]
+    inside = round(100 * together) - int(first.sum())
+    second = ((place >= 60 - inside) & (place < 60))[None]
+    pair = two_motions.Pair(two_motions.Motion(state, first), two_motions.Motion(state, second), 0.0)
+    assert two_motions._explain_more(pair, single, matched, along) == told
+
+
+def test_all_but_the_farthest_of_what_fits_is_left_out() -> None:
+    scene = beside(0.0)
+    graph = observe(scene, stride=6, masked=False, noise_px=NOISE_PX)
+    state = initialise.initial_state(graph, scene.cam_from_world, scene.focal_px)
+    fits = two_motions._fits(graph, state)
+    kept = two_motions._without_near(graph, state, fits)
+    assert kept[~fits].all()
+    assert kept[fits].mean() == pytest.approx(0.3, abs=0.01)
+    depth = graph.resample(scene.depth, 1)
+    assert depth[fits & kept].min() > np.median(depth[fits & ~kept])
+
+
 def test_without_matches_along_the_border_nothing_tells_which_is_the_background() -> None:
     scene = beside()
     graph = observe(scene, stride=6, masked=False, noise_px=NOISE_PX)

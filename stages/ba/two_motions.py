@@ -29,7 +29,8 @@ AGREEING = 0.6
 EXPLAINED = 0.85
 """If the cameras found fit this share of the pixels, no mover that travels along is looked for."""
 GAIN = 0.1
-"""Two motions explain, each for itself, so much more of the pixels than the cameras found."""
+"""Two motions explain, each for itself, so much more of the pixels than the cameras found; where the image border tells
+a pair, one of them explains so much more of that."""
 OVERLAP = 0.5
 """Largest share of the pixels of either motion that the other one fits too."""
 LEFT = 0.5

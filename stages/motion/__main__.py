@@ -19,7 +19,7 @@ from stages.shared.flow_pairs import FlowPairs
 from stages.shared.images import read_reduced, write_figure
 from stages.shared.log import logger
 from stages.shared.masks import read_scene_on_grid
-from stages.shared.sequences import read_sequence
+from stages.shared.sequences import Sequence, read_sequence
 from stages.shared.settled import Solved, results_to_keep
 from stages.shared.static_flow import resample
 
@@ -66,23 +66,12 @@ def main(
     scene = read_scene_on_grid(frames, matched["confidence"].shape[:0:-1])
     pairs = FlowPairs(matched, scene=scene)
     rgb = read_reduced(frames.frames, pairs.confidence.shape[:0:-1])
-    cameras = usable_cameras(previous_poses, previous_depth, "the prior comes from flow alone")
-    if cameras is None or previous_poses is None or previous_depth is None:
-        evidence, facts = _from_flow(pairs, len(frames.numbers), options.seed)
-        passing = np.zeros(1, np.float16)
-    else:
-        stride_px = float(read_metadata(previous_depth)["stride_px"])
-        at_once = pairs
-        if readout := read_readout(previous_poses):
-            from stages.shared.rolling import rolling_shutter  # with much of scipy, which other clips spare
-
-            at_once = rolling_shutter(frames, cameras, readout, previous_depth, scale).taken_out(pairs)
-        evidence, passing, facts = _from_cameras(rgb, at_once, cameras, read_dense(previous_depth), scale, stride_px)
+    evidence, passing, facts = _evidence(frames, rgb, pairs, scale, begun[0], options.seed)
     if scene is not None:
         evidence = Evidence(evidence.residual, evidence.weight * scene)
     residual = pool(evidence, rgb, pairs)
     np.maximum(residual, passing, out=residual)  # what one frame shows, no other can confirm
-    probability = to_probability(residual, *(FLOW_CURVE if cameras is None else CAMERA_CURVE))
+    probability = to_probability(residual, *(FLOW_CURVE if facts["source"] == "flow" else CAMERA_CURVE))
     if scene is not None:
         probability *= scene
     facts |= {"moving_share": float((probability > 0.5).mean())}
@@ -97,6 +86,23 @@ def main(
 def to_probability(residual: np.ndarray, midway: float, spread: float) -> np.ndarray:
     """Probability of motion of a pooled residual [...] in 0..1: a logistic curve."""
     return np.asarray(1 / (1 + np.exp((midway - residual) / spread)))
+
+
+def _evidence(
+    frames: Sequence, rgb: np.ndarray, pairs: FlowPairs, scale: float, previous: Solved, seed: int
+) -> tuple[Evidence, np.ndarray, dict[str, Any]]:
+    """Evidence from the cameras of the round before or, without any, from flow; otherwise as `_from_cameras`."""
+    poses, depth = previous
+    cameras = usable_cameras(poses, depth, "the prior comes from flow alone")
+    if cameras is None or poses is None or depth is None:
+        evidence, facts = _from_flow(pairs, len(frames.numbers), seed)
+        return evidence, np.zeros(1, np.float16), facts
+    if readout := read_readout(poses):
+        from stages.shared.rolling import rolling_shutter  # with much of scipy, which other clips spare
+
+        pairs = rolling_shutter(frames, cameras, readout, depth, scale).taken_out(pairs)
+    stride_px = float(read_metadata(depth)["stride_px"])
+    return _from_cameras(rgb, pairs, cameras, read_dense(depth), scale, stride_px)
 
 
 def _from_flow(pairs: FlowPairs, T: int, seed: int) -> tuple[Evidence, dict[str, Any]]:
