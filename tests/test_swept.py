@@ -7,8 +7,9 @@ from passed_wall import EDGES, T, texture
 
 from stages.motion.epipolar import Evidence
 from stages.motion.photometric import corroborate
-from stages.motion.swept import NEARER, STEPS, Other, explained, least_difference
+from stages.motion.swept import explained
 from stages.shared.artifacts import Dense
+from stages.shared.depth_sweep import NEARER, STEPS, Other, least_difference
 from stages.shared.flow_pairs import FlowPairs
 
 SIZE, FAR_PX, NEAR_PX = (60, 150), 3, 11

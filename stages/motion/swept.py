@@ -1,50 +1,17 @@
 """Static depths that the pictures tell where flow is lost: of thin things close to a camera that travels.
 
 The flow of a bar that is thinner than its way from frame to frame is that of what is behind it, or none, and so is its
-depth. Neither fits the pictures: it looks like something that moves. Its own depth does, and it is searched for from
-infinity on (plane sweep; Collins, CVPR 1996).
+depth. Neither fits the pictures: it looks like something that moves. Its own depth does (`shared.depth_sweep`).
 """
 
-from typing import NamedTuple
-
-import cv2
-import numba
 import numpy as np
 
-from stages.shared.window_kernels import KERNEL, place, window_difference
+from stages.shared.depth_sweep import MOST_OF, NEARER, Other, least_difference, worse_side
 
 FRAMES = 2
 """Largest distance in frames between compared pictures."""
-STEPS, STEP_PX = 40, 1.0
-"""Depths that are tried at most, beside infinity, and the longest way in the image, from one frame to the next, from
-infinity to the first."""
-REFINEMENTS = 2
-"""Halvings of that step, around the best depth."""
-HALF_WINDOW = 2
-"""Pixels of the compared windows on either side of their middle."""
-MOST_OF, NEARER = 0.95, 4.0
-"""Searched up to NEARER times the inverse depth that MOST_OF of the static pixels stay below: before a camera that
-hardly moves, all that moves along its lines of sight would lie at some depth."""
 SHARE = 0.5
 """Of the flow's difference above the median of the frame, what a static depth may leave, at most."""
-
-
-class Other(NamedTuple):
-    """Another frame beside this one.
-
-    Attributes:
-        step: frames to it. found: [h, w, 3] uint8. expected: [h, w, 3] uint8, this frame at its exposure.
-        by_flow: [h, w] difference of both along the flow, in colour levels, 0 where it leads out of view.
-        inside: [h, w], where it does not. A, b: [3, 3] and [3], projection of this frame's pixels.
-    """
-
-    step: int
-    found: np.ndarray
-    expected: np.ndarray
-    by_flow: np.ndarray
-    inside: np.ndarray
-    A: np.ndarray
-    b: np.ndarray
 
 
 def explained(others: list[Other], suspect: np.ndarray, static: np.ndarray) -> np.ndarray:
@@ -60,106 +27,7 @@ def explained(others: list[Other], suspect: np.ndarray, static: np.ndarray) -> n
     """
     if not others or not suspect.any() or not len(static):
         return np.zeros_like(suspect)
-    by_flow = _worse_side(others)
+    by_flow = worse_side(others)
     floor = np.median(by_flow)
     least = least_difference(others, suspect, NEARER * float(np.quantile(static, MOST_OF)))
     return np.asarray(least < floor + SHARE * np.maximum(by_flow - floor, 0))
-
-
-def _worse_side(others: list[Other]) -> np.ndarray:
-    """Mean difference [h, w] along the flow, to the earlier or the later frames, whichever is larger."""
-    sides = [[other for other in others if (other.step > 0) == later] for later in (False, True)]
-    means = [
-        sum(other.by_flow for other in side) / np.maximum(sum(other.inside.astype(np.float32) for other in side), 1)
-        for side in sides
-        if side
-    ]
-    return np.asarray(np.maximum.reduce(means))
-
-
-def least_difference(others: list[Other], sought: np.ndarray, nearest: float) -> np.ndarray:
-    """Least mean difference [h, w] to other frames over the static depths, up to the inverse depth `nearest`, in colour
-    levels; infinite where nothing is `sought` [h, w] or no depth is in view."""
-    near = sorted(others, key=lambda other: abs(other.step))
-    first = sum(abs(other.step) == abs(near[0].step) for other in near)
-    h, w = sought.shape
-    corners = np.array([[0, 0], [w, 0], [0, h], [w, h]], float)
-    ways = [np.linalg.norm(other.b[:2] - other.b[2] * corners, axis=1).max() for other in near[:first]]
-    least = np.full(sought.shape, np.inf, np.float32)
-    if max(ways) == 0:  # a camera that turns sees all depths at one place
-        return least
-    pictures = [np.stack([getattr(other, name) for other in near]) for name in ("found", "expected")]
-    greys = [np.stack([cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) for image in of[:first]]) for of in pictures]
-    A, b = (np.stack([getattr(other, name) for other in near]).astype(np.float32) for name in ("A", "b"))
-    later = np.array([other.step > 0 for other in near])
-    v, u = np.nonzero(sought)
-    found, unit = np.empty(len(u), np.float32), STEP_PX / max(ways)
-    steps = min(int(np.ceil(nearest / unit)), STEPS)
-    depths = np.linspace(0, min(nearest, STEPS * unit), 1 + max(steps, 1)).astype(np.float32)
-    _search(*greys, *pictures, A, b, later, u, v, depths, found)
-    least[v, u] = found
-    return least
-
-
-@numba.njit(**KERNEL)
-def _search(grey, grey_expected, images, expected, A, b, later, u, v, depths, least):  # type: ignore[no-untyped-def]
-    """Fill the least difference [n] float32 of pixels u, v [n] int64: first over the `depths` [d] float32, at whole
-    pixels of the nearest frames in grey [f, h, w] uint8, then around the best of them in all frames [F, h, w, 3], by
-    A [F, 3, 3] and b [F, 3] float32."""
-    for k in range(len(u)):
-        most, depth = np.float32(np.inf), np.float32(0)
-        for d in depths:
-            found = _grey_difference(grey, grey_expected, A, b, u[k], v[k], d, most)
-            if found < most:
-                most, depth = found, d
-        best, width = _difference(images, expected, A, b, later, u[k], v[k], depth), depths[1] / 2
-        for _ in range(REFINEMENTS):
-            for d in (max(depth - width, depths[0]), min(depth + width, depths[-1])):
-                found = _difference(images, expected, A, b, later, u[k], v[k], d)
-                if found < best:
-                    best, depth = found, d
-            width /= 2
-        least[k] = best
-
-
-@numba.njit(**KERNEL)
-def _grey_difference(images, expected, A, b, u, v, depth, most):  # type: ignore[no-untyped-def]
-    """Mean difference of a pixel's window at an inverse depth, of the worst frame; infinite from `most` on, and where
-    no frame shows it."""
-    h, w = images.shape[1:]
-    worst = np.float32(-1)
-    for j in range(len(images)):
-        x_px, y_px = place(A, b, j, u, v, depth)
-        x, y = int(np.rint(x_px)), int(np.rint(y_px))
-        if x < 0 or y < 0 or x >= w or y >= h:
-            continue
-        total, pixels = np.int32(0), 0
-        for dv in range(max(-HALF_WINDOW, -v, -y), min(HALF_WINDOW, h - 1 - v, h - 1 - y) + 1):
-            for du in range(max(-HALF_WINDOW, -u, -x), min(HALF_WINDOW, w - 1 - u, w - 1 - x) + 1):
-                total += abs(np.int32(images[j, y + dv, x + du]) - expected[j, v + dv, u + du])
-                pixels += 1
-            if total >= most * (2 * HALF_WINDOW + 1) ** 2:
-                return np.float32(np.inf)
-        worst = max(worst, np.float32(total / pixels))
-        if worst >= most:
-            return np.float32(np.inf)
-    return worst if worst >= 0 else np.float32(np.inf)
-
-
-@numba.njit(**KERNEL)
-def _difference(images, expected, A, b, later, u, v, depth):  # type: ignore[no-untyped-def]
-    """Mean difference of a pixel's window at an inverse depth, of the worse side; infinite where no frame shows it."""
-    h, w = images.shape[1:3]
-    before, befores, after, afters = np.float32(0), 0, np.float32(0), 0
-    for j in range(len(images)):
-        x, y = place(A, b, j, u, v, depth)
-        if not (0 <= x <= w - 1 and 0 <= y <= h - 1):
-            continue
-        apart = window_difference(images, expected, j, u, v, x, y, HALF_WINDOW, np.inf)
-        if later[j]:
-            after, afters = after + apart, afters + 1
-        else:
-            before, befores = before + apart, befores + 1
-    if befores + afters == 0:
-        return np.float32(np.inf)
-    return np.float32(max(before / max(befores, 1), after / max(afters, 1)))
