@@ -9,19 +9,19 @@ from stages.motion.epipolar import Evidence
 from stages.motion.photometric import corroborate
 from stages.motion.swept import explained
 from stages.shared.artifacts import Dense
-from stages.shared.depth_sweep import NEARER, STEPS, Other, least_difference
+from stages.shared.depth_sweep import HARDLY_PX, LITTLE_NEARER, NEARER, STEPS, Other, least_difference
 from stages.shared.flow_pairs import FlowPairs
 
 SIZE, FAR_PX, NEAR_PX = (60, 150), 3, 11
 """Of a wall that a camera passes by FAR_PX a frame, and of a pole before it, which it passes by NEAR_PX."""
 MIDDLE = 4
-WALL = np.full(SIZE, NEAR_PX / FAR_PX / NEARER + 0.01)
-"""Its inverse depth, in units that put the pole just within reach of the search."""
+WALL = np.full(SIZE, NEAR_PX / FAR_PX / LITTLE_NEARER + 0.01)
+"""Its inverse depth, in units that put the pole within reach of the search."""
 
 
-def pole(k: int, height: int = 30, rises_px: int = 0) -> tuple[slice, slice]:
-    """Rows and columns of the pole in frame k: 4 px wide, `height` px high; it rises so many px a frame."""
-    left, top = 73 - NEAR_PX * (k - MIDDLE), 15 - rises_px * (k - MIDDLE)
+def pole(k: int, height: int = 30, rises_px: int = 0, passes_px: int = NEAR_PX) -> tuple[slice, slice]:
+    """Rows and columns of the pole in frame k: 4 px wide, `height` px high; it rises and passes so many px a frame."""
+    left, top = 73 - passes_px * (k - MIDDLE), 15 - rises_px * (k - MIDDLE)
     return slice(max(top, 0), max(top + height, 0)), slice(left, left + 4)
 
 
@@ -139,22 +139,34 @@ def test_a_camera_that_only_turns_and_no_frames_explain_nothing() -> None:
     assert not explained([], everything, WALL).any()
 
 
-def test_nothing_is_searched_for_much_nearer_than_the_scene() -> None:
-    """Before a camera that hardly moves, what moves along its lines of sight would lie at some depth."""
+def at_rest(passes_px: int, scene_px: np.ndarray) -> float:
+    """Share of a pole that passes by so many px a frame which is explained, where static pixels pass by these [n]."""
     inside = np.zeros(SIZE, bool)
     inside[pole(MIDDLE)] = True
-    assert explained(others(clip(), [-1, 1]), inside, WALL)[inside].mean() > 0.9
-    assert explained(others(clip(), [-1, 1]), inside, 0.7 * WALL)[inside].mean() < 0.1
+    sights = others(clip(passes_px=passes_px), [-1, 1])
+    return float(explained(sights, inside, scene_px / FAR_PX)[inside].mean())
+
+
+def test_before_a_camera_that_hardly_moves_little_nearer_things_are_searched_for() -> None:
+    """What moves along its lines of sight would lie at some depth."""
+    assert at_rest(NEAR_PX, np.array([1.02 * HARDLY_PX])) > 0.9
+    assert 0.98 * HARDLY_PX * NEARER > NEAR_PX
+    assert at_rest(NEAR_PX, np.array([0.98 * HARDLY_PX])) < 0.1
+    assert at_rest(3, np.array([0.8 * HARDLY_PX])) > 0.9
+
+
+def test_nothing_is_searched_for_much_nearer_than_the_scene() -> None:
+    assert at_rest(17, np.array([1.1 * 17 / NEARER])) > 0.9
+    assert at_rest(17, np.array([0.9 * 17 / NEARER])) < 0.1
 
 
 def test_the_farther_ones_of_the_static_pixels_bound_the_search() -> None:
-    inside, some = np.zeros(SIZE, bool), WALL.copy()
-    inside[pole(MIDDLE)] = True
-    some[:2] *= 50  # wrong depths of a few
-    assert explained(others(clip(), [-1, 1]), inside, 0.7 * some)[inside].mean() < 0.1
+    some = np.full(100, 0.9 * 17 / NEARER)
+    some[:4] *= 50  # wrong depths of a few
+    assert at_rest(17, some) < 0.1
     some[:30] *= 2
-    assert explained(others(clip(), [-1, 1]), inside, 0.7 * some)[inside].mean() > 0.9
-    assert not explained(others(clip(), [-1, 1]), inside, np.zeros(0)).any()
+    assert at_rest(17, some) > 0.9
+    assert not explained(others(clip(), [-1, 1]), np.ones(SIZE, bool), np.zeros(0)).any()
 
 
 @pytest.mark.parametrize("step_px", [-2, 2])

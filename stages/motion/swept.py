@@ -6,7 +6,7 @@ depth. Neither fits the pictures: it looks like something that moves. Its own de
 
 import numpy as np
 
-from stages.shared.depth_sweep import MOST_OF, NEARER, Other, least_difference, worse_side
+from stages.shared.depth_sweep import Other, least_difference, reach, worse_side
 
 FRAMES = 2
 """Largest distance in frames between compared pictures."""
@@ -29,5 +29,5 @@ def explained(others: list[Other], suspect: np.ndarray, static: np.ndarray) -> n
         return np.zeros_like(suspect)
     by_flow = worse_side(others)
     floor = np.median(by_flow)
-    least = least_difference(others, suspect, NEARER * float(np.quantile(static, MOST_OF)))
+    least = least_difference(others, suspect, reach(others, static, suspect.shape))
     return np.asarray(least < floor + SHARE * np.maximum(by_flow - floor, 0))

@@ -18,9 +18,11 @@ REFINEMENTS = 2
 """Halvings of that step, around the best depth."""
 HALF_WINDOW = 2
 """Pixels of the compared windows on either side of their middle."""
-MOST_OF, NEARER = 0.95, 4.0
-"""Searched up to NEARER times the inverse depth that MOST_OF of the static pixels stay below: before a camera that
-hardly moves, all that moves along its lines of sight would lie at some depth."""
+MOST_OF, NEARER = 0.95, 12.0
+"""Searched up to NEARER times the inverse depth that MOST_OF of the static pixels stay below."""
+HARDLY_PX, LITTLE_NEARER = 1.0, 4.0
+"""Where the camera passes those by less than HARDLY_PX a frame, it hardly moves, and all that moves along its lines of
+sight would lie at some depth: then searched up to LITTLE_NEARER times."""
 
 
 class Other(NamedTuple):
@@ -52,23 +54,40 @@ def worse_side(others: list[Other]) -> np.ndarray:
     return np.asarray(np.maximum.reduce(means))
 
 
+def travels(others: list[Other], static: np.ndarray, size: tuple[int, int]) -> bool:
+    """Whether the camera passes most of the static pixels, of inverse depths [n], by HARDLY_PX or more in [h, w]."""
+    return float(np.quantile(static, MOST_OF)) * _way_px(others, size) >= HARDLY_PX
+
+
+def reach(others: list[Other], static: np.ndarray, size: tuple[int, int]) -> float:
+    """The inverse depth up to which is searched, by those [n] of static pixels, in pictures of this size [h, w]."""
+    return (NEARER if travels(others, static, size) else LITTLE_NEARER) * float(np.quantile(static, MOST_OF))
+
+
+def _way_px(others: list[Other], size: tuple[int, int]) -> float:
+    """The longest way in the image, [h, w], from infinity to an inverse depth of 1, in the nearest of the frames."""
+    h, w = size
+    corners = np.array([[0, 0], [w, 0], [0, h], [w, h]], float)
+    least = min(abs(other.step) for other in others)
+    nearest = [other for other in others if abs(other.step) == least]
+    return float(max(np.linalg.norm(other.b[:2] - other.b[2] * corners, axis=1).max() for other in nearest))
+
+
 def least_difference(others: list[Other], sought: np.ndarray, nearest: float) -> np.ndarray:
     """Least mean difference [h, w] to other frames over the static depths, up to the inverse depth `nearest`, in colour
     levels; infinite where nothing is `sought` [h, w] or no depth is in view."""
     near = sorted(others, key=lambda other: abs(other.step))
     first = sum(abs(other.step) == abs(near[0].step) for other in near)
-    h, w = sought.shape
-    corners = np.array([[0, 0], [w, 0], [0, h], [w, h]], float)
-    ways = [np.linalg.norm(other.b[:2] - other.b[2] * corners, axis=1).max() for other in near[:first]]
+    way_px = _way_px(others, sought.shape)
     least = np.full(sought.shape, np.inf, np.float32)
-    if max(ways) == 0:  # a camera that turns sees all depths at one place
+    if way_px == 0:  # a camera that turns sees all depths at one place
         return least
     pictures = [np.stack([getattr(other, name) for other in near]) for name in ("found", "expected")]
     greys = [np.stack([cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) for image in of[:first]]) for of in pictures]
     A, b = (np.stack([getattr(other, name) for other in near]).astype(np.float32) for name in ("A", "b"))
     later = np.array([other.step > 0 for other in near])
     v, u = np.nonzero(sought)
-    found, unit = np.empty(len(u), np.float32), STEP_PX / max(ways)
+    found, unit = np.empty(len(u), np.float32), STEP_PX / way_px
     steps = min(int(np.ceil(nearest / unit)), STEPS)
     depths = np.linspace(0, min(nearest, STEPS * unit), 1 + max(steps, 1)).astype(np.float32)
     _search(*greys, *pictures, A, b, later, u, v, depths, found)
