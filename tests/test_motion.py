@@ -95,7 +95,7 @@ def test_places_seen_again_are_no_evidence(monkeypatch: pytest.MonkeyPatch) -> N
     scene = make_scene(T=6, size=(48, 64), disc_radius=0.5)
     source, target, flow, confidence = flow_arrays(scene)
     far = np.abs(source - target) == 3
-    for module in (epipolar, resweep, flow_pairs_module):
+    for module in (epipolar, resweep, flow_pairs_module, photometric):
         monkeypatch.setattr(module, "REACH", 2)
     wrong = flow + far[:, None, None, None] * np.float32(4)
     rgb, start = painted(scene.dynamic), np.full(scene.depth.shape, 0.2, np.float32)

@@ -7,7 +7,7 @@ from passed_wall import EDGES, T, texture
 
 from stages.motion.epipolar import Evidence
 from stages.motion.photometric import corroborate
-from stages.motion.swept import explained
+from stages.motion.swept import explained, run_one_way
 from stages.shared.artifacts import Dense
 from stages.shared.depth_sweep import HARDLY_PX, LITTLE_NEARER, NEARER, STEPS, Other, least_difference
 from stages.shared.flow_pairs import FlowPairs
@@ -71,7 +71,7 @@ def test_what_rises_across_the_lines_of_sight_still_moves() -> None:
 
 
 def test_flow_that_is_sure_is_believed() -> None:
-    residual, _ = corroborated(clip(), confidence=1.0)
+    residual, _ = corroborated(clip(height=0), confidence=1.0)
     assert residual[MIDDLE][pole(MIDDLE)].mean() > 0.9
 
 
@@ -120,23 +120,27 @@ def slowly(rgb: np.ndarray, v: int, u: int, ways_px: np.ndarray) -> float:
     return min(differences)
 
 
+def explain(others: list[Other], suspect: np.ndarray, static: np.ndarray, one_way: bool = False) -> np.ndarray:
+    return explained(others, suspect, static, np.full(suspect.shape, one_way))
+
+
 def test_both_sides_must_show_it() -> None:
     """In two frames what moves may lie where something static would."""
     rgb, inside = clip(), np.zeros(SIZE, bool)
     inside[pole(MIDDLE)] = True
     hidden = rgb.copy()
     hidden[MIDDLE + 1 :] = texture(5, SIZE)
-    assert explained(others(rgb, [-1, 1]), inside, WALL)[inside].mean() > 0.9
-    assert not explained(others(hidden, [-1, 1]), inside, WALL)[inside].any()
+    assert explain(others(rgb, [-1, 1]), inside, WALL)[inside].mean() > 0.9
+    assert not explain(others(hidden, [-1, 1]), inside, WALL)[inside].any()
     worse = [other._replace(by_flow=0 * other.by_flow) if other.step < 0 else other for other in others(rgb, [-1, 1])]
-    assert explained(worse, inside, WALL)[inside].mean() > 0.9
-    assert explained(others(rgb, [-1, -2]), inside, WALL)[inside].mean() > 0.9  # at the end of a clip there is one side
+    assert explain(worse, inside, WALL)[inside].mean() > 0.9
+    assert explain(others(rgb, [-1, -2]), inside, WALL)[inside].mean() > 0.9  # at the end of a clip there is one side
 
 
 def test_a_camera_that_only_turns_and_no_frames_explain_nothing() -> None:
     rgb, everything = clip(), np.ones(SIZE, bool)
-    assert not explained(others(rgb, [-1, 1], way_px=0), everything, WALL).any()
-    assert not explained([], everything, WALL).any()
+    assert not explain(others(rgb, [-1, 1], way_px=0), everything, WALL).any()
+    assert not explain([], everything, WALL).any()
 
 
 def at_rest(passes_px: int, scene_px: np.ndarray) -> float:
@@ -144,7 +148,7 @@ def at_rest(passes_px: int, scene_px: np.ndarray) -> float:
     inside = np.zeros(SIZE, bool)
     inside[pole(MIDDLE)] = True
     sights = others(clip(passes_px=passes_px), [-1, 1])
-    return float(explained(sights, inside, scene_px / FAR_PX)[inside].mean())
+    return float(explain(sights, inside, scene_px / FAR_PX)[inside].mean())
 
 
 def test_before_a_camera_that_hardly_moves_little_nearer_things_are_searched_for() -> None:
@@ -166,7 +170,7 @@ def test_the_farther_ones_of_the_static_pixels_bound_the_search() -> None:
     assert at_rest(17, some) < 0.1
     some[:30] *= 2
     assert at_rest(17, some) > 0.9
-    assert not explained(others(clip(), [-1, 1]), np.ones(SIZE, bool), np.zeros(0)).any()
+    assert not explain(others(clip(), [-1, 1]), np.ones(SIZE, bool), np.zeros(0)).any()
 
 
 @pytest.mark.parametrize("step_px", [-2, 2])
@@ -180,7 +184,7 @@ def test_what_moves_before_a_camera_that_hardly_does_still_moves(step_px: int) -
         left = 70 + step_px * (k - MIDDLE)
         rgb[k][20:36, left : left + 12] = thing
     sights = [other._replace(by_flow=np.where(inside, 20, 1)) for other in others(rgb, [-2, -1, 1, 2], way_px=0.01)]
-    assert explained(sights, inside, np.ones(10))[inside].mean() < 0.2
+    assert explain(sights, inside, np.ones(10))[inside].mean() < 0.2
 
 
 def test_a_camera_that_turns_and_moves_forward() -> None:
@@ -217,8 +221,8 @@ def test_flow_that_matches_as_well_is_not_replaced() -> None:
     """Some depth matches a little better by chance wherever flow is poor."""
     rgb, inside = clip(noise=3), np.zeros(SIZE, bool)
     inside[pole(MIDDLE)] = True
-    assert explained(others(rgb, [-1, 1], by_flow=60.0), inside, WALL)[inside].mean() > 0.9
-    assert not explained(others(rgb, [-1, 1], by_flow=5.0), inside, WALL)[inside].any()
+    assert explain(others(rgb, [-1, 1], by_flow=60.0), inside, WALL)[inside].mean() > 0.9
+    assert not explain(others(rgb, [-1, 1], by_flow=5.0), inside, WALL)[inside].any()
 
 
 def test_what_matches_as_well_as_half_of_the_frame_is_explained() -> None:
@@ -226,4 +230,69 @@ def test_what_matches_as_well_as_half_of_the_frame_is_explained() -> None:
     inside = np.zeros(SIZE, bool)
     inside[pole(MIDDLE)] = True
     sights = [other._replace(by_flow=np.where(inside, 25, 30).astype(np.float32)) for other in others(clip(), [-1, 1])]
-    assert explained(sights, inside, WALL)[inside].mean() > 0.9
+    assert explain(sights, inside, WALL)[inside].mean() > 0.9
+
+
+def test_where_edges_run_one_way_a_depth_that_matches_as_well_explains() -> None:
+    rgb, inside = clip(noise=3), np.zeros(SIZE, bool)
+    inside[pole(MIDDLE)] = True
+    by_flow = 12.0  # a depth leaves 10.4, the median over the pole
+    assert explain(others(rgb, [-1, 1], by_flow=by_flow), inside, WALL, one_way=True)[inside].mean() > 0.5
+    assert explain(others(rgb, [-1, 1], by_flow=by_flow), inside, WALL)[inside].mean() < 0.1
+    assert not explain(others(rgb, [-1, 1], by_flow=5.5), inside, WALL, one_way=True)[inside].any()
+
+
+@pytest.mark.parametrize("turned_deg", [0, 30, 90])
+def test_stripes_run_one_way(turned_deg: float) -> None:
+    rng, (y, x) = np.random.default_rng(3), np.mgrid[:60, :80]
+    across = x * np.cos(np.deg2rad(turned_deg)) + y * np.sin(np.deg2rad(turned_deg))
+    stripes = 100 + 40 * np.sin(across / 2) + rng.standard_normal(x.shape)
+    checks = stripes + 25 * np.sin((y * np.cos(np.deg2rad(turned_deg)) - x * np.sin(np.deg2rad(turned_deg))) / 2)
+    assert run_one_way(as_frame(stripes)).mean() > 0.95
+    assert run_one_way(as_frame(checks)).mean() < 0.02
+
+
+def test_what_has_no_edges_runs_no_way() -> None:
+    noise = 100 + 3 * np.random.default_rng(4).standard_normal((60, 80))
+    assert not run_one_way(as_frame(np.full((60, 80), 100.0))).any()
+    assert run_one_way(as_frame(noise)).mean() < 0.05
+
+
+def as_frame(grey: np.ndarray) -> np.ndarray:
+    return np.repeat(np.clip(grey, 0, 255).astype(np.uint8)[..., None], 3, axis=2)
+
+
+NEARER_RAIL, BOBS_PX = 4, (0, 1, 0, -1, 0, 1, 1, 0, -1)
+"""A rail so much nearer than the wall, which a hand moves up and down by so many px in the frames."""
+
+
+def of_rail(rail: np.ndarray) -> float:
+    """Evidence of motion on a rail [16, w, 3] before the wall, in its middle; along it its flow is that of the wall."""
+    wall, (h, w) = texture(0, (SIZE[0] + 4, SIZE[1] + T * FAR_PX)), SIZE
+    rgb, at = (
+        np.empty((T, h, w, 3), np.uint8),
+        [slice(22 - NEARER_RAIL * bob, 38 - NEARER_RAIL * bob) for bob in BOBS_PX],
+    )
+    for k, bob in enumerate(BOBS_PX):
+        rgb[k] = wall[2 + bob : 2 + bob + h, FAR_PX * k : FAR_PX * k + w]
+        rgb[k][at[k]] = rail[:, FAR_PX * k : FAR_PX * k + w]
+    source, target = EDGES.T
+    passed = np.stack([-FAR_PX * (target - source), -np.subtract(*np.take(BOBS_PX, EDGES.T[::-1]))], axis=1)
+    flow = np.tile(passed[:, None, None].astype(np.float32), (1, h, w, 1))
+    residual = np.zeros((T, h, w), np.float32)
+    for e, k in enumerate(source):
+        flow[e, at[k], :, 1] *= NEARER_RAIL
+        residual[k, at[k]] = 1
+    pairs = FlowPairs(
+        Dense({"source": source, "target": target, "flow": flow, "confidence": np.ones((len(EDGES), h, w))})
+    )
+    lines = np.tile(np.eye(3), (len(EDGES), 1, 1)), np.column_stack([passed, np.zeros(len(EDGES))]).astype(float)
+    found, _ = corroborate(Evidence(residual, np.ones_like(residual)), rgb, pairs, lines, np.ones_like(residual))
+    return float(found.residual[MIDDLE, at[MIDDLE], 20:-20][4:-4].mean())
+
+
+def test_a_rail_whose_flow_is_told_across_alone_is_static() -> None:
+    """Along it the flow is that of what is around, with a hand's bob no flow of anything static."""
+    rows = texture(6, (16, SIZE[1] + T * FAR_PX))
+    assert of_rail(np.repeat(rows[:, :1], rows.shape[1], axis=1)) < 0.1
+    assert of_rail(rows) > 0.8  # the same flow, told by its texture, is that of something that moves

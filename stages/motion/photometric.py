@@ -16,7 +16,7 @@ from stages.motion.epipolar import Evidence
 from stages.motion.pooling import PRIOR_WEIGHT
 from stages.motion.shading import View, changes, in_shadow, log_colours, shadows_of_clip
 from stages.motion.shadows import at_rest, log_detail, surrounding_plane
-from stages.motion.swept import FRAMES, explained
+from stages.motion.swept import FRAMES, explained, run_one_way
 from stages.motion.transients import Others
 from stages.shared import flow_pairs
 from stages.shared.depth_sweep import Other
@@ -27,7 +27,8 @@ from stages.shared.threads import threaded
 from stages.shared.warp import is_inside, warp
 
 RELIABLE = 0.5
-"""From this mean confidence over its edges on, the flow of a pixel needs no confirmation."""
+"""From this mean confidence over its edges on, the flow of a pixel needs no confirmation, but where what is seen around
+it runs one way (`swept.run_one_way`)."""
 REACH = 5
 """Largest distance in frames between compared images: slow motion shows over several frames only."""
 FLOW_SHARE = 0.75
@@ -81,8 +82,10 @@ def corroborate(
         depths = static_depths(inverse_depth[i].astype(np.float32), evidence.residual[i])
         static, flows = view(i), pairs.flow[_edges(pairs, i, REACH)]
         ways = static.targets, flows, (static.A, static.b)
-        contradicted, odd = _contradicted(frames, i, *ways, depths, evidence.residual[i], reliability < 1)
-        residual = evidence.residual[i] * np.maximum(np.minimum(reliability, 1), contradicted)
+        one_way = run_one_way(frames[i])
+        sure = np.where(one_way, 0, np.minimum(reliability, 1))
+        contradicted, odd = _contradicted(frames, i, *ways, depths, evidence.residual[i], sure < 1, one_way)
+        residual = evidence.residual[i] * np.maximum(sure, contradicted)
         if drifting is not None:
             residual = np.maximum(residual, drifting[i])
         moved = 1 - at_rest(details, i, rgb[i], *ways, static.inverse_depth)
@@ -144,6 +147,7 @@ def _contradicted(
     depths: list[np.ndarray],
     residual: np.ndarray,
     unsure: np.ndarray,
+    one_way: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """By how much [h, w], 0..1, the flow matches the images better than any static depth, and `Others.odd`; 0 where
     nothing is in view, and where a depth that is searched for explains what would move.
@@ -153,6 +157,7 @@ def _contradicted(
 
     Args:
         residual: [h, w] of the flow to a static world; unsure: [h, w], where the flow needs confirmation.
+        one_way: [h, w], where edges run one way.
     """
     here = frames[i]
     total, seen = np.zeros((2, 2, 1 + len(depths), *here.shape[:2]), np.float32)
@@ -177,5 +182,5 @@ def _contradicted(
     squared = (np.maximum(excess, 0) / (EXCESS * allowed)) ** 2
     contradicted, odd = squared / (1 + squared), others.odd(np.where(in_view, mean.min(axis=0), 0), allowed)
     suspect = unsure & ((residual * contradicted > SUSPECT) | (odd > SUSPECT))
-    at_some_depth = explained(compared, suspect, depths[0][residual < EXPLAINED])
+    at_some_depth = explained(compared, suspect, depths[0][residual < EXPLAINED], one_way)
     return np.where(at_some_depth, 0, contradicted), np.where(at_some_depth, 0, odd)

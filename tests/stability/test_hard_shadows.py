@@ -63,7 +63,7 @@ def test_ground_in_a_moving_shadow_is_at_rest(noise: float) -> None:
 @pytest.mark.parametrize(("kind", "noise"), [("mover", 0.0), ("mover", 4.0), ("flat", 4.0)])
 def test_what_hides_the_ground_moves(kind: str, noise: float) -> None:
     """With a texture of its own it is matched along the flow; without one, noise is no texture at rest."""
-    assert residual_inside(passing(kind, noise)) > 0.95
+    assert residual_inside(passing(kind, noise)) > 0.9
 
 
 def test_a_texture_that_repeats_moves_as_far_as_its_flow_says() -> None:
