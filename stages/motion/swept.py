@@ -16,7 +16,7 @@ FRAMES = 2
 SHARE, SHARE_ALONG = 0.5, 1.0
 """Of the flow's difference above the median of the frame, what a static depth may leave, at most; where edges run one
 way, all of it."""
-ACROSS, EDGES_PX = 0.2, 3.0
+ACROSS, EDGES_PX = 0.1, 3.0
 """Edges run one way where the brightness varies along them by less than this share of how it varies across, as mean
 squares over a Gaussian of so many pixels."""
 
