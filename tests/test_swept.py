@@ -7,9 +7,17 @@ from passed_wall import EDGES, T, texture
 
 from stages.motion.epipolar import Evidence
 from stages.motion.photometric import corroborate
-from stages.motion.swept import explained, run_one_way
+from stages.motion.swept import explained
 from stages.shared.artifacts import Dense
-from stages.shared.depth_sweep import HARDLY_PX, LITTLE_NEARER, NEARER, STEPS, Other, least_difference
+from stages.shared.depth_sweep import (
+    HARDLY_PX,
+    LITTLE_NEARER,
+    NEARER,
+    STEPS,
+    Other,
+    hardly_moves,
+    least_difference,
+)
 from stages.shared.flow_pairs import FlowPairs
 
 SIZE, FAR_PX, NEAR_PX = (60, 150), 3, 11
@@ -157,6 +165,7 @@ def test_before_a_camera_that_hardly_moves_little_nearer_things_are_searched_for
     assert 0.98 * HARDLY_PX * NEARER > NEAR_PX
     assert at_rest(NEAR_PX, np.array([0.98 * HARDLY_PX])) < 0.1
     assert at_rest(3, np.array([0.8 * HARDLY_PX])) > 0.9
+    assert at_rest(6, np.array([0.98 * HARDLY_PX])) < 0.1
 
 
 def test_nothing_is_searched_for_much_nearer_than_the_scene() -> None:
@@ -242,57 +251,12 @@ def test_where_edges_run_one_way_a_depth_that_matches_as_well_explains() -> None
     assert not explain(others(rgb, [-1, 1], by_flow=5.5), inside, WALL, one_way=True)[inside].any()
 
 
-@pytest.mark.parametrize("turned_deg", [0, 30, 90])
-def test_stripes_run_one_way(turned_deg: float) -> None:
-    rng, (y, x) = np.random.default_rng(3), np.mgrid[:60, :80]
-    across = x * np.cos(np.deg2rad(turned_deg)) + y * np.sin(np.deg2rad(turned_deg))
-    stripes = 100 + 40 * np.sin(across / 2) + rng.standard_normal(x.shape)
-    checks = stripes + 25 * np.sin((y * np.cos(np.deg2rad(turned_deg)) - x * np.sin(np.deg2rad(turned_deg))) / 2)
-    assert run_one_way(as_frame(stripes)).mean() > 0.95
-    assert run_one_way(as_frame(checks)).mean() < 0.02
-
-
-def test_what_has_no_edges_runs_no_way() -> None:
-    noise = 100 + 3 * np.random.default_rng(4).standard_normal((60, 80))
-    assert not run_one_way(as_frame(np.full((60, 80), 100.0))).any()
-    assert run_one_way(as_frame(noise)).mean() < 0.05
-
-
-def as_frame(grey: np.ndarray) -> np.ndarray:
-    return np.repeat(np.clip(grey, 0, 255).astype(np.uint8)[..., None], 3, axis=2)
-
-
-NEARER_RAIL, BOBS_PX = 4, (0, 1, 0, -1, 0, 1, 1, 0, -1)
-"""A rail so much nearer than the wall, which a hand moves up and down by so many px in the frames."""
-
-
-def of_rail(rail: np.ndarray) -> float:
-    """Evidence of motion on a rail [16, w, 3] before the wall, in its middle; along it its flow is that of the wall."""
-    wall, (h, w) = texture(0, (SIZE[0] + 4, SIZE[1] + T * FAR_PX)), SIZE
-    rgb, at = (
-        np.empty((T, h, w, 3), np.uint8),
-        [slice(22 - NEARER_RAIL * bob, 38 - NEARER_RAIL * bob) for bob in BOBS_PX],
-    )
-    for k, bob in enumerate(BOBS_PX):
-        rgb[k] = wall[2 + bob : 2 + bob + h, FAR_PX * k : FAR_PX * k + w]
-        rgb[k][at[k]] = rail[:, FAR_PX * k : FAR_PX * k + w]
-    source, target = EDGES.T
-    passed = np.stack([-FAR_PX * (target - source), -np.subtract(*np.take(BOBS_PX, EDGES.T[::-1]))], axis=1)
-    flow = np.tile(passed[:, None, None].astype(np.float32), (1, h, w, 1))
-    residual = np.zeros((T, h, w), np.float32)
-    for e, k in enumerate(source):
-        flow[e, at[k], :, 1] *= NEARER_RAIL
-        residual[k, at[k]] = 1
-    pairs = FlowPairs(
-        Dense({"source": source, "target": target, "flow": flow, "confidence": np.ones((len(EDGES), h, w))})
-    )
-    lines = np.tile(np.eye(3), (len(EDGES), 1, 1)), np.column_stack([passed, np.zeros(len(EDGES))]).astype(float)
-    found, _ = corroborate(Evidence(residual, np.ones_like(residual)), rgb, pairs, lines, np.ones_like(residual))
-    return float(found.residual[MIDDLE, at[MIDDLE], 20:-20][4:-4].mean())
-
-
-def test_a_rail_whose_flow_is_told_across_alone_is_static() -> None:
-    """Along it the flow is that of what is around, with a hand's bob no flow of anything static."""
-    rows = texture(6, (16, SIZE[1] + T * FAR_PX))
-    assert of_rail(np.repeat(rows[:, :1], rows.shape[1], axis=1)) < 0.1
-    assert of_rail(rows) > 0.8  # the same flow, told by its texture, is that of something that moves
+def test_the_longest_way_to_the_nearest_frames_tells_whether_a_camera_moves() -> None:
+    """Forward, it passes what is at the corners by far more than what is in the middle."""
+    steps, forward = np.array([-2, -1, 1]), np.array([[80.0, 30, 1]])
+    b, scene = np.concatenate([100 * forward, 0.01 * forward, 0.02 * forward]), np.ones(10)
+    corner_px = 0.02 * np.hypot(80, 30)  # of a picture of 160 x 60 px
+    assert not hardly_moves(steps, b, 1.01 / corner_px * scene, (60, 160))
+    assert hardly_moves(steps, b, 0.99 / corner_px * scene, (60, 160))
+    assert hardly_moves(steps, b, np.zeros(0), (60, 160))
+    assert hardly_moves(steps[:0], b[:0], scene, (60, 160))

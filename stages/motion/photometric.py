@@ -19,7 +19,7 @@ from stages.motion.shadows import at_rest, log_detail, surrounding_plane
 from stages.motion.swept import FRAMES, explained, run_one_way
 from stages.motion.transients import Others
 from stages.shared import flow_pairs
-from stages.shared.depth_sweep import Other
+from stages.shared.depth_sweep import Other, hardly_moves
 from stages.shared.flow_pairs import FlowPairs
 from stages.shared.picture_difference import difference, exposed, tolerance
 from stages.shared.static_flow import dense_static_flow
@@ -27,8 +27,8 @@ from stages.shared.threads import threaded
 from stages.shared.warp import is_inside, warp
 
 RELIABLE = 0.5
-"""From this mean confidence over its edges on, the flow of a pixel needs no confirmation, but where what is seen around
-it runs one way (`swept.run_one_way`)."""
+"""From this mean confidence over its edges on, the flow of a pixel needs no confirmation, except where, before a camera
+that moves, the edges around it run one way."""
 REACH = 5
 """Largest distance in frames between compared images: slow motion shows over several frames only."""
 FLOW_SHARE = 0.75
@@ -82,7 +82,8 @@ def corroborate(
         depths = static_depths(inverse_depth[i].astype(np.float32), evidence.residual[i])
         static, flows = view(i), pairs.flow[_edges(pairs, i, REACH)]
         ways = static.targets, flows, (static.A, static.b)
-        one_way = run_one_way(frames[i])
+        scene = depths[0][evidence.residual[i] < EXPLAINED]
+        one_way = _untold(frames[i], static.targets - i, static.b, scene)
         sure = np.where(one_way, 0, np.minimum(reliability, 1))
         contradicted, odd = _contradicted(frames, i, *ways, depths, evidence.residual[i], sure < 1, one_way)
         residual = evidence.residual[i] * np.maximum(sure, contradicted)
@@ -122,6 +123,16 @@ def _view(
     trust = (1 - evidence.residual[i]) ** STATIC_POWER * evidence.weight[i]
     plane = surrounding_plane(inverse_depth, trust)
     return View(pairs.target[near], projections[0][near], projections[1][near], plane)
+
+
+def _untold(frame: np.ndarray, steps: np.ndarray, b: np.ndarray, scene: np.ndarray) -> np.ndarray:
+    """Where [h, w] edges of a frame [h, w, 3] run one way before a camera that passes a scene of inverse depths [n].
+
+    Before one that does not, flow that is carried along a rail from what is around it is right.
+    """
+    if hardly_moves(steps, b, scene, frame.shape[:2]):
+        return np.zeros(frame.shape[:2], bool)
+    return run_one_way(frame)
 
 
 def static_depths(inverse_depth: np.ndarray, residual: np.ndarray) -> list[np.ndarray]:

@@ -18,7 +18,7 @@ SHARE, SHARE_ALONG = 0.5, 1.0
 way, all of it."""
 ACROSS, EDGES_PX = 0.1, 3.0
 """Edges run one way where the brightness varies along them by less than this share of how it varies across, as mean
-squares over a Gaussian of so many pixels."""
+squares over a Gaussian of this standard deviation."""
 
 
 def run_one_way(frame: np.ndarray) -> np.ndarray:

@@ -19,7 +19,7 @@ REFINEMENTS = 2
 HALF_WINDOW = 2
 """Pixels of the compared windows on either side of their middle."""
 MOST_OF, NEARER = 0.95, 12.0
-"""Searched up to NEARER times the inverse depth that MOST_OF of the static pixels stay below."""
+"""Searched up to NEARER times the inverse depth that MOST_OF of the static pixels stay below, as far as STEPS reach."""
 HARDLY_PX, LITTLE_NEARER = 1.0, 4.0
 """Where the camera passes those by less than HARDLY_PX a frame, it hardly moves, and all that moves along its lines of
 sight would lie at some depth: then searched up to LITTLE_NEARER times."""
@@ -54,23 +54,33 @@ def worse_side(others: list[Other]) -> np.ndarray:
     return np.asarray(np.maximum.reduce(means))
 
 
-def travels(others: list[Other], static: np.ndarray, size: tuple[int, int]) -> bool:
-    """Whether the camera passes most of the static pixels, of inverse depths [n], by HARDLY_PX or more in [h, w]."""
-    return float(np.quantile(static, MOST_OF)) * _way_px(others, size) >= HARDLY_PX
+def hardly_moves(steps: np.ndarray, b: np.ndarray, static: np.ndarray, size: tuple[int, int]) -> bool:
+    """Whether the camera passes none, or few, of the static pixels by HARDLY_PX a frame in pictures [h, w].
+
+    Args:
+        steps: [n] frames to the others. b: [n, 3] of their projections. static: [m] inverse depths.
+    """
+    if not len(steps) or not static.size:
+        return True
+    return float(np.quantile(static, MOST_OF)) * _way_px(steps, b, size) < HARDLY_PX
 
 
 def reach(others: list[Other], static: np.ndarray, size: tuple[int, int]) -> float:
-    """The inverse depth up to which is searched, by those [n] of static pixels, in pictures of this size [h, w]."""
-    return (NEARER if travels(others, static, size) else LITTLE_NEARER) * float(np.quantile(static, MOST_OF))
+    """The inverse depth up to which is searched, by those [m] of static pixels, in pictures [h, w]."""
+    hardly = hardly_moves(*_ways(others), static, size)
+    return (LITTLE_NEARER if hardly else NEARER) * float(np.quantile(static, MOST_OF))
 
 
-def _way_px(others: list[Other], size: tuple[int, int]) -> float:
+def _ways(others: list[Other]) -> tuple[np.ndarray, np.ndarray]:
+    return np.array([other.step for other in others]), np.stack([other.b for other in others])
+
+
+def _way_px(steps: np.ndarray, b: np.ndarray, size: tuple[int, int]) -> float:
     """The longest way in the image, [h, w], from infinity to an inverse depth of 1, in the nearest of the frames."""
     h, w = size
     corners = np.array([[0, 0], [w, 0], [0, h], [w, h]], float)
-    least = min(abs(other.step) for other in others)
-    nearest = [other for other in others if abs(other.step) == least]
-    return float(max(np.linalg.norm(other.b[:2] - other.b[2] * corners, axis=1).max() for other in nearest))
+    nearest = b[np.abs(steps) == np.abs(steps).min()]
+    return float(np.linalg.norm(nearest[:, None, :2] - nearest[:, None, 2:] * corners, axis=-1).max())
 
 
 def least_difference(others: list[Other], sought: np.ndarray, nearest: float) -> np.ndarray:
@@ -78,7 +88,7 @@ def least_difference(others: list[Other], sought: np.ndarray, nearest: float) ->
     levels; infinite where nothing is `sought` [h, w] or no depth is in view."""
     near = sorted(others, key=lambda other: abs(other.step))
     first = sum(abs(other.step) == abs(near[0].step) for other in near)
-    way_px = _way_px(others, sought.shape)
+    way_px = _way_px(*_ways(others), sought.shape)
     least = np.full(sought.shape, np.inf, np.float32)
     if way_px == 0:  # a camera that turns sees all depths at one place
         return least
