@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 from passed_wall import EDGES, T, texture
 
+from stages.motion.depth_sweep import HARDLY_PX
 from stages.motion.epipolar import Evidence
 from stages.motion.photometric import corroborate
 from stages.motion.swept import run_one_way
 from stages.shared.artifacts import Dense
-from stages.shared.depth_sweep import HARDLY_PX
 from stages.shared.flow_pairs import FlowPairs
 
 SIZE, FAR_PX, MIDDLE = (60, 150), 3, 4

@@ -5,11 +5,7 @@ import numpy as np
 import pytest
 from passed_wall import EDGES, T, texture
 
-from stages.motion.epipolar import Evidence
-from stages.motion.photometric import corroborate
-from stages.motion.swept import explained
-from stages.shared.artifacts import Dense
-from stages.shared.depth_sweep import (
+from stages.motion.depth_sweep import (
     HARDLY_PX,
     LITTLE_NEARER,
     NEARER,
@@ -18,6 +14,10 @@ from stages.shared.depth_sweep import (
     hardly_moves,
     least_difference,
 )
+from stages.motion.epipolar import Evidence
+from stages.motion.photometric import corroborate
+from stages.motion.swept import explained
+from stages.shared.artifacts import Dense
 from stages.shared.flow_pairs import FlowPairs
 
 SIZE, FAR_PX, NEAR_PX = (60, 150), 3, 11

@@ -12,6 +12,7 @@ import itertools
 import cv2
 import numpy as np
 
+from stages.motion.depth_sweep import Other, hardly_moves
 from stages.motion.epipolar import Evidence
 from stages.motion.pooling import PRIOR_WEIGHT
 from stages.motion.shading import View, changes, in_shadow, log_colours, shadows_of_clip
@@ -19,7 +20,6 @@ from stages.motion.shadows import at_rest, log_detail, surrounding_plane
 from stages.motion.swept import FRAMES, explained, run_one_way
 from stages.motion.transients import Others
 from stages.shared import flow_pairs
-from stages.shared.depth_sweep import Other, hardly_moves
 from stages.shared.flow_pairs import FlowPairs
 from stages.shared.picture_difference import difference, exposed, tolerance
 from stages.shared.static_flow import dense_static_flow
