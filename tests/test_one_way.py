@@ -41,16 +41,14 @@ NEARER_RAIL, BOBS_PX = 4, (0, 1, 0, -1, 0, 1, 1, 0, -1)
 """A rail so much nearer than the wall, which a hand moves up and down by so many px in the frames."""
 
 
-def of_rail(rail: np.ndarray, scene: float = 1.0) -> float:
+def of_rail(rail: np.ndarray, scene: float = 1.0, flicker: int = 0) -> float:
     """Evidence of motion on a rail [16, w, 3] before the wall, in its middle; along it its flow is that of the wall."""
     wall, (h, w) = texture(0, (SIZE[0] + 4, SIZE[1] + T * FAR_PX)), SIZE
-    rgb, at = (
-        np.empty((T, h, w, 3), np.uint8),
-        [slice(22 - NEARER_RAIL * bob, 38 - NEARER_RAIL * bob) for bob in BOBS_PX],
-    )
+    rgb = np.empty((T, h, w, 3), np.uint8)
+    at = [slice(22 - NEARER_RAIL * bob, 38 - NEARER_RAIL * bob) for bob in BOBS_PX]
     for k, bob in enumerate(BOBS_PX):
         rgb[k] = wall[2 + bob : 2 + bob + h, FAR_PX * k : FAR_PX * k + w]
-        rgb[k][at[k]] = rail[:, FAR_PX * k : FAR_PX * k + w]
+        rgb[k][at[k]] = np.clip(rail[:, FAR_PX * k : FAR_PX * k + w] + float(flicker * (-1) ** k), 0, 255)
     source, target = EDGES.T
     passed = np.stack([-FAR_PX * (target - source), -np.subtract(*np.take(BOBS_PX, EDGES.T[::-1]))], axis=1)
     flow = np.tile(passed[:, None, None].astype(np.float32), (1, h, w, 1))
@@ -79,3 +77,9 @@ def test_flow_along_a_rail_is_believed_before_a_camera_that_hardly_moves() -> No
     rail, passed = np.repeat(rows[:, :1], rows.shape[1], axis=1), HARDLY_PX / np.hypot(FAR_PX, 1)
     assert of_rail(rail, 0.9 * passed) > 0.5
     assert of_rail(rail, 1.1 * passed) < 0.25
+
+
+def test_a_depth_that_matches_as_badly_as_the_flow_explains_a_rail() -> None:
+    """It flickers: without `swept.SHARE_ALONG` .48 of the evidence is left."""
+    rows = texture(6, (16, SIZE[1] + T * FAR_PX))
+    assert of_rail(np.repeat(rows[:, :1], rows.shape[1], axis=1), flicker=8) < 0.35

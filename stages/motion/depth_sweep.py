@@ -55,7 +55,7 @@ def worse_side(others: list[Other]) -> np.ndarray:
 
 
 def hardly_moves(steps: np.ndarray, b: np.ndarray, static: np.ndarray, size: tuple[int, int]) -> bool:
-    """Whether the camera passes none, or few, of the static pixels by HARDLY_PX a frame in pictures [h, w].
+    """Whether the camera passes MOST_OF the static pixels by less than HARDLY_PX a frame in pictures [h, w].
 
     Args:
         steps: [n] frames to the others. b: [n, 3] of their projections. static: [m] inverse depths.
@@ -72,6 +72,7 @@ def reach(others: list[Other], static: np.ndarray, size: tuple[int, int]) -> flo
 
 
 def _ways(others: list[Other]) -> tuple[np.ndarray, np.ndarray]:
+    """Steps [n] and b [n, 3] of the frames."""
     return np.array([other.step for other in others]), np.stack([other.b for other in others])
 
 

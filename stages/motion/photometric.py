@@ -82,8 +82,7 @@ def corroborate(
         depths = static_depths(inverse_depth[i].astype(np.float32), evidence.residual[i])
         static, flows = view(i), pairs.flow[_edges(pairs, i, REACH)]
         ways = static.targets, flows, (static.A, static.b)
-        scene = depths[0][evidence.residual[i] < EXPLAINED]
-        one_way = _untold(frames[i], static.targets - i, static.b, scene)
+        one_way = _untold(frames[i], static.targets - i, static.b, depths[0][evidence.residual[i] < EXPLAINED])
         sure = np.where(one_way, 0, np.minimum(reliability, 1))
         contradicted, odd = _contradicted(frames, i, *ways, depths, evidence.residual[i], sure < 1, one_way)
         residual = evidence.residual[i] * np.maximum(sure, contradicted)

@@ -1,9 +1,9 @@
 """Static depths that the pictures tell where flow is lost: of thin things close to a camera that travels.
 
 The flow of a bar that is thinner than its way from frame to frame is that of what is behind it, or none, and so is its
-depth. Neither fits the pictures: it looks like something that moves. Its own depth does (`depth_sweep`). Along
-a rail or a post that is wider all flow fits the pictures, since its edges run one way, and the one found is that of
-what is around; its own depth fits them as well.
+depth. Neither fits the pictures: it looks like something that moves. Its own depth does (`depth_sweep`). Along a
+rail or a post that is wider all flow fits the pictures, since its edges run one way, and the one found is that of what
+is around; its own depth fits them as well.
 """
 
 import cv2
