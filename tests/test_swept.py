@@ -253,9 +253,9 @@ def test_where_edges_run_one_way_a_depth_that_matches_as_well_explains() -> None
 
 def test_the_longest_way_to_the_nearest_frames_tells_whether_a_camera_moves() -> None:
     """Forward, it passes what is at the corners by far more than what is in the middle."""
-    steps, forward = np.array([-2, -1, 1]), np.array([[80.0, 30, 1]])
+    steps, forward = np.array([-2, -1, 1]), np.array([[40.0, 30, 1]])
     b, scene = np.concatenate([100 * forward, 0.01 * forward, 0.02 * forward]), np.ones(10)
-    corner_px = 0.02 * np.hypot(80, 30)  # of a picture of 160 x 60 px
+    corner_px = 0.02 * np.hypot(120, 30)  # of a picture of 160 x 60 px, from the epipole to the far side
     assert not hardly_moves(steps, b, 1.01 / corner_px * scene, (60, 160))
     assert hardly_moves(steps, b, 0.99 / corner_px * scene, (60, 160))
     assert hardly_moves(steps, b, np.zeros(0), (60, 160))
