@@ -19,7 +19,7 @@ from benchmarks.timing import alternated
 from stages.gaussians.ssim import Target, photometric_loss, ssim_torch
 from stages.shared.lanes import LANES, load, store
 from stages.splatting import raster_adjoint, raster_bins, raster_kernels
-from stages.splatting.rasterize import drawing_order
+from stages.splatting.drawing_order import drawing_order
 
 FLOP_PER_PAIR = 93
 """Per contributing pair of pixel and Gaussian, 31 forward and 62 backward, counted by hand in the inner loops."""

@@ -7,8 +7,8 @@ import torch
 from torch import Tensor
 
 from stages.splatting import raster_bins
+from stages.splatting.drawing_order import drawing_order
 from stages.splatting.raster_bins import RANK, TILE
-from stages.splatting.rasterize import drawing_order
 
 BATCH_PAIRS = 2_000_000
 """A sixteenth of the largest number of padded (Gaussian, pixel) pairs in a batch; it limits the memory."""

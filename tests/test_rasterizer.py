@@ -12,7 +12,8 @@ from torch import Tensor
 from stages.gaussians.ssim import Target, photometric_loss, ssim_torch
 from stages.shared.errors import InputError
 from stages.splatting import sh
-from stages.splatting.rasterize import choose_device, drawing_order, rasterize
+from stages.splatting.drawing_order import drawing_order
+from stages.splatting.rasterize import choose_device, rasterize
 
 
 def gradients(tensors: dict[str, Tensor], kernels: bool) -> dict[str, Tensor]:
@@ -100,6 +101,15 @@ def test_gradients_do_not_depend_on_the_thread_count(monkeypatch: pytest.MonkeyP
 def test_equal_depths_are_drawn_by_index() -> None:
     depths = np.array([2.0, 0.0, 1.0, 2.0, 1.0], np.float32)
     assert drawing_order(depths).tolist() == [2, 4, 0, 3]
+
+
+def test_drawing_order_is_a_stable_sort_of_what_is_in_front() -> None:
+    """Depths of all binary orders, in both signs, many of them equal: each of the passes has bits to sort by."""
+    rng = np.random.default_rng(3)
+    depths = np.repeat(rng.integers(-(2**31), 2**31, 2000, np.int32).view(np.float32), 2)
+    depths = rng.permutation(np.append(depths[np.isfinite(depths)], np.zeros(9, np.float32)))
+    order = np.argsort(depths, kind="stable")
+    assert drawing_order(depths).tolist() == order[depths[order] > 0].tolist()
 
 
 def test_spherical_harmonics_are_orthonormal() -> None:

@@ -8,6 +8,7 @@ from torch import Tensor
 
 from stages.shared.errors import InputError
 from stages.splatting import projection_kernels, raster_adjoint, raster_bins, raster_kernels, sh
+from stages.splatting.drawing_order import drawing_order
 
 
 class Rendering(NamedTuple):
@@ -235,15 +236,3 @@ class _Composite(torch.autograd.Function):
         if ctx.needs_input_grad[5]:
             g_background = torch.from_numpy(np.einsum("hwc,hw->c", g_images[0], images[2]))
         return g_centres[None], *g, g_background, None, None
-
-
-def drawing_order(depths: np.ndarray) -> np.ndarray:
-    """Indices [V] of the Gaussians with depth [N] > 0, nearest first, equal depths by index.
-
-    The bits of positive floats have the order of the floats. Sorting depth and index packed into one integer is
-    therefore stable, and it is faster than a stable argsort.
-    """
-    bits = depths.astype(np.float32).view(np.uint32).astype(np.uint64)
-    keys = np.sort((bits << np.uint64(32)) | np.arange(len(depths), dtype=np.uint64))
-    first = np.searchsorted(keys, np.uint64(1) << np.uint64(32))
-    return (keys[first:] & np.uint64(0xFFFFFFFF)).astype(np.int64)
