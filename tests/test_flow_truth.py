@@ -87,7 +87,8 @@ def test_evaluation_finds_no_error_in_true_flow_and_a_known_one_in_shifted_flow(
     write_json(tmp_path / "sequence.json", sequence_to_json(frames))
     options = FlowOptions(source="truth", offsets=(1,))
     flow_stage.main(tmp_path / "sequence.json", tmp_path / "pairs.arrow", tmp_path / "flow.png", options)
-    assert read_metadata(tmp_path / "pairs.arrow")["source"] == "truth"
+    about = read_metadata(tmp_path / "pairs.arrow")
+    assert (about["source"], about["border_px"]) == ("truth", 0)
     pairs = Dense({name: np.array(values) for name, values in read_dense(tmp_path / "pairs.arrow").items()})
     rows = {row["quantity"]: row for row in flow_rows(frames, pairs)}
     assert rows["flow right where confident"]["value"] == 100

@@ -142,6 +142,7 @@ def test_all_edges_given_leave_nothing_to_estimate(
     chosen = FlowOptions(source=str(folder), offsets=(1,), long_edges=0)
     said = flow_stage.main(tmp_path / "sequence.json", tmp_path / "pairs.arrow", tmp_path / "flow.png", chosen)
     assert said.startswith("6 pairs (6 given, 0 estimated)")
+    assert read_metadata(tmp_path / "pairs.arrow")["border_px"] == 0
     content = read_dense(tmp_path / "pairs.arrow")
     assert np.all(content["flow"][0] == STEP)
     assert np.all(content["confidence"][:, :, : W // 2] == 0)

@@ -20,6 +20,9 @@ SURE_WEIGHT = 0.5
 """Weight above which a match is sure: the weight of flow without texture stays below one half."""
 EDGES = 64
 """Edges whose dense flow is held at the same time."""
+BORDER_WEIGHT, BORDER_SHARE = 0.1, 1 / 16
+"""Factor on the weight of pixels at the border, enough to keep their depths with the cameras, and its largest width as
+a share of the height."""
 MIN_MATCHES = 50
 """Smallest number of confident matches that link two frames."""
 
@@ -43,6 +46,7 @@ class FlowGraph:
         aspect: fy / fx of the flow grid.
         times_s: [T] of the frames; None: evenly spaced.
         masked: whether what moves is taken to be left out: else a match may well lead beyond infinity.
+        border_px: width of the border of the flow grid where flow leads too far outwards.
     """
 
     source: np.ndarray
@@ -59,6 +63,7 @@ class FlowGraph:
     aspect: float = 1.0
     times_s: np.ndarray | None = None
     masked: bool = False
+    border_px: float = 0.0
 
     @property
     def T(self) -> int:
@@ -212,10 +217,20 @@ def favour_distance(graph: FlowGraph) -> FlowGraph:
     """The graph with weights multiplied by the frame distance, relative to its mean over the edges, and by texture.
 
     That of edges over more than REACH frames counts as REACH: their flow is as good as over a long edge, not better.
+    Pixels at the border count little.
     """
     distance = np.minimum(np.abs(graph.target - graph.source), REACH).astype(np.float32)
-    weights = graph.weights * (distance / distance.mean())[:, None]
+    weights = faint_border(graph).weights * (distance / distance.mean())[:, None]
     return replace(graph, weights=weights if graph.texture is None else weights * graph.texture[graph.source])
+
+
+def faint_border(graph: FlowGraph) -> FlowGraph:
+    """The graph with little weight at its border: flow that leads outwards there makes the focal length too long."""
+    border = min(graph.border_px, BORDER_SHARE * graph.height)
+    end = np.array([graph.width, graph.height]) - 1 - border
+    on_grid = graph.on_grid(graph.pixels)
+    inner = ((on_grid >= border) & (on_grid <= end)).all(axis=1)
+    return replace(graph, weights=graph.weights * np.where(inner, 1, BORDER_WEIGHT).astype(np.float32))
 
 
 def mask_graph(graph: FlowGraph, static: np.ndarray) -> FlowGraph:

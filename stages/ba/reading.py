@@ -1,7 +1,7 @@
 """Reading what the adjustment needs of a clip, some frames at a time: flow and images."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -28,12 +28,14 @@ class Matches:
         columns: columns of the table, one row per edge.
         shot: [T] bool, the frames to solve.
         size: (width, height) of the flow grid; scale: its width over that of the frames.
+        border_px: as of `FlowGraph`.
     """
 
     columns: Dense
     shot: np.ndarray
     size: tuple[int, int]
     scale: float
+    border_px: float = 0.0
 
     def graph(self, stride: int, known: given.Known, frames: tuple[int, int] | None = None) -> FlowGraph:
         """The unmasked matches of the shot, one pixel per `stride` px each way.
@@ -47,7 +49,7 @@ class Matches:
         T, release, first = len(self.shot), self.columns.release, int(begin)
         graph = build_graph(source, target, *images, T, stride, known.centre, known.aspect, release, first)
         self.columns.release()
-        return cuts.isolate(graph, self.shot)
+        return cuts.isolate(replace(graph, border_px=self.border_px), self.shot)
 
 
 def read_matches(flow: Path, T: int, options: BAOptions) -> Matches:
@@ -61,7 +63,8 @@ def read_matches(flow: Path, T: int, options: BAOptions) -> Matches:
             sampled.append(block.reshape(len(block), -1).copy())
             columns.release()
         shot = cuts.linked_frames(columns["source"], columns["target"], np.concatenate(sampled), T)
-    return Matches(columns, shot, (int(about["width"]), int(about["height"])), float(about["scale"]))
+    size = int(about["width"]), int(about["height"])
+    return Matches(columns, shot, size, float(about["scale"]), float(about.get("border_px", 0)))
 
 
 def read_texture(frames: Sequence, size: tuple[int, int]) -> Iterator[np.ndarray]:

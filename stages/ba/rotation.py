@@ -3,7 +3,7 @@
 import numpy as np
 
 from stages.ba import dba, twoview
-from stages.ba.graph import MIN_MATCHES, FlowGraph
+from stages.ba.graph import MIN_MATCHES, FlowGraph, faint_border
 from stages.ba.state import FocalPrior, Level, State, Step, Unknowns
 from stages.shared import lie
 
@@ -24,7 +24,7 @@ def solve_rotations(
     starts = [chain_rotations(graph, focal_px, zoom) for focal_px in focals]
     costs = [dba.robust_cost(graph, dba.errors_px(graph, start), SCHEDULE[0].sigma_px) for start in starts]
     unknowns = Unknowns(focal=known_focal_px is None, translation=False, zoom=zoom)
-    return dba.solve(graph, starts[int(np.argmin(costs))], SCHEDULE, unknowns, prior, "rotations")
+    return dba.solve(faint_border(graph), starts[int(np.argmin(costs))], SCHEDULE, unknowns, prior, "rotations")
 
 
 def chain_rotations(graph: FlowGraph, focal_px: float, zoom: bool = False) -> State:

@@ -28,7 +28,8 @@ from stages.shared.sequences import Sequence, read_sequence
 from stages.shared.threads import threaded
 
 DIS_PATCH_PX = 8
-"""Flow within half of this distance from a logo may be that of the logo."""
+"""Side of the patches that are searched: flow within half of it from a logo may be that of the logo, and within all of
+it from the border of the image leads too far outwards (docs/experiments.md, "What the flow shifts")."""
 
 
 def main(
@@ -87,12 +88,13 @@ def _match(
         scene = cv2.erode(scene.astype(np.uint8), np.ones((DIS_PATCH_PX + 1,) * 2, np.uint8), borderValue=1) > 0
     cv2.setNumThreads(1)
     matcher: passes.Matcher
-    facts: dict[str, Any] = {"source": options.source, "loops": 0, "frames_in_loops": 0}
+    facts: dict[str, Any] = {"source": options.source, "loops": 0, "frames_in_loops": 0, "border_px": 0}
     if options.source == "truth":
         matcher = TrueFlow(read_truth(frames, *size))
     else:
         ready = to_match(rgb, options.finest_scale, threads, parts.folder)
         matcher, facts["frames_averaged"] = Estimate(ready, options.offsets, given, threads), ready.averaged
+        facts["border_px"] = 0 if given else DIS_PATCH_PX << ready.finest_scale
     total = most_edges(T, options.offsets, options.long_edges) + len(matcher.others)
     for _ in progress(passes.match(matcher, T, options, parts, scene), "flow, edges", total, size=int):
         pass

@@ -2,7 +2,7 @@
 
 import os
 import shutil
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -69,17 +69,19 @@ def main(
 def _decide(frames: Sequence, flow: Path, options: LensOptions) -> Lens:
     if options.distortion == "no":
         return Lens(None, NOT_TESTED)
-    graph = _graph(frames, read_dense(flow), float(read_metadata(flow)["scale"]))
+    about = read_metadata(flow)
+    graph = _graph(frames, read_dense(flow), float(about["scale"]), float(about.get("border_px", 0)))
     prior = FocalPrior(PRIOR_FOCAL * graph.width)
     return find_lens(graph, prior, options.seed, assumed=options.distortion == "yes")
 
 
-def _graph(frames: Sequence, columns: Dense, scale: float) -> FlowGraph:
+def _graph(frames: Sequence, columns: Dense, scale: float, border_px: float) -> FlowGraph:
     """The matches of the longest shot, or of its middle."""
     centre = scale_intrinsics(centred_intrinsics(1, frames.width, frames.height), scale)[:2, 2]
     source, target, flow, confidence = (columns[name] for name in ("source", "target", "flow", "confidence"))
     T, release = len(frames.numbers), columns.release
     graph = build_graph(source, target, flow, confidence, T, STRIDE_PX, centre, release=release)
+    graph = replace(graph, border_px=border_px)
     shot = cuts.linked_frames(graph.source, graph.target, graph.weights, graph.T)
     inside = cuts.span(shot)
     spare = max(inside.stop - inside.start - MOST_FRAMES, 0)
