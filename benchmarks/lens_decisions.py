@@ -18,7 +18,7 @@ from stages.ba.distortion import find_lens
 from stages.ba.estimate import PRIOR_FOCAL
 from stages.ba.graph import FlowGraph, build_graph
 from stages.ba.state import FocalPrior
-from stages.shared.artifacts import read_dense
+from stages.shared.artifacts import read_dense, read_metadata
 from stages.shared.lens import distort, undistort
 from stages.shared.warp import bilinear
 
@@ -27,11 +27,11 @@ STRENGTHS = (0.0, -0.05, -0.1, -0.15, 0.1)
 STRIDE_PX, FOCAL = 8, 1.05
 
 
-def bent(columns: dict[str, np.ndarray], k1: float) -> FlowGraph:
-    """The graph of flow/pairs.arrow as if a lens had distorted the frames."""
+def bent(columns: dict[str, np.ndarray], k1: float, border_px: float) -> FlowGraph:
+    """The graph of flow/pairs.arrow, with the border that it states, as if a lens had distorted the frames."""
     source, target = columns["source"], columns["target"]
     T = int(target.max()) + 1
-    graph = build_graph(source, target, columns["flow"], columns["confidence"], T, STRIDE_PX)
+    graph = build_graph(source, target, columns["flow"], columns["confidence"], T, STRIDE_PX, border_px=border_px)
     if not k1:
         return graph
     k, focal_px, centre = np.array([k1, 0.0]), FOCAL * graph.width, graph.centre
@@ -49,9 +49,9 @@ def main(folders: list[Path]) -> None:
     """Print the decisions about the scenes of these results folders."""
     table: dict[float, Counter[str]] = {strength: Counter() for strength in STRENGTHS}
     for folder in folders:
-        columns = read_dense(folder / "flow/pairs.arrow")
+        columns, about = read_dense(folder / "flow/pairs.arrow"), read_metadata(folder / "flow/pairs.arrow")
         for strength in STRENGTHS:
-            graph = bent(columns, strength)
+            graph = bent(columns, strength, about.get("border_px", 0))
             found = find_lens(graph, FocalPrior(PRIOR_FOCAL * graph.width), 0)
             words = f"{found.evidence.reason}, {found.evidence.seconds:.1f} s"
             if found.coefficients is not None:

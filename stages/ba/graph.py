@@ -132,6 +132,7 @@ def build_graph(
     aspect: float = 1.0,
     release: Callable[[], None] = lambda: None,
     first: int = 0,
+    border_px: float = 0.0,
 ) -> FlowGraph:
     """Sample flow [E, h, w, 2] px and confidence [E, h, w] at the centres of cells of `stride` px.
 
@@ -139,7 +140,7 @@ def build_graph(
 
     The centre of an even cell lies between four pixels: their mean is taken. Without a principal point [2] of the flow
     grid the centre of the image is used. `aspect` is fy / fx of the flow grid. `release` is called after every EDGES
-    edges: it gives back what was read of a mapped file.
+    edges: it gives back what was read of a mapped file. `border_px` is what the flow states of itself.
     """
     source, target = np.ascontiguousarray(source), np.ascontiguousarray(target)
     h, w = flow.shape[1:3]
@@ -159,7 +160,8 @@ def build_graph(
     square = np.array([1, 1 / aspect])
     matches *= square.astype(np.float32)
     pixels, middle = pixels * square, middle * square
-    return FlowGraph(source, target, pointer, pixels, matches, weights, middle, w, h, stride, aspect=aspect)
+    grid = {"centre": middle, "width": w, "height": h, "stride": stride, "aspect": aspect, "border_px": border_px}
+    return FlowGraph(source, target, pointer, pixels, matches, weights, **grid)
 
 
 def thin_graph(graph: FlowGraph, factor: int) -> FlowGraph:

@@ -1,7 +1,7 @@
 """Reading what the adjustment needs of a clip, some frames at a time: flow and images."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -46,10 +46,10 @@ class Matches:
         begin, end = np.searchsorted(self.columns["source"], frames or (0, len(self.shot)))
         source, target = (self.columns[name][begin:end] for name in ("source", "target"))
         images = self.columns["flow"], self.columns["confidence"]  # a slice of packed rows would hold all of them
-        T, release, first = len(self.shot), self.columns.release, int(begin)
-        graph = build_graph(source, target, *images, T, stride, known.centre, known.aspect, release, first)
+        T, release, rest = len(self.shot), self.columns.release, (int(begin), self.border_px)
+        graph = build_graph(source, target, *images, T, stride, known.centre, known.aspect, release, *rest)
         self.columns.release()
-        return cuts.isolate(replace(graph, border_px=self.border_px), self.shot)
+        return cuts.isolate(graph, self.shot)
 
 
 def read_matches(flow: Path, T: int, options: BAOptions) -> Matches:

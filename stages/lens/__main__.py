@@ -2,7 +2,7 @@
 
 import os
 import shutil
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -80,8 +80,7 @@ def _graph(frames: Sequence, columns: Dense, scale: float, border_px: float) -> 
     centre = scale_intrinsics(centred_intrinsics(1, frames.width, frames.height), scale)[:2, 2]
     source, target, flow, confidence = (columns[name] for name in ("source", "target", "flow", "confidence"))
     T, release = len(frames.numbers), columns.release
-    graph = build_graph(source, target, flow, confidence, T, STRIDE_PX, centre, release=release)
-    graph = replace(graph, border_px=border_px)
+    graph = build_graph(source, target, flow, confidence, T, STRIDE_PX, centre, release=release, border_px=border_px)
     shot = cuts.linked_frames(graph.source, graph.target, graph.weights, graph.T)
     inside = cuts.span(shot)
     spare = max(inside.stop - inside.start - MOST_FRAMES, 0)
