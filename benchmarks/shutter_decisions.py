@@ -16,8 +16,9 @@ import numpy as np
 
 from stages.ba import dba, initialise, shutter
 from stages.ba.estimate import PRIOR_FOCAL
-from stages.ba.graph import FlowGraph, build_graph, mask_graph, static_areas
+from stages.ba.graph import FlowGraph, build_graph, static_areas
 from stages.ba.state import FocalPrior, State, Unknowns
+from stages.ba.weights import mask_graph
 from stages.shared.artifacts import read_dense, read_metadata
 from stages.shared.cameras import read_cameras
 from stages.shared.masks import read_masks

@@ -10,7 +10,8 @@ import numpy as np
 
 from stages.ba import reduced
 from stages.ba.dense_system import DenseSystem
-from stages.ba.graph import FlowGraph, build_graph, mask_graph, static_areas
+from stages.ba.graph import FlowGraph, build_graph, static_areas
+from stages.ba.weights import mask_graph
 from stages.shared import lie
 from stages.shared.cameras import centred_intrinsics, pixel_grid, project, unproject
 from stages.shared.lens import distort, undistort

@@ -12,10 +12,11 @@ from synthetic import make_scene, observe
 
 from stages.ba.estimate import estimate
 from stages.ba.given import Known
-from stages.ba.graph import BORDER_WEIGHT, FlowGraph, faint_border, favour_distance
+from stages.ba.graph import FlowGraph
 from stages.ba.options import BAOptions
 from stages.ba.problem import Problem
 from stages.ba.reading import read_matches
+from stages.ba.weights import BORDER_WEIGHT, faint_border, favour_distance
 from stages.flow import __main__ as flow_stage
 from stages.flow.options import FlowOptions
 from stages.shared.artifacts import read_dense, read_metadata, write_dense, write_json

@@ -12,9 +12,10 @@ from synthetic import make_scene, observe
 from stages.ba.dba import normalise
 from stages.ba.depth import depth_maps
 from stages.ba.given import Known
-from stages.ba.graph import FlowGraph, build_graph, mask_graph
+from stages.ba.graph import FlowGraph, build_graph
 from stages.ba.reading import Matches
 from stages.ba.state import State
+from stages.ba.weights import mask_graph
 from stages.shared.artifacts import read_dense, write_dense
 from stages.shared.packing import Packed, pack
 

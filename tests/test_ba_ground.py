@@ -9,10 +9,11 @@ from synthetic import Scene, make_scene, observe
 from stages.ba import classify, diagnostics, ground
 from stages.ba import estimate as hypotheses
 from stages.ba.estimate import estimate
-from stages.ba.graph import FlowGraph, mask_graph
+from stages.ba.graph import FlowGraph
 from stages.ba.options import BAOptions
 from stages.ba.problem import Problem
 from stages.ba.state import FocalPrior
+from stages.ba.weights import mask_graph
 from stages.shared import lie
 
 SIZE = (96, 160)

@@ -10,13 +10,14 @@ from synthetic import PLANE, make_scene, observe, trajectory_error
 from stages.ba import dba, planar, start
 from stages.ba.classify import longest_step, measure
 from stages.ba.estimate import estimate
-from stages.ba.graph import MIN_WEIGHT, build_graph, favour_distance, mask_graph, thin_graph
+from stages.ba.graph import MIN_WEIGHT, build_graph, thin_graph
 from stages.ba.guesses import Observed
 from stages.ba.initialise import Candidate, adjust, initial_state, pair_chain
 from stages.ba.options import BAOptions
 from stages.ba.problem import Problem
 from stages.ba.refinement import FINE_PX, _adjust_twice
 from stages.ba.state import FocalPrior, Level, State, Unknowns
+from stages.ba.weights import favour_distance, mask_graph
 
 OPTIONS = BAOptions()
 

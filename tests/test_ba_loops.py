@@ -11,9 +11,10 @@ from stages.ba import loops, similarities
 from stages.ba.classify import longest_step
 from stages.ba.dba import FocalPrior, State, Unknowns, errors_px
 from stages.ba.estimate import estimate
-from stages.ba.graph import FlowGraph, build_graph, favour_distance
+from stages.ba.graph import FlowGraph, build_graph
 from stages.ba.options import BAOptions
 from stages.ba.problem import Problem
+from stages.ba.weights import favour_distance
 from stages.shared import lie
 
 T, LAP, STRIDE = 76, 68, 4

@@ -3,10 +3,10 @@
 import numpy as np
 from synthetic import make_scene, observe
 
-from stages.ba.graph import favour_distance, with_texture
 from stages.ba.initialise import adjust
 from stages.ba.state import FocalPrior, Level, State, Unknowns
 from stages.ba.texture import FLOOR, texture_weights
+from stages.ba.weights import favour_distance, with_texture
 
 
 def test_flat_walls_and_straight_edges_have_no_texture() -> None:

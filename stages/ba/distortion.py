@@ -10,12 +10,13 @@ import numpy as np
 
 from stages.ba import classify, dba, held_out, initialise, rotation, zoom
 from stages.ba.arguments import undistorted
-from stages.ba.graph import MIN_MATCHES, FlowGraph, favour_distance, shared_matches, thin_graph, thinning
+from stages.ba.graph import MIN_MATCHES, FlowGraph, shared_matches, thin_graph, thinning
 from stages.ba.guesses import MAX_PAIR_PX, Observed, guess
 from stages.ba.held_out import Fit
 from stages.ba.start import COARSE_PIXELS
 from stages.ba.state import FocalPrior, Level, State, Unknowns
 from stages.ba.uncertainty import median_residual, solution_covariance
+from stages.ba.weights import favour_distance
 
 MIN_GAIN = 0.02
 """Share of the held-out cost that a coefficient must save."""

@@ -6,7 +6,7 @@ import numpy as np
 
 from stages.ba import classify, diagnostics, ground
 from stages.ba.classify import Statistics
-from stages.ba.graph import MIN_MATCHES, FlowGraph, mask_graph, shared_matches
+from stages.ba.graph import MIN_MATCHES, FlowGraph, shared_matches
 from stages.ba.options import BAOptions
 from stages.ba.path import estimate_path
 from stages.ba.problem import Estimate, Problem
@@ -15,6 +15,7 @@ from stages.ba.solution import failure
 from stages.ba.state import FocalPrior
 from stages.ba.turning import estimate_rotations, estimate_turning_zoom
 from stages.ba.uncertainty import median_residual
+from stages.ba.weights import mask_graph
 
 PRIOR_FOCAL = 1.1
 """Centre of the focal length prior, in image widths (a horizontal field of view of 49 degrees)."""

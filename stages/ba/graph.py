@@ -20,9 +20,6 @@ SURE_WEIGHT = 0.5
 """Weight above which a match is sure: the weight of flow without texture stays below one half."""
 EDGES = 64
 """Edges whose dense flow is held at the same time."""
-BORDER_WEIGHT, BORDER_SHARE = 0.1, 1 / 16
-"""Factor on the weight of pixels at the border, enough to keep their depths with the cameras, and its largest width as
-a share of the height."""
 MIN_MATCHES = 50
 """Smallest number of confident matches that link two frames."""
 
@@ -149,8 +146,8 @@ def build_graph(
     matches = np.empty((len(source), rows * columns, 2), np.float32)
     weights = np.empty((len(source), rows * columns), np.float32)
     for e in range(len(source)):
-        matches[e] = _sample_cells(flow[first + e], stride).reshape(-1, 2)
-        weights[e] = _sample_cells(confidence[first + e][..., None], stride).ravel()
+        matches[e] = sample_cells(flow[first + e], stride).reshape(-1, 2)
+        weights[e] = sample_cells(confidence[first + e][..., None], stride).ravel()
         if (e + 1) % EDGES == 0:
             release()
     require_finite(flow=matches, confidence=weights)
@@ -209,46 +206,6 @@ def cut_out(graph: FlowGraph, inside: slice) -> FlowGraph:
     )
 
 
-def with_texture(graph: FlowGraph, texture: Iterable[np.ndarray]) -> FlowGraph:
-    """The graph with texture weights [height, width] in 0..1 of each of the T frames, sampled at its pixels."""
-    sampled = [graph.resample(frame[None], 1)[0].astype(np.float32) for frame in texture]
-    return replace(graph, texture=np.stack(sampled))
-
-
-def favour_distance(graph: FlowGraph) -> FlowGraph:
-    """The graph with weights multiplied by the frame distance, relative to its mean over the edges, and by texture.
-
-    That of edges over more than REACH frames counts as REACH: their flow is as good as over a long edge, not better.
-    Pixels at the border count little.
-    """
-    distance = np.minimum(np.abs(graph.target - graph.source), REACH).astype(np.float32)
-    weights = faint_border(graph).weights * (distance / distance.mean())[:, None]
-    return replace(graph, weights=weights if graph.texture is None else weights * graph.texture[graph.source])
-
-
-def faint_border(graph: FlowGraph) -> FlowGraph:
-    """The graph with little weight at its border: flow that leads outwards there makes the focal length too long."""
-    border = min(graph.border_px, BORDER_SHARE * graph.height)
-    end = np.array([graph.width, graph.height]) - 1 - border
-    on_grid = graph.on_grid(graph.pixels)
-    inner = ((on_grid >= border) & (on_grid <= end)).all(axis=1)
-    return replace(graph, weights=graph.weights * np.where(inner, 1, BORDER_WEIGHT).astype(np.float32))
-
-
-def mask_graph(graph: FlowGraph, static: np.ndarray) -> FlowGraph:
-    """Multiply the weights by how static [T, h, w] (0..1) the pixel is at both ends of its match.
-
-    The graph is `masked` if anything is left out.
-    """
-    weights = graph.weights.copy()
-    for i in np.unique(graph.source):
-        here = _sample_cells(static[i].astype(np.float32)[..., None], graph.stride).ravel()
-        for e in range(graph.pointer[i], graph.pointer[i + 1]):
-            there = static[graph.target[e]].astype(np.float32)
-            weights[e] *= here * bilinear(there, graph.on_grid(graph.matches[e]))
-    return replace(graph, weights=weights, masked=graph.masked or bool((static < 1).any()))
-
-
 def static_areas(masks: Iterable[np.ndarray], width: int, height: int, margin_px: int = 2) -> np.ndarray:
     """Static area [T, height, width] int8 (0: dynamic) on the flow grid of T masks [H, W], which grow by a margin."""
     kernel = np.ones((2 * margin_px + 1, 2 * margin_px + 1), np.uint8)
@@ -265,7 +222,7 @@ def trusted_static_areas(static: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return static, dropped
 
 
-def _sample_cells(image: np.ndarray, stride: int) -> np.ndarray:
+def sample_cells(image: np.ndarray, stride: int) -> np.ndarray:
     """Mean of the pixel or the pixels nearest to the centre of each cell: [h, w, c] to [rows, columns, c] float32."""
     h, w, c = image.shape
     rows, columns = h // stride, w // stride

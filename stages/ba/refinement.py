@@ -5,11 +5,12 @@ from dataclasses import replace
 import numpy as np
 
 from stages.ba import dba, initialise, trim
-from stages.ba.graph import FlowGraph, favour_distance
+from stages.ba.graph import FlowGraph
 from stages.ba.initialise import Candidate
 from stages.ba.problem import Focal, Problem
 from stages.ba.state import FocalPrior, Level, State, Unknowns
 from stages.ba.uncertainty import focal_sigma, median_residual
+from stages.ba.weights import favour_distance
 
 UNUSUAL_FOCAL = 1.5
 """A focal length further than this factor from the prior's centre needs masks that were made with cameras."""

@@ -3,8 +3,9 @@
 import numpy as np
 
 from stages.ba import dba, twoview
-from stages.ba.graph import MIN_MATCHES, FlowGraph, faint_border
+from stages.ba.graph import MIN_MATCHES, FlowGraph
 from stages.ba.state import FocalPrior, Level, State, Step, Unknowns
+from stages.ba.weights import faint_border
 from stages.shared import lie
 
 FOCALS = np.geomspace(0.6, 2.2, 7)

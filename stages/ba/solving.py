@@ -9,13 +9,14 @@ import numpy as np
 from stages.ba import checkpoint, cuts, diagnostics, from_truth, given, mover_depth, outputs, rounds, shutter
 from stages.ba.depth import DepthMaps, depth_maps, dynamic_pixels, joined
 from stages.ba.given_depth import given_depth_maps
-from stages.ba.graph import FlowGraph, mask_graph, trusted_static_areas, with_texture, without_loops
+from stages.ba.graph import FlowGraph, trusted_static_areas, without_loops
 from stages.ba.growth import join_links, link_regions, number_regions
 from stages.ba.guesses import PoseGuess
 from stages.ba.options import BAOptions
 from stages.ba.problem import Estimate, Problem
 from stages.ba.reading import BLOCK, Matches, read_matches, read_texture
 from stages.ba.state import State
+from stages.ba.weights import mask_graph, with_texture
 from stages.given.files import of_sequence
 from stages.shared.artifacts import read_metadata
 from stages.shared.cameras import has_pose, read_cameras, write_cameras, write_tum

@@ -10,13 +10,14 @@ import numpy as np
 from stages.ba import dba, initialise, two_motions, zoom
 from stages.ba.classify import longest_step
 from stages.ba.diagnostics import ROUGH_PATH, of_zoom
-from stages.ba.graph import MIN_WEIGHT, FlowGraph, mask_graph, thin_graph, thinning, without_loops
+from stages.ba.graph import MIN_WEIGHT, FlowGraph, thin_graph, thinning, without_loops
 from stages.ba.guesses import ENOUGH, MAX_PAIR_PX, Observed, guess
 from stages.ba.initialise import Candidate
 from stages.ba.other_focals import better_focal
 from stages.ba.part import FRAMES
 from stages.ba.refinement import UNUSUAL_FOCAL
 from stages.ba.state import Level, State, Unknowns
+from stages.ba.weights import mask_graph
 from stages.ba.zoom import Evidence
 
 COARSE_PIXELS = 400

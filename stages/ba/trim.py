@@ -12,9 +12,10 @@ from dataclasses import replace
 import numpy as np
 
 from stages.ba import dba, initialise
-from stages.ba.graph import FlowGraph, favour_distance
+from stages.ba.graph import FlowGraph
 from stages.ba.initialise import Candidate
 from stages.ba.state import FocalPrior, Level, State, Step, Unknowns
+from stages.ba.weights import favour_distance
 
 LARGE = 0.2
 """Share of the matches, by weight, that masks must remove before movers are large enough to bias the cameras."""

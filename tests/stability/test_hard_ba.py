@@ -14,13 +14,14 @@ from stages.ba.__main__ import main
 from stages.ba.dense_system import DenseSystem
 from stages.ba.depth import depth_maps, fill
 from stages.ba.estimate import estimate
-from stages.ba.graph import FlowGraph, build_graph, mask_graph, static_areas, trusted_static_areas
+from stages.ba.graph import FlowGraph, build_graph, static_areas, trusted_static_areas
 from stages.ba.guesses import PoseGuess
 from stages.ba.normal_equations import normal_equations
 from stages.ba.options import BAOptions
 from stages.ba.problem import Estimate, Problem
 from stages.ba.proposal import linear_system
 from stages.ba.state import DEPTH_PRIOR, FocalPrior, Level, State, Unknowns
+from stages.ba.weights import mask_graph
 from stages.shared import lie
 from stages.shared.artifacts import read_dense, read_metadata
 from stages.shared.cameras import read_cameras

@@ -8,11 +8,12 @@ from synthetic import Scene, make_scene, observe, trajectory_error
 
 from stages.ba import initialise, trim
 from stages.ba.estimate import estimate
-from stages.ba.graph import FlowGraph, mask_graph
+from stages.ba.graph import FlowGraph
 from stages.ba.initialise import Candidate
 from stages.ba.options import BAOptions
 from stages.ba.problem import Problem
 from stages.ba.state import FocalPrior, Level, Unknowns
+from stages.ba.weights import mask_graph
 
 SIGMA_PX = 0.08
 FREE = Unknowns(focal=True)
