@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 from conftest import write_frames
 from numpy.testing import assert_allclose
-from synthetic import make_scene, observe
+from synthetic import flow_arrays, make_scene, observe
 
 from stages.ba.estimate import estimate
 from stages.ba.given import Known
-from stages.ba.graph import FlowGraph
+from stages.ba.graph import FlowGraph, build_graph
 from stages.ba.options import BAOptions
 from stages.ba.problem import Problem
 from stages.ba.reading import read_matches
-from stages.ba.weights import BORDER_WEIGHT, faint_border, favour_distance
+from stages.ba.weights import BORDER_WEIGHT, downweight_border, favour_distance
 from stages.flow import __main__ as flow_stage
 from stages.flow.options import FlowOptions
 from stages.shared.artifacts import read_dense, read_metadata, write_dense, write_json
@@ -33,22 +33,27 @@ def shifted(graph: FlowGraph) -> FlowGraph:
     return replace(graph, matches=(graph.matches - SHIFT_PX * reach).astype(np.float32))
 
 
-def test_pixels_at_the_border_count_little_in_the_last_adjustment() -> None:
-    graph = replace(observe(make_scene(T=3), stride=4), border_px=3)
-    u, v = graph.pixels.T
+@pytest.mark.parametrize("aspect", [1.0, 2.0])
+def test_pixels_at_the_border_count_little_in_the_last_adjustment(aspect: float) -> None:
+    source, target, flow, confidence = flow_arrays(make_scene(T=3))
+    graph = build_graph(source, target, flow, confidence, 3, 1, aspect=aspect, border_px=3)
+    v, u = np.indices((64, 96)).reshape(2, -1)
     inner = (u >= 3) & (u <= 92) & (v >= 3) & (v <= 60)
     assert 0 < inner.sum() < len(inner)
     expected = graph.weights * np.where(inner, 1, BORDER_WEIGHT)
-    assert_allclose(faint_border(graph).weights, expected, rtol=1e-6)
+    assert_allclose(downweight_border(graph).weights, expected, rtol=1e-6)
+    assert downweight_border(graph).weights.dtype == np.float32
     plain = favour_distance(replace(graph, border_px=0)).weights
     assert_allclose(favour_distance(graph).weights, plain * np.where(inner, 1, BORDER_WEIGHT), rtol=1e-6)
 
 
-def test_a_border_takes_no_more_than_its_share_of_a_small_image() -> None:
-    graph = observe(make_scene(T=3), stride=1)
-    left = faint_border(replace(graph, border_px=16)).weights.max(axis=0).reshape(64, 96)
-    assert (left[4:60, 4:92] > BORDER_WEIGHT).mean() > 0.9
-    assert left[:4].max() <= np.float32(BORDER_WEIGHT)
+@pytest.mark.parametrize("size", [(64, 96), (96, 64)])
+def test_a_border_takes_no_more_than_its_share_of_the_shorter_side(size: tuple[int, int]) -> None:
+    graph = replace(observe(make_scene(T=3, size=size), stride=1), border_px=16)
+    graph = replace(graph, weights=np.ones_like(graph.weights))
+    faint = (downweight_border(graph).weights < 1)[0].reshape(size)
+    assert not faint[4:-4, 4:-4].any()
+    assert faint.sum() == faint.size - (size[0] - 8) * (size[1] - 8)
 
 
 @pytest.mark.parametrize("motion", ["curve", "rotate"])

@@ -118,6 +118,7 @@ def test_given_flow_replaces_its_edges_and_the_rest_is_estimated(tmp_path: Path,
     edges = list(zip(content["source"].tolist(), content["target"].tolist(), strict=True))
     assert sorted(edges) == sorted([(i, j) for i in range(T) for j in range(T) if i != j])
     assert about["given"] == "4 of 12 edges, the others estimated"
+    assert about["border_px"] >= 8, "most flow is biased there"
     for (i, j), flow, sure in zip(edges, content["flow"], content["confidence"], strict=True):
         centre = flow[20:-20, 25:-25].astype(float) - true_flow(i, j)[20:-20, 25:-25]
         expected = mark if j == i + 1 or (i, j) == (3, 0) else 0

@@ -49,7 +49,11 @@ def write_clip(folder: Path, scene: Scene, truth: bool = True) -> Sequence:
     write_json(folder / "sequence.json", sequence_to_json(clip) | {"frames_sha256": "0"})
     columns = dict(zip(("source", "target", "flow", "confidence"), flow_arrays(scene), strict=True))
     columns |= {name: columns[name].astype(np.float16) for name in ("flow", "confidence")}
-    write_dense(folder / "pairs.arrow", columns, {"width": SIZE[1], "height": SIZE[0], "scale": 1.0, "source": "dis"})
+    write_dense(
+        folder / "pairs.arrow",
+        columns,
+        {"width": SIZE[1], "height": SIZE[0], "scale": 1.0, "source": "dis", "border_px": 8},
+    )
     return clip
 
 
@@ -84,7 +88,8 @@ def test_a_distorted_clip_becomes_that_of_a_pinhole(tmp_path: Path) -> None:
     assert (content["width"], content["height"]) == SIZE[::-1]
     assert "radial distortion" in content["warnings"][-1]
     columns = read_dense(out["pairs"])
-    assert read_metadata(out["pairs"])["source"] == "dis"
+    about = read_metadata(out["pairs"])
+    assert (about["source"], about["border_px"]) == ("dis", 8)
     for e, (i, j) in enumerate(zip(columns["source"], columns["target"], strict=True)):
         flow, visible = exact_flow(pinhole, i, j)
         apart = np.linalg.norm(columns["flow"][e] - flow, axis=-1)[visible & (columns["confidence"][e] > 0.9)]

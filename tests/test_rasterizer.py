@@ -110,6 +110,8 @@ def test_drawing_order_is_a_stable_sort_of_what_is_in_front() -> None:
     depths = rng.permutation(np.append(depths[np.isfinite(depths)], np.zeros(9, np.float32)))
     order = np.argsort(depths, kind="stable")
     assert drawing_order(depths).tolist() == order[depths[order] > 0].tolist()
+    assert drawing_order(np.repeat(depths.astype(float), 2)[::2]).tolist() == drawing_order(depths).tolist()
+    assert drawing_order(depths[:0]).dtype == drawing_order(depths).dtype == np.int32
 
 
 def test_spherical_harmonics_are_orthonormal() -> None:

@@ -108,9 +108,9 @@ def find_lens(graph: FlowGraph, prior: FocalPrior, seed: int, assumed: bool = Fa
 
 
 def undistorted_graph(graph: FlowGraph, lens: np.ndarray) -> FlowGraph:
-    """The graph with pixels and matches freed of a distortion [2] as in `state.State`."""
+    """The graph with pixels and matches freed of a distortion [2] as in `state.State`; they lie on the grid no more."""
     pixels, matches = (undistorted(graph, lens, points) for points in (graph.pixels, graph.matches))
-    return replace(graph, pixels=pixels, matches=matches.astype(np.float32))
+    return replace(graph, pixels=pixels, matches=matches.astype(np.float32), border_px=0.0)
 
 
 @dataclass(frozen=True)

@@ -43,7 +43,7 @@ class FlowGraph:
         aspect: fy / fx of the flow grid.
         times_s: [T] of the frames; None: evenly spaced.
         masked: whether what moves is taken to be left out: else a match may well lead beyond infinity.
-        border_px: width of the border of the flow grid where flow leads too far outwards.
+        border_px: width of the border of the flow grid where the flow is biased outwards; 0 where it is not.
     """
 
     source: np.ndarray
@@ -137,7 +137,7 @@ def build_graph(
 
     The centre of an even cell lies between four pixels: their mean is taken. Without a principal point [2] of the flow
     grid the centre of the image is used. `aspect` is fy / fx of the flow grid. `release` is called after every EDGES
-    edges: it gives back what was read of a mapped file. `border_px` is what the flow states of itself.
+    edges: it gives back what was read of a mapped file. `border_px` is as of `FlowGraph`.
     """
     source, target = np.ascontiguousarray(source), np.ascontiguousarray(target)
     h, w = flow.shape[1:3]
@@ -157,8 +157,8 @@ def build_graph(
     square = np.array([1, 1 / aspect])
     matches *= square.astype(np.float32)
     pixels, middle = pixels * square, middle * square
-    grid = {"centre": middle, "width": w, "height": h, "stride": stride, "aspect": aspect, "border_px": border_px}
-    return FlowGraph(source, target, pointer, pixels, matches, weights, **grid)
+    sampled = source, target, pointer, pixels, matches, weights
+    return FlowGraph(*sampled, middle, w, h, stride, aspect=aspect, border_px=border_px)
 
 
 def thin_graph(graph: FlowGraph, factor: int) -> FlowGraph:

@@ -46,8 +46,8 @@ class Matches:
         begin, end = np.searchsorted(self.columns["source"], frames or (0, len(self.shot)))
         source, target = (self.columns[name][begin:end] for name in ("source", "target"))
         images = self.columns["flow"], self.columns["confidence"]  # a slice of packed rows would hold all of them
-        T, release, rest = len(self.shot), self.columns.release, (int(begin), self.border_px)
-        graph = build_graph(source, target, *images, T, stride, known.centre, known.aspect, release, *rest)
+        T, lens, release, first = len(self.shot), (known.centre, known.aspect), self.columns.release, int(begin)
+        graph = build_graph(source, target, *images, T, stride, *lens, release, first=first, border_px=self.border_px)
         self.columns.release()
         return cuts.isolate(graph, self.shot)
 

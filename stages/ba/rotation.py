@@ -5,7 +5,7 @@ import numpy as np
 from stages.ba import dba, twoview
 from stages.ba.graph import MIN_MATCHES, FlowGraph
 from stages.ba.state import FocalPrior, Level, State, Step, Unknowns
-from stages.ba.weights import faint_border
+from stages.ba.weights import downweight_border
 from stages.shared import lie
 
 FOCALS = np.geomspace(0.6, 2.2, 7)
@@ -19,13 +19,13 @@ def solve_rotations(
     """Poses without translation and all inverse depths zero; the focal length is free unless it is known.
 
     Rotations are chained at each focal length of a list; the chain of lowest cost is adjusted over all edges. With
-    `zoom` every frame has a focal length of its own.
+    `zoom` every frame has a focal length of its own. Pixels at the border of the image count little in the adjustment.
     """
     focals = [known_focal_px] if known_focal_px else (FOCALS * graph.width).tolist()
     starts = [chain_rotations(graph, focal_px, zoom) for focal_px in focals]
     costs = [dba.robust_cost(graph, dba.errors_px(graph, start), SCHEDULE[0].sigma_px) for start in starts]
     unknowns = Unknowns(focal=known_focal_px is None, translation=False, zoom=zoom)
-    return dba.solve(faint_border(graph), starts[int(np.argmin(costs))], SCHEDULE, unknowns, prior, "rotations")
+    return dba.solve(downweight_border(graph), starts[int(np.argmin(costs))], SCHEDULE, unknowns, prior, "rotations")
 
 
 def chain_rotations(graph: FlowGraph, focal_px: float, zoom: bool = False) -> State:

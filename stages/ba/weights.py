@@ -9,9 +9,11 @@ from stages.ba.graph import FlowGraph, sample_cells
 from stages.shared.flow_pairs import REACH
 from stages.shared.warp import bilinear
 
-BORDER_WEIGHT, BORDER_SHARE = 0.1, 1 / 16
-"""Factor on the weight of pixels at the border, enough to keep their depths with the cameras, and its largest width as
-a share of the height."""
+BORDER_WEIGHT = 0.1
+"""Factor on the weight of pixels at the border of the image. With 0 their depths would not be adjusted with the
+cameras, and where a mover fills the middle too little would be left."""
+BORDER_SHARE = 1 / 16
+"""Largest width of this border, as a share of the shorter side."""
 
 
 def with_texture(graph: FlowGraph, texture: Iterable[np.ndarray]) -> FlowGraph:
@@ -27,13 +29,13 @@ def favour_distance(graph: FlowGraph) -> FlowGraph:
     Pixels at the border count little.
     """
     distance = np.minimum(np.abs(graph.target - graph.source), REACH).astype(np.float32)
-    weights = faint_border(graph).weights * (distance / distance.mean())[:, None]
+    weights = downweight_border(graph).weights * (distance / distance.mean())[:, None]
     return replace(graph, weights=weights if graph.texture is None else weights * graph.texture[graph.source])
 
 
-def faint_border(graph: FlowGraph) -> FlowGraph:
+def downweight_border(graph: FlowGraph) -> FlowGraph:
     """The graph with little weight at its border: flow that leads outwards there makes the focal length too long."""
-    border = min(graph.border_px, BORDER_SHARE * graph.height)
+    border = min(graph.border_px, BORDER_SHARE * min(graph.width, graph.height))
     end = np.array([graph.width, graph.height]) - 1 - border
     on_grid = graph.on_grid(graph.pixels)
     inner = ((on_grid >= border) & (on_grid <= end)).all(axis=1)

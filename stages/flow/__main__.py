@@ -54,6 +54,7 @@ def main(
     edges = facts.pop("edges")
     facts["confident_share"] = facts.pop("confident") / (edges * size[0] * size[1])
     if given:
+        facts["border_px"] *= len(given) < edges
         others = ", the others estimated" if len(given) < edges else ""
         facts["given"] = f"{len(given)} of {edges} edges{others}"
     logger.info("%d edges of %d x %d px: %s", edges, *size, facts)
@@ -94,7 +95,7 @@ def _match(
     else:
         ready = to_match(rgb, options.finest_scale, threads, parts.folder)
         matcher, facts["frames_averaged"] = Estimate(ready, options.offsets, given, threads), ready.averaged
-        facts["border_px"] = 0 if given else DIS_PATCH_PX << ready.finest_scale
+        facts["border_px"] = DIS_PATCH_PX << ready.finest_scale
     total = most_edges(T, options.offsets, options.long_edges) + len(matcher.others)
     for _ in progress(passes.match(matcher, T, options, parts, scene), "flow, edges", total, size=int):
         pass

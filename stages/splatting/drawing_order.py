@@ -13,16 +13,17 @@ def drawing_order(depths: np.ndarray) -> np.ndarray:
     The bits of positive floats have the order of the floats, and each pass keeps what is equal in order.
     """
     bits = np.ascontiguousarray(depths, np.float32).view(np.uint32)
-    indices, other = np.empty((2, len(bits)), np.int32)
-    return indices[: _sort(bits, indices, other)]
+    indices, other = (np.empty(len(bits), np.int32) for _ in range(2))
+    return indices[: _sort(bits, np.zeros((3, 1 << DIGIT), np.int32), indices, other)]
 
 
 @njit(cache=True, nogil=True)
-def _sort(bits: np.ndarray, indices: np.ndarray, other: np.ndarray) -> int:
-    """Fill the first V of `indices` [N], sorted by `bits` [N] where these are of positive floats; returns V."""
-    last = (1 << DIGIT) - 1
-    starts = np.zeros((3, last + 1), np.int32)
-    V = 0
+def _sort(bits: np.ndarray, starts: np.ndarray, indices: np.ndarray, other: np.ndarray) -> int:
+    """Fill the first V of `indices` [N], sorted by `bits` [N] where these are of positive floats; returns V.
+
+    `starts` [3, 1 << DIGIT] are zeros, `other` [N] is written over.
+    """
+    last, V = (1 << DIGIT) - 1, 0
     for i in range(len(bits)):
         if np.int32(bits[i]) > 0:
             other[V] = i
@@ -35,7 +36,8 @@ def _sort(bits: np.ndarray, indices: np.ndarray, other: np.ndarray) -> int:
             before, starts[digit, value] = before + starts[digit, value], before
     for digit in range(3):
         source, target = (other, indices) if digit % 2 == 0 else (indices, other)
-        for i in source[:V]:
+        for k in range(V):
+            i = source[k]
             value = (bits[i] >> (DIGIT * digit)) & last
             target[starts[digit, value]] = i
             starts[digit, value] += 1
