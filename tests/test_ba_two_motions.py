@@ -111,6 +111,50 @@ def test_what_comes_the_other_way_is_told_by_what_lies_along_the_border(
     assert two_motions.background(graph, graph, mixed, FocalPrior(1.1 * graph.width)) is None
 
 
+@pytest.mark.parametrize(("radius", "shake"), [(0.8, 0.05), (0.6, 0.02)])
+def test_cameras_of_two_motions_fit_neither_to_the_scale_of_the_noise(
+    radius: float, shake: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where the border does not tell, what both fit does: closer by the cameras of the world."""
+    scene = against(radius, shake)
+    graph = observe(scene, stride=6, masked=False, noise_px=NOISE_PX)
+    moves = graph.resample(scene.dynamic.astype(float), 1) > 0.5
+    mixed, prior = cameras(graph, scene), FocalPrior(1.1 * graph.width)
+    monkeypatch.setattr(two_motions, "_explain_more", lambda *_: False)
+    motion = two_motions.background(graph, graph, mixed, prior)
+    assert motion is not None
+    assert motion.fits[~moves].mean() > 0.8
+    assert motion.fits[moves].mean() < 0.1
+    assert trajectory_error(motion.state.cam_from_world, scene.cam_from_world) < 0.003
+    true = initialise.initial_state(graph, scene.cam_from_world, scene.focal_px)
+    right, found = (two_motions.Motion(of, two_motions._fits(graph, of)) for of in (true, mixed))
+    matched = two_motions.matched_pixels(graph)
+    assert two_motions._errors_over(graph, right, found, matched) < 0.8
+    assert two_motions._errors_over(graph, found, right, matched) > 1.25
+    monkeypatch.setattr(two_motions, "CLOSER", 0.0)
+    assert two_motions.background(graph, graph, mixed, prior) is None
+
+
+@pytest.mark.parametrize(
+    ("ratios", "left", "chosen"),
+    [((0.8, 0.9, 0.1), True, 0), ((0.9, 0.9, 0.1), True, 2), ((0.9, 0.9, 0.9), True, None), ((0.1,) * 3, False, None)],
+)
+def test_of_motions_that_fit_closer_the_one_that_fits_most_is_taken(
+    ratios: tuple[float, ...], left: bool, chosen: int | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Few pixels may fit much closer: those of frames in which the camera rests. Pairs explain what is left or not."""
+    graph, place = observe(beside(), stride=12), np.arange(100)[None]
+    states = [State(np.eye(4)[None], np.ones((1, 100)), float(k)) for k in range(4)]
+    first, second, third, single = (
+        two_motions.Motion(of, place < n) for of, n in zip(states, (70, 75, 40, 60), strict=True)
+    )
+    monkeypatch.setattr(two_motions, "_errors_over", lambda _graph, of, *_: ratios[int(of.state.focal_px)])
+    monkeypatch.setattr(two_motions, "_explain_left", lambda *_: left)
+    pairs = [two_motions.Pair(first, third, 0.0), two_motions.Pair(second, third, 0.0)]
+    motion = two_motions._closer(graph, pairs, single, np.ones((1, 100), bool))
+    assert (None if motion is None else int(motion.state.focal_px)) == chosen
+
+
 @pytest.mark.parametrize(
     ("together", "at_border", "told"), [(0.85, 0.7, True), (0.75, 0.7, False), (0.85, 0.55, False)]
 )

@@ -8,6 +8,8 @@ mover alone, each fits its own pixels, nearly all of them, and hardly any of the
 
 What comes the other way looks like something static and near. Cameras that fit it, and what is far, leave the ground
 before the camera: a step aside of a hand would move what is near by more. So the nearest of what they fit is left out.
+
+Cameras that fit two motions at once fit neither to the scale of the noise. Those of the world fit what both fit closer.
 """
 
 from dataclasses import replace
@@ -35,6 +37,9 @@ OVERLAP = 0.5
 """Largest share of the pixels of either motion that the other one fits too."""
 LEFT = 0.5
 """Share of the pixels that the cameras found leave, which two motions explain."""
+CLOSER, QUANTILE = 0.87, 0.9
+"""A motion of two may be that of the world if the errors of what it and the cameras found both fit are, at this
+quantile, less than so much of those under the cameras found. Beside right ones it was .95 and more."""
 FAR = 0.3
 """Share of the pixels that the cameras found fit, the farthest of them, without all that may come the other way."""
 SAME = 0.8
@@ -89,22 +94,33 @@ def background(plain: FlowGraph, masked: FlowGraph, found: State, prior: FocalPr
         return None
     start = initialise.initial_state(used, found.cam_from_world, found.focal_px, zoom=found.zoom)
     mixed = _adjusted(used, start, WIDE, prior)
-    single = _fits(graph, mixed)
-    alone = share(single, matched)
-    start = replace(start, zoom=None)
-    looked_at = parts(graph) if alone < EXPLAINED else []
-    pairs = [_pair(graph, part, start, prior, matched, single) for part in looked_at]
-    pair = max((pair for pair in pairs if pair), key=lambda pair: pair.share, default=None)
-    if pair is None or pair.share < alone + GAIN or _overlap(pair, matched) > OVERLAP:
-        pair = _pair(graph, _without_near(graph, mixed, single & matched), start, prior, matched, single)
-        if pair is None or not _explain_more(pair, single, matched, along):
-            return None
-    _, (state, fits) = sorted(pair[:2], key=lambda motion: share(motion.fits, matched & along))
-    world = fits & matched
-    if masked is not plain and (single & world).sum() >= SAME * world.sum():
+    single = Motion(mixed, _fits(graph, mixed))
+    motion = _of_two(graph, single, replace(start, zoom=None), prior, matched, along)
+    if motion is None:
         return None
-    whole = initialise.initial_state(plain, state.cam_from_world, state.focal_px, SHARP_PX)
+    world = motion.fits & matched
+    if masked is not plain and (single.fits & world).sum() >= SAME * world.sum():
+        return None
+    whole = initialise.initial_state(plain, motion.state.cam_from_world, motion.state.focal_px, SHARP_PX)
     return Motion(whole, _fits(plain, whole) & matched_pixels(plain))
+
+
+def _of_two(
+    graph: FlowGraph, single: Motion, start: State, prior: FocalPrior, matched: np.ndarray, along: np.ndarray
+) -> Motion | None:
+    """The motion of two that is the background's if the cameras found, with what they fit, mix both; else None."""
+    alone = share(single.fits, matched)
+    looked_at = parts(graph) if alone < EXPLAINED else []
+    found = [_pair(graph, part, start, prior, matched, single.fits) for part in looked_at]
+    pairs = [pair for pair in found if pair]
+    best = max(pairs, key=lambda pair: pair.share, default=None)
+    if best and best.share >= alone + GAIN and _overlap(best, matched) <= OVERLAP:
+        return _of_border(best, matched & along)
+    far = _without_near(graph, single.state, single.fits & matched)
+    near = _pair(graph, far, start, prior, matched, single.fits)
+    if near and _explain_more(near, single.fits, matched, along):
+        return _of_border(near, matched & along)
+    return _closer(graph, [*pairs, near] if near else pairs, single, matched)
 
 
 def matched_pixels(graph: FlowGraph) -> np.ndarray:
@@ -126,14 +142,44 @@ def _without_near(graph: FlowGraph, state: State, fits: np.ndarray) -> np.ndarra
     return ~(fits & (inverse_depth > np.quantile(inverse_depth[fits], FAR))) if fits.any() else ~fits
 
 
-def _explain_more(pair: Pair, single: np.ndarray, matched: np.ndarray, along: np.ndarray) -> bool:
-    """Whether two motions together explain what the cameras found leave, and one of them more of the image border.
+def _of_border(pair: Pair, at_border: np.ndarray) -> Motion:
+    """The motion that fits more of the pixels at the border."""
+    return max(pair[:2], key=lambda motion: share(motion.fits, at_border))
 
-    What is far fits both.
-    """
+
+def _explain_left(pair: Pair, single: np.ndarray, matched: np.ndarray) -> bool:
+    """Whether two motions together explain what the cameras found leave. What is far fits both."""
     together, alone = share(pair.first.fits | pair.second.fits, matched), share(single, matched)
+    return together - alone >= LEFT * (1 - alone)
+
+
+def _explain_more(pair: Pair, single: np.ndarray, matched: np.ndarray, along: np.ndarray) -> bool:
+    """Whether two motions together explain what the cameras found leave, and one of them more of the image border."""
     at_border = max(share(motion.fits, matched & along) for motion in pair[:2])
-    return together - alone >= LEFT * (1 - alone) and at_border >= share(single, matched & along) + GAIN
+    return _explain_left(pair, single, matched) and at_border >= share(single, matched & along) + GAIN
+
+
+def _closer(graph: FlowGraph, pairs: list[Pair], found: Motion, matched: np.ndarray) -> Motion | None:
+    """Of the motions that fit closer than the cameras found, the one that fits most pixels; None if none does.
+
+    They are of pairs that explain what the cameras found leave.
+    """
+    explaining = [pair for pair in pairs if _explain_left(pair, found.fits, matched)]
+    motions = [motion for pair in explaining for motion in pair[:2]]
+    closer = [motion for motion in motions if _errors_over(graph, motion, found, matched) < CLOSER]
+    return max(closer, key=lambda motion: share(motion.fits, matched), default=None)
+
+
+def _errors_over(graph: FlowGraph, motion: Motion, found: Motion, matched: np.ndarray) -> float:
+    """Errors under a motion over those under the cameras found, of the matches of pixels that fit both; 1 without."""
+    common = (motion.fits & found.fits & matched)[graph.source] & (graph.weights > MIN_WEIGHT)
+    if not common.any():
+        return 1.0
+    errors = (
+        dba.errors_px(graph, initialise.search_depth(graph, of.state, SHARP_PX))[common] for of in (motion, found)
+    )
+    closer, before = (float(np.quantile(of, QUANTILE)) for of in errors)
+    return closer / before
 
 
 def _pair(
