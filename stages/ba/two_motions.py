@@ -40,6 +40,8 @@ LEFT = 0.5
 CLOSER, QUANTILE = 0.87, 0.9
 """A motion of two may be that of the world if the errors of what it and the cameras found both fit are, at this
 quantile, less than so much of those under the cameras found. Beside right ones it was .95 and more."""
+LESS = 0.05
+"""Such a motion explains at most so much less of the image border than the cameras found."""
 FAR = 0.3
 """Share of the pixels that the cameras found fit, the farthest of them, without all that may come the other way."""
 SAME = 0.8
@@ -120,7 +122,7 @@ def _of_two(
     near = _pair(graph, far, start, prior, matched, single.fits)
     if near and _explain_more(near, single.fits, matched, along):
         return _of_border(near, matched & along)
-    return _closer(graph, [*pairs, near] if near else pairs, single, matched)
+    return _closer(graph, [*pairs, near] if near else pairs, single, matched, along)
 
 
 def matched_pixels(graph: FlowGraph) -> np.ndarray:
@@ -159,13 +161,17 @@ def _explain_more(pair: Pair, single: np.ndarray, matched: np.ndarray, along: np
     return _explain_left(pair, single, matched) and at_border >= share(single, matched & along) + GAIN
 
 
-def _closer(graph: FlowGraph, pairs: list[Pair], found: Motion, matched: np.ndarray) -> Motion | None:
+def _closer(
+    graph: FlowGraph, pairs: list[Pair], found: Motion, matched: np.ndarray, along: np.ndarray
+) -> Motion | None:
     """Of the motions that fit closer than the cameras found, the one that fits most pixels; None if none does.
 
-    They are of pairs that explain what the cameras found leave.
+    They are of pairs that explain what the cameras found leave, and fit the border about as well: what a rolling
+    shutter bends, cameras fit closer in a part of the view.
     """
+    enough = share(found.fits, matched & along) - LESS
     explaining = [pair for pair in pairs if _explain_left(pair, found.fits, matched)]
-    motions = [motion for pair in explaining for motion in pair[:2]]
+    motions = [motion for pair in explaining for motion in pair[:2] if share(motion.fits, matched & along) >= enough]
     closer = [motion for motion in motions if _errors_over(graph, motion, found, matched) < CLOSER]
     return max(closer, key=lambda motion: share(motion.fits, matched), default=None)
 
