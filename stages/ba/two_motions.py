@@ -39,7 +39,8 @@ LEFT = 0.5
 """Share of the pixels that the cameras found leave, which two motions explain."""
 CLOSER, QUANTILE = 0.87, 0.9
 """A motion of two may be that of the world if the errors of what it and the cameras found both fit are, at this
-quantile, less than so much of those under the cameras found. Beside right ones it was .95 and more."""
+quantile, less than so much of those under the cameras found. Beside right ones it was .95 and more, but for pictures
+that a rolling shutter bends."""
 LESS = 0.05
 """Such a motion explains at most so much less of the image border than the cameras found."""
 FAR = 0.3
