@@ -54,7 +54,8 @@ def main(
     edges = facts.pop("edges")
     facts["confident_share"] = facts.pop("confident") / (edges * size[0] * size[1])
     if given:
-        facts["border_px"] *= len(given) < edges
+        if len(given) == edges:
+            facts["border_px"] = 0  # none of it is estimated
         others = ", the others estimated" if len(given) < edges else ""
         facts["given"] = f"{len(given)} of {edges} edges{others}"
     logger.info("%d edges of %d x %d px: %s", edges, *size, facts)
