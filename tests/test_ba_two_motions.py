@@ -184,6 +184,16 @@ def test_a_pair_explains_half_of_what_is_left_and_more_of_the_border(
     assert two_motions._explain_more(pair, single, matched, along) == told
 
 
+def test_nothing_fits_closer_than_without_any_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Flow of a picture that stands still is zero to the bit."""
+    scene = beside(0.0)
+    graph = observe(scene, stride=6, masked=False)
+    state = initialise.initial_state(graph, scene.cam_from_world, scene.focal_px)
+    motion, matched = two_motions.Motion(state, two_motions._fits(graph, state)), two_motions.matched_pixels(graph)
+    monkeypatch.setattr(two_motions.dba, "errors_px", lambda graph, _state: np.zeros_like(graph.weights))
+    assert two_motions._errors_over(graph, motion, motion, matched) == 1
+
+
 def test_all_but_the_farthest_of_what_fits_is_left_out() -> None:
     scene = beside(0.0)
     graph = observe(scene, stride=6, masked=False, noise_px=NOISE_PX)

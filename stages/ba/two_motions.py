@@ -178,7 +178,7 @@ def _closer(
 
 
 def _errors_over(graph: FlowGraph, motion: Motion, found: Motion, matched: np.ndarray) -> float:
-    """Errors under a motion over those under the cameras found, of the matches of pixels that fit both; 1 without."""
+    """Errors under a motion over those under the cameras found, of matches that fit both; 1 without any error."""
     common = (motion.fits & found.fits & matched)[graph.source] & (graph.weights > MIN_WEIGHT)
     if not common.any():
         return 1.0
@@ -186,7 +186,7 @@ def _errors_over(graph: FlowGraph, motion: Motion, found: Motion, matched: np.nd
         dba.errors_px(graph, initialise.search_depth(graph, of.state, SHARP_PX))[common] for of in (motion, found)
     )
     closer, before = (float(np.quantile(of, QUANTILE)) for of in errors)
-    return closer / before
+    return closer / before if before > 0 else 1.0
 
 
 def _pair(
