@@ -7,7 +7,8 @@ threads together), not the wall clock. Memory is the growth of the peak of the p
 
 `python -m benchmarks.bench_training results/<dataset>/<sequence> ...` trains sequences again, as they were trained
 there, and prints the share of every part in the whole training; results/<dataset>/<sequence>/settings/<setting> is one
-under a setting of a sweep. Nothing is written. Run it twice: the first run compiles.
+under a setting of a sweep. Nothing is written. Run it twice: the first run compiles. `--device cpu cuda` trains each of
+them on the CPU, then on the GPU, whose step is not shared out: its parts are kernels that wait for each other there.
 """
 
 import argparse
@@ -26,7 +27,7 @@ from stages.deformation import lbs_kernels, weight_kernels
 from stages.deformation.motion_models import TableDeformation
 from stages.gaussians import ssim_kernels
 from stages.gaussians.beginning import Beginning, begin
-from stages.gaussians.optimise import Trainer
+from stages.gaussians.optimise import Trainer, training_psnr
 from stages.gaussians.options import GaussiansOptions
 from stages.gaussians.training_frames import TrainingFrames
 from stages.shared.adam import Adam
@@ -44,6 +45,7 @@ from stages.splatting import (
 from stages.splatting.cloud import Cloud
 from stages.splatting.colours import ColourTable
 from stages.splatting.gaussian_model import GaussianScene
+from stages.splatting.rasterize import backend_name
 
 N, N_DYNAMIC, P, WIDTH, HEIGHT, F = 50_000, 5_000, 512, 512, 218, 4
 STEPS, WARM_UP = 30, 3
@@ -154,8 +156,8 @@ def peak_bytes() -> int:
     return 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 
 
-def beginning_of(folder: Path, scratch: Path) -> Beginning:
-    """The trainer at step 0 for the results in `folder`, under the options that they were trained with.
+def beginning_of(folder: Path, scratch: Path, device: str = "auto") -> Beginning:
+    """The trainer at step 0 for the results in `folder`, under the options that they were trained with, on `device`.
 
     What a setting shares with the sequence that it belongs to lies there: SEQUENCE/settings/SETTING.
     """
@@ -167,15 +169,15 @@ def beginning_of(folder: Path, scratch: Path) -> Beginning:
     missing = [INPUTS[name] for name, path in found.items() if path is None] + ([] if model.exists() else [str(model)])
     if missing:
         raise SystemExit(f"{folder}: no {missing[0]}: name a folder results/<dataset>/<sequence> that is trained")
-    options = GaussiansOptions.model_validate(read_metadata(model)["options"])
+    options = GaussiansOptions.model_validate(read_metadata(model)["options"] | {"device": device})
     return begin(**{name: path for name, path in found.items() if path}, options=options, scratch=scratch)
 
 
-def profile(folder: Path, seconds: Times) -> str:
-    """The seconds of one whole training, and the share of every part."""
+def profile(folder: Path, seconds: Times, device: str = "auto") -> str:
+    """The seconds of one whole training on `device`, and on the CPU the share of every part."""
     with TemporaryDirectory() as scratch:
         began = now()
-        start = beginning_of(folder, Path(scratch))
+        start = beginning_of(folder, Path(scratch), device)
         begun = now()
         seconds.clear()
         start.trainer.run(lambda _: None)
@@ -184,10 +186,13 @@ def profile(folder: Path, seconds: Times) -> str:
     scene, threads = start.trainer.scene, torch.get_num_threads()
     moving = 100 * (1 - scene.n_static / len(scene.anchors))
     lines = [
-        f"{folder}: {start.trainer.step} steps in {wall_s:.1f} s, {cpu_s:.1f} CPU s, {threads} threads busy "
-        f"{100 * cpu_s / wall_s / threads:.0f} %, after {ready_s:.1f} s to begin; {len(scene.anchors)} Gaussians, "
-        f"{moving:.0f} % of them dynamic; peak memory {peak_bytes() / 1e6:.0f} MB"
+        f"{folder}: {backend_name(start.trainer.device)}: {start.trainer.step} steps in {wall_s:.1f} s, "
+        f"{cpu_s:.1f} CPU s, {threads} threads busy {100 * cpu_s / wall_s / threads:.0f} %, after {ready_s:.1f} s to "
+        f"begin; {len(scene.anchors)} Gaussians, {moving:.0f} % of them dynamic; "
+        f"{training_psnr(scene, start.seen):.2f} dB on training frames; peak memory {peak_bytes() / 1e6:.0f} MB"
     ]
+    if start.trainer.device.type == "cuda":
+        return f"{lines[0]}, {torch.cuda.max_memory_allocated() / 1e6:.0f} MB on the GPU"
     lines += [f"  {part:22}{share:5.0f} % of CPU" for part, share in shares.items()]
     return "\n".join([*lines, f"  {'other':22}{100 - sum(shares.values()):5.0f} % of CPU"])
 
@@ -196,14 +201,16 @@ def main() -> None:
     """Print where the time goes in the training of the folders named, or of the random scene."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.bench_training", description=main.__doc__)
     parser.add_argument("folder", nargs="*", type=Path, help="results/<dataset>/<sequence>, trained")
-    folders = parser.parse_args().folder
+    parser.add_argument("--device", nargs="+", default=["auto"], choices=["auto", "cpu", "cuda"], help="where, in turn")
+    chosen = parser.parse_args()
     seconds: Times = defaultdict(lambda: np.zeros(2))
     for part, functions in PARTS.items():
         for owner, name in functions:
             setattr(owner, name, clocked(getattr(owner, name), seconds, part))
-    for folder in folders:
-        print(profile(folder, seconds), flush=True)
-    if not folders:
+    for folder in chosen.folder:
+        for device in chosen.device:
+            print(profile(folder, seconds, device), flush=True)
+    if not chosen.folder:
         random_scene(seconds)
 
 

@@ -10,6 +10,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -18,6 +19,9 @@ import yaml
 
 from stages.shared import costs
 from stages.shared.log import logger
+
+if TYPE_CHECKING:
+    import torch
 
 REPO = Path(__file__).resolve().parents[1]
 DATA = REPO.parent / "shared" / "data"
@@ -68,6 +72,17 @@ def _fresh_log() -> Iterator[None]:
     for handler in logger.handlers[:]:
         logger.removeHandler(handler)
         handler.close()
+
+
+@pytest.fixture
+def cuda() -> "torch.device":
+    """The first CUDA device; a test that asks for it is skipped where there is none, or no gsplat."""
+    pytest.importorskip("gsplat", reason="gsplat is not installed")
+    import torch
+
+    if not torch.cuda.is_available():
+        pytest.skip("no CUDA device")
+    return torch.device("cuda")
 
 
 @pytest.fixture

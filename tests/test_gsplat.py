@@ -53,13 +53,6 @@ def test_no_gaussian_never_reaches_gsplat(monkeypatch: pytest.MonkeyPatch) -> No
     assert not alpha.any()
 
 
-def cuda_or_skip() -> torch.device:
-    pytest.importorskip("gsplat", reason="gsplat is not installed")
-    if not torch.cuda.is_available():
-        pytest.skip("no CUDA device")
-    return torch.device("cuda")
-
-
 def render_on(device: torch.device, sh_degree: int) -> tuple[dict[str, Tensor], tuple[Tensor, Tensor, Tensor]]:
     """Gradients of `loss` and the outputs of the scene with spherical harmonics, by the backend of the device."""
     tensors = scene()
@@ -76,8 +69,8 @@ def render_on(device: torch.device, sh_degree: int) -> tuple[dict[str, Tensor], 
 
 
 @pytest.mark.parametrize("sh_degree", [0, 3])
-def test_gsplat_has_the_same_image_and_gradients(sh_degree: int) -> None:
-    gradients_cuda, outputs_cuda = render_on(cuda_or_skip(), sh_degree)
+def test_gsplat_has_the_same_image_and_gradients(sh_degree: int, cuda: torch.device) -> None:
+    gradients_cuda, outputs_cuda = render_on(cuda, sh_degree)
     gradients_cpu, outputs_cpu = render_on(torch.device("cpu"), sh_degree)
     safe = render_reference(scene()).safe
     for found, expected in zip(outputs_cuda, outputs_cpu, strict=True):

@@ -71,7 +71,7 @@ def _rotate(N: np.ndarray, V: np.ndarray, a: int, b: int) -> None:
 
 
 def best_rotations(covariances: np.ndarray) -> np.ndarray:
-    """Rotations [n, 3, 3] that maximise trace(R C) for C [n, 3, 3] float64."""
+    """Rotations [n, 3, 3] that maximise trace(R C) for C [n, 3, 3] float64, sum_k w_k source_k target_k^T."""
     rotations = np.empty_like(covariances)
     _best_rotations(covariances, np.empty((4, 4)), np.empty((4, 4)), rotations)
     return rotations
