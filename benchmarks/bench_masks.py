@@ -16,7 +16,7 @@ import time
 import cv2
 import numpy as np
 
-from stages.segment.permanence import confidence_of, persistent
+from stages.segment.permanence import Links, confidence_of, persistent
 from stages.segment.refinement import smooth_along_edges, to_mask
 from stages.segment.superpixels import superpixels
 
@@ -54,7 +54,7 @@ def run(T: int) -> None:
     begun = time.process_time()
     pixels = superpixels(T, picture)
     probability = np.concatenate([pixels.part(k, k + 1).means(prior(k)[None]) for k in range(T)])
-    sure, _ = persistent(pixels, pairs, probability, confidence_of(np.ones(len(probability))), 3.0, 0.33)
+    sure, _ = persistent(Links(pixels, pairs, 3.0), probability, confidence_of(np.ones(len(probability))), 0.33)
     for k in range(T):
         to_mask(smooth_along_edges(pixels.paint(sure, k), picture(k), 1000.0, 3.0), 0.5, 5e-4)
     spent = time.process_time() - begun

@@ -20,7 +20,7 @@ from passing_square import (
 
 from stages.segment import layers, uncovered
 from stages.segment.layers import MOVING, Belonging, belonging
-from stages.segment.permanence import persistent
+from stages.segment.permanence import Links, persistent
 from stages.segment.superpixels import Superpixels
 from stages.shared import flow_pairs
 from stages.shared.artifacts import Dense
@@ -144,7 +144,7 @@ def test_a_mover_is_not_lost_by_what_the_pictures_add_to_it() -> None:
     for e, i in enumerate(columns["source"]):
         columns["confidence"][e][square(i) & ~known[i]] = 0
     prior, confidence = pixels.means(np.stack(known).astype(float)), pixels.means(np.stack(sure))
-    given = pixels, columns, prior, confidence, 1.0, 0.4
+    given = Links(pixels, columns, 1.0), prior, confidence, 0.4
     before, _ = persistent(*given)
     pairs = FlowPairs(Dense(columns))
     shown = belonging(pixels, pairs, lambda k: frames[k], static_world(), before)

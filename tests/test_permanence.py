@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy import sparse
 
 from stages.segment import permanence
-from stages.segment.permanence import instances, level, persistent, solve, windows
+from stages.segment.permanence import Links, instances, level, persistent, solve, windows
 from stages.segment.superpixels import Superpixels, borders, matches, superpixels
 
 T, H, W = 9, 96, 160
@@ -41,7 +41,7 @@ def found_in(prior: np.ndarray, permanence: float = 3.0, confidence: float = 1.0
     rgb, pairs, _ = squares()
     pixels = superpixels(T, lambda k: rgb[k])
     means = pixels.means(prior)
-    sure, instance = persistent(pixels, pairs, means, np.full(len(means), confidence), permanence, 0.33)
+    sure, instance = persistent(Links(pixels, pairs, permanence), means, np.full(len(means), confidence), 0.33)
     return tuple(np.stack([pixels.paint(values, k) for k in range(T)]) for values in (sure >= 0.5, instance))  # type: ignore[return-value]
 
 
@@ -81,7 +81,8 @@ def test_less_is_needed_to_be_asked_about(prior: float, confidence: float, kept:
     rgb, pairs, where = squares()
     pixels = superpixels(T, lambda k: rgb[k])
     N = len(pixels.areas)
-    given = pixels, pairs, pixels.means(np.where(where == 1, prior, 0.0)), np.full(N, confidence), 3.0, 0.33
+    means = pixels.means(np.where(where == 1, prior, 0.0))
+    given = Links(pixels, pairs, 3.0), means, np.full(N, confidence), 0.33
     assert persistent(*given, candidates=True)[1].any() == kept
     assert not persistent(*given)[1].any()
 
@@ -95,7 +96,8 @@ def test_the_pictures_must_show_a_weak_instance(prior: float, shown: float, aske
     """Over what was compared of it, unless it is much stronger than needed."""
     rgb, pairs, where = squares()
     pixels = superpixels(T, lambda k: rgb[k])
-    given = pixels, pairs, pixels.means(np.where(where == 1, prior, 0.0)), np.ones(len(pixels.areas)), 3.0, 0.33
+    means = pixels.means(np.where(where == 1, prior, 0.0))
+    given = Links(pixels, pairs, 3.0), means, np.ones(len(means)), 0.33
     weight = pixels.means(np.where(where == 1, shown, 0.0))
     assert persistent(*given, shown=weight, asked=np.full(len(weight), asked))[1].any() == kept
 
@@ -141,7 +143,7 @@ def test_dynamic_is_what_has_most_of_the_level_near_by() -> None:
     labels = np.repeat(np.arange(N, dtype=np.int32), 8)[None, None].repeat(8, axis=1)
     pixels = Superpixels(labels, np.array([0, N]), np.full(N, 64.0), np.zeros((N, 3)))
     none = {"source": np.zeros(0, int), "target": np.zeros(0, int)}
-    sure, _ = persistent(pixels, none, np.repeat([0.98, 0.4, 0.02], [8, 6, 10]), np.ones(N), 3.0, 0.33)
+    sure, _ = persistent(Links(pixels, none, 3.0), np.repeat([0.98, 0.4, 0.02], [8, 6, 10]), np.ones(N), 0.33)
     assert (sure[:8] >= 0.5).all()
     assert not (sure[9:] >= 0.5).any()
 
@@ -151,7 +153,7 @@ def test_certain_motion_is_kept_at_every_threshold(threshold: float) -> None:
     rgb, pairs, where = squares()
     pixels = superpixels(T, lambda k: rgb[k])
     means = pixels.means((where > 0).astype(float))
-    given = pixels, pairs, means, np.ones(len(means)), 3.0, threshold
+    given = Links(pixels, pairs, 3.0), means, np.ones(len(means)), threshold
     _, instance = persistent(*given)
     assert set(np.unique(instance)) == {0, 1, 2}
     _, unseen = persistent(*given, shown=np.zeros(len(means)), asked=np.ones(len(means)))
@@ -187,7 +189,7 @@ def test_windows_read_their_own_pairs(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(permanence, "OVERLAP", 1)
     pixels = superpixels(T, lambda k: rgb[k])
     means = pixels.means(prior)
-    sure, _ = persistent(pixels, pairs, means, np.ones(len(means)), 10.0, 0.1)
+    sure, _ = persistent(Links(pixels, pairs, 10.0), means, np.ones(len(means)), 0.1)
     assert all((pixels.paint(sure, k)[where[k] == 1] >= 0.5).mean() > 0.8 for k in (5, 6, 7, 8))
 
 

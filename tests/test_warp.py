@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
 
-from stages.shared.warp import bilinear
+from stages.shared.warp import bilinear, warp
 
 
 @pytest.mark.parametrize("shape", [(0,), (50,), (40_000,), (7, 9)])
@@ -20,3 +20,9 @@ def test_bilinear_equals_scipy_at_opencvs_steps(shape: tuple[int, ...]) -> None:
     single = bilinear(image[..., 0].astype(np.float16), uv)
     assert single.dtype == np.float32
     np.testing.assert_allclose(single, expected[0], atol=1e-3)
+
+
+def test_every_third_pixel_is_sampled_as_in_the_whole() -> None:
+    rng = np.random.default_rng(0)
+    image, flow = rng.integers(0, 256, (20, 31, 3), np.uint8), rng.uniform(-6, 6, (20, 31, 2)).astype(np.float32)
+    np.testing.assert_array_equal(warp(image, flow, 3), warp(image, flow)[::3, ::3])

@@ -21,7 +21,7 @@ from stages.motion.swept import FRAMES, explained, run_one_way
 from stages.motion.transients import Others
 from stages.shared import flow_pairs
 from stages.shared.flow_pairs import FlowPairs
-from stages.shared.picture_difference import difference, exposed, tolerance
+from stages.shared.picture_difference import EVERY_PX, difference, exposed, tolerance
 from stages.shared.static_flow import dense_static_flow
 from stages.shared.threads import threaded
 from stages.shared.warp import is_inside, warp
@@ -175,7 +175,7 @@ def _contradicted(
     for j, flow, A, b in zip(targets, flows, *projections, strict=True):
         ways = [flow.astype(np.float32, copy=False), *(dense_static_flow(A, b, depth) for depth in depths)]
         warped = [warp(frames[int(j)], way) for way in ways]
-        expected = exposed(here, warped[0])
+        expected = exposed(here, warped[0][::EVERY_PX, ::EVERY_PX])
         for k, (way, found) in enumerate(zip(ways, warped, strict=True)):
             inside = is_inside(way)
             apart = inside * difference(found, expected, WINDOW_PX)

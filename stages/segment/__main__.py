@@ -11,7 +11,7 @@ from stages.given import masks as given_masks
 from stages.given.files import of_sequence
 from stages.given.masks import GivenMasks
 from stages.segment.options import SegmentOptions
-from stages.segment.permanence import DYNAMIC, confidence_of, persistent
+from stages.segment.permanence import DYNAMIC, Links, confidence_of, persistent
 from stages.segment.refinement import guarded_threshold, smooth_along_edges, to_instances, to_mask
 from stages.segment.static_world import StaticWorld
 from stages.segment.superpixels import AT_ONCE, superpixels
@@ -169,7 +169,7 @@ def _refined(options: SegmentOptions, frames: Sequence, flow: Path, prior: Path,
         stated = pixels.means(marked)
     probability, weight = (pixels.means(_one_by_one(evidence, name)) for name in ("probability", "weight"))
     matched = read_dense(flow)
-    given = pixels, matched, probability, confidence_of(weight), options.permanence, options.threshold, stated
+    given = Links(pixels, matched, options.permanence), probability, confidence_of(weight), options.threshold, stated
     world, shown = _static_world(*previous, flow, size), None
     sure, instance = persistent(*given, candidates=world is not None)
     if world is not None and instance.any():

@@ -21,7 +21,7 @@ from stages.segment.superpixels import Superpixels
 from stages.segment.uncovered import DISTANCES, seen_again
 from stages.shared.flow_pairs import FlowPairs
 from stages.shared.masks import within
-from stages.shared.picture_difference import difference, exposed, tolerance
+from stages.shared.picture_difference import EVERY_PX, difference, exposed, tolerance
 from stages.shared.static_flow import dense_static_flow
 from stages.shared.threads import threaded
 from stages.shared.warp import is_inside, warp
@@ -176,7 +176,7 @@ def _compared(
     static, moved = np.take_along_axis(both, side[None, None], axis=0)[0] / allowed
     known = np.isfinite(static) & np.isfinite(moved)
     static, moved = np.where(known, static, 0), np.where(known, moved, 0)
-    around = _extended(mover[..., None], mover, _on_grid(MOTION_PX[-1], sure))[1]
+    around = _extended(_weighted(mover[..., None], mover), _on_grid(MOTION_PX[-1], sure))[1]
     return np.stack([static, moved, around, known])
 
 
@@ -203,10 +203,11 @@ def _residuals(
         flow = pairs.flow[e].astype(np.float32)
         weight = mover * (pairs.confidence[e].astype(np.float32) + UNSURE_FLOW)
         ways = [dense_static_flow(A, b, depth) for depth in depths]
-        extended = [_extended(flow, weight, _on_grid(px, mover)) for px in MOTION_PX]
+        weighted = _weighted(flow, weight)
+        extended = [_extended(weighted, _on_grid(px, mover)) for px in MOTION_PX]
         ways += [motion for motion, _ in extended]
         known = [True] * len(depths) + [share > LEAST_SHARE for _, share in extended]
-        expected = exposed(frames[i], warp(frames[j], flow))
+        expected = exposed(frames[i], warp(frames[j], flow, EVERY_PX))
         for k, way in enumerate(ways):
             inside = (is_inside(way) if pairs.scene is None else within(pairs.scene, way)) & known[k]
             total[int(j > i), k] += inside * difference(warp(frames[j], way), expected, PATCH_PX)
@@ -222,20 +223,25 @@ def _static_depths(inverse_depth: np.ndarray, static: np.ndarray) -> list[np.nda
     """
     own = cv2.medianBlur(inverse_depth, MEDIAN_PX)
     square = np.ones((round(_on_grid(AROUND_PX, own)),) * 2, np.uint8)
-    behind = [_extended(inverse_depth[..., None], static, _on_grid(px, own)) for px in DEPTH_PX]
+    weighted = _weighted(inverse_depth[..., None], static)
+    behind = [_extended(weighted, _on_grid(px, own)) for px in DEPTH_PX]
     known = [np.where(share > LEAST_SHARE, depth[..., 0], own) for depth, share in behind]
     return [own, cv2.erode(own, square), cv2.dilate(own, square), *known]
 
 
-def _extended(values: np.ndarray, weight: np.ndarray, sigma_px: float) -> tuple[np.ndarray, np.ndarray]:
-    """Weighted mean [h, w, c] of values [h, w, c] over a Gaussian around each pixel, and the weight [h, w] there.
+def _weighted(values: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """Values [h, w, c] times their weight [h, w], and behind them the weight: [h, w, c + 1]."""
+    return np.dstack([values * weight[..., None], weight])
+
+
+def _extended(weighted: np.ndarray, sigma_px: float) -> tuple[np.ndarray, np.ndarray]:
+    """Mean [h, w, c] of `weighted` values [h, w, c + 1] over a Gaussian around each pixel, and the weight [h, w] there.
 
     A normalised convolution (Knutsson and Westin, CVPR 1993), on as coarse a grid as the Gaussian allows.
     """
-    h, w = weight.shape
+    h, w = weighted.shape[:2]
     step = max(1, int(sigma_px / 2))
-    image = np.dstack([values * weight[..., None], weight])
-    coarse = cv2.resize(image, (max(1, w // step), max(1, h // step)), interpolation=cv2.INTER_AREA)
+    coarse = cv2.resize(weighted, (max(1, w // step), max(1, h // step)), interpolation=cv2.INTER_AREA)
     blurred = cv2.GaussianBlur(coarse, (0, 0), sigma_px / step, borderType=cv2.BORDER_CONSTANT)
     blurred = cv2.resize(blurred, (w, h), interpolation=cv2.INTER_LINEAR)
     return blurred[..., :-1] / np.maximum(blurred[..., -1:], 1e-6), blurred[..., -1]

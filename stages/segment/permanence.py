@@ -12,6 +12,7 @@ Faktor and Irani (Video segmentation by non-local consensus voting, BMVC 2014).
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from functools import lru_cache
 
 import numpy as np
 from scipy import sparse
@@ -73,6 +74,17 @@ def links(pixels: Superpixels, pairs: Mapping[str, np.ndarray], start: int, perm
     return along + border * _alike(borders(pixels), pixels.colours, BORDER_COLOUR)
 
 
+class Links:
+    """The superpixels of a clip and W between those of a window; that of the last window is kept, often the only one.
+
+    Arguments as of `links`, of the whole clip.
+    """
+
+    def __init__(self, pixels: Superpixels, pairs: Mapping[str, np.ndarray], permanence: float) -> None:
+        self.pixels = pixels
+        self.within = lru_cache(1)(lambda start, stop: links(pixels.part(start, stop), pairs, start, permanence))
+
+
 def solve(
     W: sparse.csr_matrix,
     areas: np.ndarray,
@@ -116,11 +128,9 @@ def level(W: sparse.csr_matrix, areas: np.ndarray, x: np.ndarray) -> np.ndarray:
 
 
 def persistent(
-    pixels: Superpixels,
-    pairs: Mapping[str, np.ndarray],
+    linked: Links,
     prior: np.ndarray,
     confidence: np.ndarray,
-    permanence: float,
     threshold: float,
     stated: np.ndarray | None = None,
     shown: np.ndarray | None = None,
@@ -130,7 +140,6 @@ def persistent(
     """How surely each superpixel is dynamic [N], and its instance [N].
 
     Args:
-        pairs: source, target [E], flow [E, h, w, 2] px, confidence [E, h, w].
         prior: [N] probability of motion; confidence: [N] share by which it counts.
         threshold: least x of a dynamic superpixel. stated, shown: [N] as in `solve`.
         asked: [N] share of each of which the pictures could show whether it moves; None: they need not show it.
@@ -141,11 +150,11 @@ def persistent(
         Instances 1, 2, ... from the largest to the smallest, 0 where static. An instance is what is connected in space
         and time.
     """
+    pixels, joined = linked.pixels, []
     x, levels = np.zeros((2, len(pixels.areas)))
-    joined = []
     for start, stop, taper in windows(len(pixels.labels)):
         nodes, part = slice(pixels.first[start], pixels.first[stop]), pixels.part(start, stop)
-        W = links(part, pairs, start, permanence)
+        W = linked.within(start, stop)
         more = (None if of is None else of[nodes] for of in (stated, shown))
         found = solve(W, part.areas, prior[nodes], confidence[nodes], *more)
         share = np.repeat(taper, np.diff(part.first))

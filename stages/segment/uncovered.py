@@ -9,7 +9,7 @@ import numba
 import numpy as np
 
 from stages.segment.static_world import StaticWorld
-from stages.shared.picture_difference import exposed
+from stages.shared.picture_difference import EVERY_PX, exposed
 from stages.shared.static_flow import dense_static_flow
 from stages.shared.warp import warp
 from stages.shared.window_kernels import KERNEL, place, window_difference
@@ -47,7 +47,8 @@ def seen_again(
         return found
     A, b = (np.stack(part) for part in zip(*(world.projection(i, j) for j in others), strict=True))
     ways = (dense_static_flow(*of, depths[0]) for of in zip(A, b, strict=True))
-    expected = np.stack([exposed(frames[i], warp(frames[j], way)) for j, way in zip(others, ways, strict=True)])
+    shown = (warp(frames[j], way, EVERY_PX) for j, way in zip(others, ways, strict=True))
+    expected = np.stack([exposed(frames[i], there) for there in shown])
     pictures, covers = (np.stack([of[j] for j in others]) for of in (frames, covered))
     least = limit[v, u]
     alike, places = np.empty(len(others)), np.empty((len(others), 3))

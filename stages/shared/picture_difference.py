@@ -9,6 +9,8 @@ SLOPE_PX = 5
 """Each way, the pixels over which the slope of the colours is averaged."""
 LEAST_CONTRAST, GAINS = 8.0, (0.5, 2.0)
 """Colour levels between the halves of a picture from which on they tell a gain, and its bounds."""
+EVERY_PX = 3
+"""Of every third pixel each way, the levels are compared: these are enough for medians."""
 MEAN_OF_COLOURS = np.full((1, 3), 1 / 3, np.float32)
 
 
@@ -18,25 +20,42 @@ def difference(found: np.ndarray, expected: np.ndarray, window_px: int) -> np.nd
     return np.asarray(cv2.boxFilter(colours, cv2.CV_32F, (window_px, window_px)))
 
 
-def exposed(frame: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """A frame [h, w, 3] uint8 corrected to the exposure of the other, which shows the same pixels: per colour a gain,
-    from the medians of the brighter and of the darker half of its pixels, and the difference of the medians."""
-    here, there = (image[::3, ::3].reshape(-1, 3) for image in (frame, other))
+def exposed(frame: np.ndarray, there: np.ndarray) -> np.ndarray:
+    """A frame [h, w, 3] uint8 corrected to the exposure of another: per colour a gain, from the medians of the brighter
+    and of the darker half of the pixels, and the difference of the medians.
+
+    Args:
+        there: the other picture of the same pixels, [::EVERY_PX, ::EVERY_PX] of it.
+    """
+    here, there = (image.reshape(-1, 3) for image in (frame[::EVERY_PX, ::EVERY_PX], there))
     corrected = [_line(here[:, c], there[:, c]) for c in range(3)]
     table = np.stack([gain * np.arange(256) + offset for gain, offset in corrected], axis=-1)
     return np.asarray(cv2.LUT(frame, np.clip(np.rint(table), 0, 255).astype(np.uint8)[None]))
 
 
 def _line(here: np.ndarray, there: np.ndarray) -> tuple[float, float]:
-    """Gain and offset that take the levels [n] of one picture to those [n] of the other."""
-    middle = np.median(here)
-    bright = here > middle
-    gain = 1.0
-    if bright.any() and not bright.all():
-        apart = np.median(here[bright]) - np.median(here[~bright])
+    """Gain and offset that take the levels [n] uint8 of one picture to those [n] of the other."""
+    counts = _counts(here)
+    middle = _median(counts)
+    bright, gain = np.arange(256) > middle, 1.0
+    above, all_there = _counts(there[here > middle]), _counts(there)
+    if 0 < above.sum() < len(here):
+        apart = _median(counts * bright) - _median(counts * ~bright)
         if apart >= LEAST_CONTRAST:
-            gain = float(np.clip((np.median(there[bright]) - np.median(there[~bright])) / apart, *GAINS))
-    return gain, float(np.median(there) - gain * middle)
+            gain = float(np.clip((_median(above) - _median(all_there - above)) / apart, *GAINS))
+    return gain, _median(all_there) - gain * middle
+
+
+def _counts(levels: np.ndarray) -> np.ndarray:
+    """How often [256] each level is among `levels` [n] uint8."""
+    return np.bincount(levels, minlength=256)
+
+
+def _median(counts: np.ndarray) -> float:
+    """Median of the levels that there are `counts` [256] of: to count takes a fraction of the time of `np.median`."""
+    upto = np.cumsum(counts)
+    middles = np.searchsorted(upto, ((upto[-1] - 1) // 2, upto[-1] // 2), side="right")
+    return float(middles.mean())
 
 
 def tolerance(frame: np.ndarray) -> np.ndarray:

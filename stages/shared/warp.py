@@ -7,19 +7,20 @@ REMAP_ROWS = 30_000
 """OpenCV's remap takes fewer than 32768 rows."""
 
 
-def matches(flow: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Pixel coordinates u and v [h, w] float32 to which flow [h, w, 2] leads."""
+def matches(flow: np.ndarray, every: int = 1) -> tuple[np.ndarray, np.ndarray]:
+    """Pixel coordinates u and v [h, w] float32 to which flow [h, w, 2] leads; [::every, ::every] of them."""
     h, w = flow.shape[:2]
-    flow = flow.astype(np.float32, copy=False)
-    return flow[..., 0] + np.arange(w, dtype=np.float32), flow[..., 1] + np.arange(h, dtype=np.float32)[:, None]
+    flow = flow[::every, ::every].astype(np.float32, copy=False)
+    columns, rows = np.arange(0, w, every, dtype=np.float32), np.arange(0, h, every, dtype=np.float32)
+    return flow[..., 0] + columns, flow[..., 1] + rows[:, None]
 
 
-def warp(image: np.ndarray, flow: np.ndarray) -> np.ndarray:
+def warp(image: np.ndarray, flow: np.ndarray, every: int = 1) -> np.ndarray:
     """The target's image [h, w] or [h, w, c] sampled along flow [h, w, 2] from the source.
 
-    Sampling is bilinear; outside the image the border is repeated.
+    Sampling is bilinear; outside the image the border is repeated. The result is [::every, ::every] of the whole.
     """
-    u, v = matches(flow)
+    u, v = matches(flow, every)
     return np.asarray(cv2.remap(image, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
 
 

@@ -13,7 +13,7 @@ from stages.motion import __main__ as motion_stage
 from stages.motion import epipolar, photometric, pooling, resweep
 from stages.motion.epipolar import Evidence
 from stages.segment.options import SegmentOptions
-from stages.segment.permanence import confidence_of, persistent
+from stages.segment.permanence import Links, confidence_of, persistent
 from stages.segment.refinement import guarded_threshold, smooth_along_edges, to_mask
 from stages.segment.superpixels import superpixels
 from stages.shared import sintel
@@ -211,9 +211,8 @@ def test_masks_of_rendered_sequences(rendered: Path, name: str, least_iou: float
     probability, options = motion_stage.to_probability(residual, *motion_stage.CAMERA_CURVE), SegmentOptions()
     pixels = superpixels(len(frames), lambda k: frames[k])
     sure_of = confidence_of(pixels.means(evidence.weight))
-    sure, _ = persistent(
-        pixels, pairs.columns, pixels.means(probability), sure_of, options.permanence, options.threshold
-    )
+    linked = Links(pixels, pairs.columns, options.permanence)
+    sure, _ = persistent(linked, pixels.means(probability), sure_of, options.threshold)
     found = np.stack([to_mask(pixels.paint(sure, k), 0.5, options.min_area) for k in range(len(frames))])
     truth = np.stack([read_mask(training / "motion_mask" / name / f"frame_{n:04d}.png") for n in numbers])
     if least_iou is None:
