@@ -84,12 +84,12 @@ INPUTS = {
 """Inputs of the stage, in the folder of a sequence."""
 
 
-def random_trainer(n: int) -> Trainer:
-    """A trainer with n random Gaussians, as dense as those of a lifted frame, and random images."""
+def random_trainer(n: int, width: int = WIDTH, height: int = HEIGHT, device: str = "cpu") -> Trainer:
+    """A trainer with n random Gaussians, as dense as those of a lifted frame, and random images of width x height."""
     random = np.random.default_rng(0)
     depths = random.uniform(2, 8, n)
     focal_px = 450.0
-    uv = random.uniform(-0.5, 0.5, (n, 2)) * [WIDTH, HEIGHT]
+    uv = random.uniform(-0.5, 0.5, (n, 2)) * [width, height]
     means = np.concatenate([uv / focal_px, np.ones((n, 1))], axis=1) * depths[:, None]
     footprints = torch.tensor(2 * depths / focal_px, dtype=torch.float32)
     cloud = Cloud(
@@ -103,14 +103,14 @@ def random_trainer(n: int) -> Trainer:
     )
     points = cloud.means[-P:]
     motion = TableDeformation(points, torch.full((P,), -1.0), torch.linspace(0, 1, F))
-    images = random.uniform(size=(F, HEIGHT, WIDTH, 3)).astype(np.float32)
-    empty = np.zeros((F, HEIGHT, WIDTH))
-    K = centred_intrinsics(focal_px, WIDTH, HEIGHT)
+    images = random.uniform(size=(F, height, width, 3)).astype(np.float32)
+    empty = np.zeros((F, height, width))
+    K = centred_intrinsics(focal_px, width, height)
     poses, Ks = np.tile(np.eye(4), (F, 1, 1)), np.tile(K, (F, 1, 1))
     seen = TrainingFrames(images, empty > 0, empty + 5, empty > 0, poses, Ks, np.linspace(0, 1, F))
     colours = ColourTable(torch.linspace(0, 1, F), P)
     scene = GaussianScene(cloud, motion, torch.zeros(3), 0.05, neighbours=4, colours=colours)
-    return Trainer(scene, seen, GaussiansOptions(steps=1000, densify=False), arap_weight=0.01)
+    return Trainer(scene.to(device), seen, GaussiansOptions(steps=1000, densify=False), arap_weight=0.01)
 
 
 Times = defaultdict[str, np.ndarray]
@@ -182,6 +182,8 @@ def profile(folder: Path, seconds: Times, device: str = "auto") -> str:
         seconds.clear()
         start.trainer.run(lambda _: None)
         (ready_s, _), (wall_s, cpu_s) = begun - began, now() - begun
+    on_gpu, peak_mb = start.trainer.device.type == "cuda", peak_bytes() / 1e6
+    gpu = f", {torch.cuda.max_memory_allocated() / 1e6:.0f} MB on the GPU" if on_gpu else ""
     shares = {part: 100 * seconds[part][1] / cpu_s for part in PARTS}
     scene, threads = start.trainer.scene, torch.get_num_threads()
     moving = 100 * (1 - scene.n_static / len(scene.anchors))
@@ -189,10 +191,10 @@ def profile(folder: Path, seconds: Times, device: str = "auto") -> str:
         f"{folder}: {backend_name(start.trainer.device)}: {start.trainer.step} steps in {wall_s:.1f} s, "
         f"{cpu_s:.1f} CPU s, {threads} threads busy {100 * cpu_s / wall_s / threads:.0f} %, after {ready_s:.1f} s to "
         f"begin; {len(scene.anchors)} Gaussians, {moving:.0f} % of them dynamic; "
-        f"{training_psnr(scene, start.seen):.2f} dB on training frames; peak memory {peak_bytes() / 1e6:.0f} MB"
+        f"{training_psnr(scene, start.seen):.2f} dB on training frames; peak memory so far {peak_mb:.0f} MB{gpu}"
     ]
-    if start.trainer.device.type == "cuda":
-        return f"{lines[0]}, {torch.cuda.max_memory_allocated() / 1e6:.0f} MB on the GPU"
+    if on_gpu:
+        return lines[0]
     lines += [f"  {part:22}{share:5.0f} % of CPU" for part, share in shares.items()]
     return "\n".join([*lines, f"  {'other':22}{100 - sum(shares.values()):5.0f} % of CPU"])
 
@@ -201,14 +203,16 @@ def main() -> None:
     """Print where the time goes in the training of the folders named, or of the random scene."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.bench_training", description=main.__doc__)
     parser.add_argument("folder", nargs="*", type=Path, help="results/<dataset>/<sequence>, trained")
-    parser.add_argument("--device", nargs="+", default=["auto"], choices=["auto", "cpu", "cuda"], help="where, in turn")
+    parser.add_argument("--device", nargs="+", choices=["auto", "cpu", "cuda"], help="where to train folders, in turn")
     chosen = parser.parse_args()
+    if chosen.device and not chosen.folder:
+        parser.error("--device: for the training of folders; benchmarks.step_sizes takes random scenes on every device")
     seconds: Times = defaultdict(lambda: np.zeros(2))
     for part, functions in PARTS.items():
         for owner, name in functions:
             setattr(owner, name, clocked(getattr(owner, name), seconds, part))
     for folder in chosen.folder:
-        for device in chosen.device:
+        for device in chosen.device or ["auto"]:
             print(profile(folder, seconds, device), flush=True)
     if not chosen.folder:
         random_scene(seconds)

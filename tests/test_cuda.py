@@ -1,6 +1,7 @@
-"""Training and rendering on CUDA against the same on the CPU: everything that has another path there."""
+"""Training and rendering on CUDA against the same on the CPU."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import gaussian_scene as truth
@@ -15,7 +16,7 @@ from viewed_scenes import brightening, tumbling, with_every_effect
 from stages.deformation.motion_models import TableDeformation
 from stages.gaussians import __main__ as gaussians_stage
 from stages.gaussians import checkpoint, optimise
-from stages.gaussians.densify import densify
+from stages.gaussians.densify import GradientRecord, densify
 from stages.gaussians.optimise import Trainer
 from stages.gaussians.options import GaussiansOptions
 from stages.gaussians.ssim import Target, photometric_loss
@@ -71,7 +72,7 @@ def differences(
     """The colour difference that one pixel in a thousand exceeds, and those of gradients in lengths of the gradient."""
     (image, by_name), (expected, by_cpu) = (step_on(where, make, count, followed) for where in (device, CPU))
     assert by_name.keys() == by_cpu.keys()
-    lengths = {name: max(float(np.linalg.norm(gradient)), 1e-12) for name, gradient in by_cpu.items()}
+    lengths = {name: max(float(np.linalg.norm(gradient)), 1e-9) for name, gradient in by_cpu.items()}  # else rounding
     turned = {name: float(np.linalg.norm(by_name[name] - by_cpu[name])) / lengths[name] for name in by_cpu}
     return float(np.quantile(np.abs(image - expected), 0.999)), turned
 
@@ -99,7 +100,6 @@ def test_a_held_out_frame_is_as_good_as_on_the_cpu(cuda: torch.device, monkeypat
     and the training of each backend makes the best of its own order."""
     found, expected = trained_on(cuda, monkeypatch), trained_on(CPU, monkeypatch)
     assert found.history.loss[0] == pytest.approx(expected.history.loss[0], rel=0.01)
-    assert found.history.n_gaussians == pytest.approx(expected.history.n_gaussians, rel=0.01)
     frame, _, mask = truth.ray_cast(truth.cameras()[4], truth.TIMES[4])
     images = [image_at(trainer.scene.cpu(), 4) for trainer in (found, expected)]
     for where in (mask, ~mask):
@@ -119,6 +119,19 @@ def test_density_control_takes_the_same_gaussians(cuda: torch.device) -> None:
         torch.testing.assert_close(getattr(found, name).cpu(), values)
 
 
+@pytest.mark.parametrize("rows", [None, [0, 2, 3, 7]])
+def test_the_record_of_gradients_is_that_of_the_cpu(rows: list[int] | None, cuda: torch.device) -> None:
+    records = [GradientRecord.empty(8, device) for device in (cuda, CPU)]
+    for seed in range(3):
+        gradient = torch.randn(1, 8 if rows is None else len(rows), 2, generator=torch.manual_seed(seed))
+        gradient[0, seed] = 0  # not drawn in this step
+        for record, device in zip(records, (cuda, CPU), strict=True):
+            record.add(gradient.to(device), None if rows is None else torch.tensor(rows, device=device))
+    assert records[0].views.tolist() == records[1].views.tolist()
+    assert sum(records[1].views.tolist()) == 3 * (gradient.shape[1] - 1)
+    torch.testing.assert_close(records[0].mean.cpu(), records[1].mean)
+
+
 def on(cloud: Cloud, device: torch.device) -> Cloud:
     return Cloud(*(values.to(device) for values in vars(cloud).values()))
 
@@ -127,6 +140,7 @@ def test_a_killed_training_goes_on_where_it_was(cuda: torch.device, monkeypatch:
     """What was captured is there again; sums of CUDA are in no fixed order, so the rest is the same in effect alone."""
     monkeypatch.setattr(optimise, "DENSIFY_EVERY", 8)
     options, seen = GaussiansOptions(steps=40, stride_px=4), truth.observations(TRAIN)
+    seen = replace(seen, scene=np.arange(truth.WIDTH) + np.zeros((truth.HEIGHT, 1)) > 9)  # a bar is burnt in
     scenes = coloured_scene(seen), coloured_scene(seen)
     for scene in scenes:
         scene.poses = PoseTable(torch.tensor(seen.times), length=4.0)

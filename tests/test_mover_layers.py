@@ -27,9 +27,12 @@ from stages.shared.artifacts import Dense
 from stages.shared.flow_pairs import FlowPairs
 
 
-def evidence(contrast: int, ground_px: int = GROUND_PX) -> tuple[Superpixels, Belonging]:
-    """The tiles of a clip and what its pictures say, where the left part of the mover is known."""
-    frames = clip(contrast, ground_px)
+def evidence(contrast: int, ground_px: int = GROUND_PX, darker: float = 1.0) -> tuple[Superpixels, Belonging]:
+    """The tiles of a clip and what its pictures say, where the left part of the mover is known.
+
+    Every frame is `darker` by this factor than the one before.
+    """
+    frames = [np.rint(darker**k * frame).astype(np.uint8) for k, frame in enumerate(clip(contrast, ground_px))]
     pixels, pairs = tiles(), FlowPairs(Dense(flow_columns(ground_px)))
     sure = pixels.means(np.stack([left_part(k) for k in range(T)]).astype(float)).round()
     return pixels, belonging(pixels, pairs, lambda k: frames[k], static_world(ground_px), sure)
@@ -40,8 +43,10 @@ def inner(mask: np.ndarray) -> np.ndarray:
     return cv2.erode(mask.astype(np.uint8), np.ones((17, 17), np.uint8)) > 0
 
 
-def test_what_moves_with_a_known_part_is_given_to_the_mover() -> None:
-    pixels, found = evidence(contrast=60)
+@pytest.mark.parametrize("darker", [1.0, 0.93])
+def test_what_moves_with_a_known_part_is_given_to_the_mover(darker: float) -> None:
+    """In any light: pictures are compared as if all had the same exposure."""
+    pixels, found = evidence(contrast=60, darker=darker)
     for k in range(T):
         shown = pixels.paint(found.weight, k)
         assert np.median(shown[inner(square(k) & ~left_part(k))]) > 0.1 * MOVING

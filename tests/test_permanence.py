@@ -160,6 +160,22 @@ def test_certain_motion_is_kept_at_every_threshold(threshold: float) -> None:
     np.testing.assert_array_equal(unseen, instance)
 
 
+@pytest.mark.parametrize(("window", "made"), [(100, 1), (7, 4)])
+def test_links_are_kept_where_one_window_is_the_clip(window: int, made: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Those of several windows are not: they would be as much memory as the system of each."""
+    monkeypatch.setattr(permanence, "WINDOW", window)
+    monkeypatch.setattr(permanence, "OVERLAP", 2)
+    asked, links = [], permanence.links
+    monkeypatch.setattr(permanence, "links", lambda *given: asked.append(given) or links(*given))
+    rgb, pairs, where = squares()
+    pixels = superpixels(T, lambda k: rgb[k])
+    means = pixels.means((where > 0).astype(float))
+    linked = Links(pixels, pairs, 3.0)
+    first, second = (persistent(linked, means, np.ones(len(means)), 0.33) for _ in range(2))
+    assert len(asked) == made
+    np.testing.assert_array_equal(first, second)
+
+
 @given(st.integers(1, 700))
 def test_windows_cover_every_frame_with_a_weight_of_one(frames: int) -> None:
     total = np.zeros(frames)

@@ -75,14 +75,17 @@ def links(pixels: Superpixels, pairs: Mapping[str, np.ndarray], start: int, perm
 
 
 class Links:
-    """The superpixels of a clip and W between those of a window; that of the last window is kept, often the only one.
+    """The superpixels of a clip and W between those of a window, which is kept where there is but one.
 
     Arguments as of `links`, of the whole clip.
     """
 
     def __init__(self, pixels: Superpixels, pairs: Mapping[str, np.ndarray], permanence: float) -> None:
         self.pixels = pixels
-        self.within = lru_cache(1)(lambda start, stop: links(pixels.part(start, stop), pairs, start, permanence))
+        kept = len(list(windows(len(pixels.labels)))) == 1
+        self.within = lru_cache(int(kept))(
+            lambda start, stop: links(pixels.part(start, stop), pairs, start, permanence)
+        )
 
 
 def solve(
