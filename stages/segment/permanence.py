@@ -53,7 +53,7 @@ MIN_STRENGTH, MIN_SUPPORT = 1.3, 0.15
 share by which it counts. Flow fails at occlusions and on textureless sky; what shows there is weak, or unsure, in every
 frame of it."""
 CANDIDATE = 0.95, 0.8
-"""Shares of both that are enough for an instance to be asked about: the pictures tell which of these move."""
+"""Shares of both that are enough for an instance to be asked about, and for one that the pictures show to move."""
 CONFIRMED, EVIDENT = 0.03, 1.25
 """Least mean weight with which they show then that it moves, over what was compared of it (of at most
 `stages.segment.layers.MOVING`); what is so many times as strong as it needs to be is kept without."""
@@ -169,28 +169,38 @@ def persistent(
     sure = x / (2 * np.maximum(threshold, RELATIVE * levels))
     for told in (stated, shown):  # where the flow is unsure, both may say what moves
         confidence = confidence if told is None else np.maximum(confidence, told)
-    strength, support = CANDIDATE if candidates else (1.0, 1.0)
-    most = (1 + threshold) / 2  # certain motion is kept at every threshold
-    least, evident = strength * min(MIN_STRENGTH * threshold, most), min(EVIDENT * MIN_STRENGTH * threshold, most)
-    evidence = x / least, x * confidence / (support * MIN_SUPPORT)
-    confirmed = () if shown is None or asked is None else (shown - CONFIRMED * asked, x - evident)
-    instance = instances(sure >= DYNAMIC, np.concatenate(joined, axis=1), pixels.areas, evidence, confirmed)
+    enough, weaker = (_evidence(x, confidence, threshold, *shares) for shares in ((1.0, 1.0), CANDIDATE))
+    grounds: list[tuple[np.ndarray, ...]] = [weaker if candidates else enough]
+    if shown is not None and asked is not None:
+        evident = x - _least(threshold, EVIDENT)
+        grounds = [(*enough, shown - CONFIRMED * asked), (*enough, evident), (*weaker, shown - CONFIRMED)]
+    instance = instances(sure >= DYNAMIC, np.concatenate(joined, axis=1), pixels.areas, grounds)
     return np.where((sure >= DYNAMIC) & (instance == 0), 0, np.minimum(sure, 1)), instance
+
+
+def _least(threshold: float, share: float) -> float:
+    """Least mean x of an instance, at a share of what is needed; certain motion is kept at every threshold."""
+    return min(share * MIN_STRENGTH * threshold, min(share, 1) * (1 + threshold) / 2)
+
+
+def _evidence(
+    x: np.ndarray, confidence: np.ndarray, threshold: float, strength: float, support: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """By how much [N] each superpixel has more strength and support than these shares of what an instance needs."""
+    return x - _least(threshold, strength), x * confidence - support * MIN_SUPPORT
 
 
 def instances(
     dynamic: np.ndarray,
     joined: np.ndarray,
     areas: np.ndarray,
-    evidence: Sequence[np.ndarray],
-    confirmed: Sequence[np.ndarray] = (),
+    grounds: Sequence[Sequence[np.ndarray]],
 ) -> np.ndarray:
     """Numbers [N] of connected dynamic superpixels, 1 for the largest; 0 for static ones and for what is too weak.
 
     Args:
         dynamic: [N] bool; joined: [2, L] pairs of superpixels that are linked. areas: [N] px.
-        evidence: [N] each; an instance needs a mean of at least 1 of all.
-        confirmed: [N] each; it needs a mean of at least 0 of one of them, if there are any.
+        grounds: each of some [N]; an instance needs a mean of at least 0 of all that belong to one ground.
     """
     inner = joined[:, dynamic[joined[0]] & dynamic[joined[1]]]
     graph = sparse.coo_matrix((np.ones(inner.shape[1]), tuple(inner)), (len(areas), len(areas)))
@@ -201,9 +211,7 @@ def instances(
     def mean(values: np.ndarray) -> np.ndarray:
         return np.asarray(np.bincount(labels, (areas * values)[dynamic]) / sizes)
 
-    kept = np.logical_and.reduce([mean(values) >= 1 for values in evidence])
-    if confirmed:
-        kept &= np.logical_or.reduce([mean(values) >= 0 for values in confirmed])
+    kept = np.logical_or.reduce([np.logical_and.reduce([mean(of) >= 0 for of in ground]) for ground in grounds])
     order = np.argsort(np.where(kept, -sizes, 0), kind="stable")
     numbers = np.zeros(len(sizes), np.int64)
     numbers[order[: kept.sum()]] = np.arange(1, kept.sum() + 1)
