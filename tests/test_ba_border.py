@@ -16,7 +16,7 @@ from stages.ba.graph import FlowGraph, build_graph
 from stages.ba.options import BAOptions
 from stages.ba.problem import Problem
 from stages.ba.reading import read_matches
-from stages.ba.weights import BORDER_WEIGHT, downweight_border, favour_distance
+from stages.ba.weights import BORDER_WEIGHT, downweight_border
 from stages.flow import __main__ as flow_stage
 from stages.flow.options import FlowOptions
 from stages.shared.artifacts import read_dense, read_metadata, write_dense, write_json
@@ -34,7 +34,7 @@ def shifted(graph: FlowGraph) -> FlowGraph:
 
 
 @pytest.mark.parametrize("aspect", [1.0, 2.0])
-def test_pixels_at_the_border_count_little_in_the_last_adjustment(aspect: float) -> None:
+def test_pixels_at_the_border_count_little(aspect: float) -> None:
     source, target, flow, confidence = flow_arrays(make_scene(T=3))
     graph = build_graph(source, target, flow, confidence, 3, 1, aspect=aspect, border_px=3)
     v, u = np.indices((64, 96)).reshape(2, -1)
@@ -43,8 +43,6 @@ def test_pixels_at_the_border_count_little_in_the_last_adjustment(aspect: float)
     expected = graph.weights * np.where(inner, 1, BORDER_WEIGHT)
     assert_allclose(downweight_border(graph).weights, expected, rtol=1e-6)
     assert downweight_border(graph).weights.dtype == np.float32
-    plain = favour_distance(replace(graph, border_px=0)).weights
-    assert_allclose(favour_distance(graph).weights, plain * np.where(inner, 1, BORDER_WEIGHT), rtol=1e-6)
 
 
 @pytest.mark.parametrize("size", [(64, 96), (96, 64)])
@@ -56,9 +54,8 @@ def test_a_border_takes_no_more_than_its_share_of_the_shorter_side(size: tuple[i
     assert faint.sum() == faint.size - (size[0] - 8) * (size[1] - 8)
 
 
-@pytest.mark.parametrize("motion", ["curve", "rotate"])
-def test_flow_that_leads_outwards_at_the_border_makes_no_longer_lens(motion: str) -> None:
-    scene = make_scene(T=8, size=(96, 160), motion=motion)
+def test_flow_that_leads_outwards_at_the_border_makes_no_longer_lens_where_cameras_turn() -> None:
+    scene = make_scene(T=8, size=(96, 160), motion="rotate")
     graph = shifted(observe(scene))
     without, counted = (
         estimate(Problem(replace(graph, border_px=width), masked=True), BAOptions()).state.focal_px / scene.focal_px - 1

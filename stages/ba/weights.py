@@ -10,8 +10,8 @@ from stages.shared.flow_pairs import REACH
 from stages.shared.warp import bilinear
 
 BORDER_WEIGHT = 0.1
-"""Factor on the weight of pixels at the border of the image. With 0 their depths would not be adjusted with the
-cameras, and where a mover fills the middle too little would be left."""
+"""Factor on the weight of pixels at the border of the image where cameras only turn. Where they travel, these pixels
+count in full: on unseen clips paths without them are worse."""
 BORDER_SHARE = 1 / 16
 """Largest width of this border, as a share of the shorter side."""
 
@@ -26,10 +26,9 @@ def favour_distance(graph: FlowGraph) -> FlowGraph:
     """The graph with weights multiplied by the frame distance, relative to its mean over the edges, and by texture.
 
     That of edges over more than REACH frames counts as REACH: their flow is as good as over a long edge, not better.
-    Pixels at the border count little.
     """
     distance = np.minimum(np.abs(graph.target - graph.source), REACH).astype(np.float32)
-    weights = downweight_border(graph).weights * (distance / distance.mean())[:, None]
+    weights = graph.weights * (distance / distance.mean())[:, None]
     return replace(graph, weights=weights if graph.texture is None else weights * graph.texture[graph.source])
 
 
