@@ -34,8 +34,8 @@ from stages.splatting.shutter import Shutter, expose, moments
 CPU = torch.device("cpu")
 SIZE = (truth.WIDTH, truth.HEIGHT)
 SHOWN, TURNED = 1e-3, 1e-3
-"""Of colours 0..1, the most by which all but one in a thousand differ: a splat's alpha of about 1/255 is drawn by one
-backend alone. Of gradients, their difference in lengths of the gradient."""
+"""Of values of colours, 0..1, the most by which all but one in a thousand differ: a splat's alpha of about 1/255 is
+drawn by one backend alone. Of gradients, their difference in lengths of the gradient."""
 
 
 def every_effect_and_a_bending_mover() -> GaussianScene:
