@@ -111,10 +111,10 @@ def test_stage_one_alone_gives_a_scene_that_renders(tmp_path: Path) -> None:
 
 
 def check_exports(inputs: dict[str, Path], results: dict[str, Path], renders: Path, views: Path) -> None:
-    """Half precision is half the size and looks the same; PLY and views show what the renders show."""
+    """Half precision is little over half the size and looks the same; PLY and views show what the renders show."""
     cost = read_metadata(results["half"])
-    assert results["half"].stat().st_size < 0.56 * results["model"].stat().st_size
-    assert abs(cost["psnr_loss_db"]) < 0.25  # by the seed of this small scene it is 0 to 0.18
+    assert results["half"].stat().st_size < 0.6 * results["model"].stat().st_size
+    assert abs(cost["psnr_loss_db"]) < 0.05  # without what float16 leaves of the means it is up to 0.5
     table = read_table(inputs["poses"])
     write_table(
         views / "cameras.parquet", {name: values[4:6] for name, values in table.items()} | {"time": truth.TIMES[4:6]}

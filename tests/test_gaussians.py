@@ -180,8 +180,8 @@ def test_half_precision_is_independent_of_the_unit_of_the_scene(unit: float) -> 
     tensors, settings = halved(*scene_tensors(scene))
     again = scene_from_tensors(tensors, settings)
     assert (cloud.means / unit).abs().max() < 10
-    assert ((again.means - scene.means).abs() <= scene.means.abs() / 1024 + 1e-6 * unit).all()
-    assert sum(values.nbytes for values in tensors.values()) < 31 * len(cloud.means)
+    assert ((again.means - scene.means).abs() <= scene.means.abs() / 400_000 + 1e-6 * unit).all()  # float16: / 2048
+    assert sum(values.nbytes for values in tensors.values()) < 34 * len(cloud.means)
 
 
 def test_exposure_drift_is_compensated_between_frames_too() -> None:
