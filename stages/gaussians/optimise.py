@@ -27,17 +27,19 @@ from stages.splatting.rasterize import Rendering
 from stages.splatting.shutter import expose, instant
 
 LEARNING_RATES = {
-    "offsets": 0.18,
-    "log_scales": 0.06,
+    "offsets": 0.07,
+    "log_scales": 0.12,
     "quats": 0.03,
     "logits": 0.15,
     "log_spans": 0.06,
     "drifts": 0.06,
-    "sh_dc": 0.1,
+    "sh_dc": 0.05,
     "sh_rest": 0.005,
 }
 """Adam's learning rate per parameter, in footprints (of drifts, per span), logarithms, radians / 2, logits and SH
-coefficients."""
+coefficients. A step is about as long as the rate, however small the gradient: at .18 footprints means hop about."""
+BETAS = 0.8, 0.999
+"""Of Adam, whose gradients are those of single frames: most Gaussians of movers are seen in a few of them."""
 MOTION_RATE = 1e-4
 """Of rotations and translations of the control points. At several times this rate, control points that few pixels
 constrain drift and blur fast movers; without any, PSNR of movers is lower too (`gaussians.detach` measures that)."""
@@ -211,7 +213,7 @@ class Trainer:
             groups.append({"params": [self.scene.poses.twists], "rate": POSE_RATE, "name": "poses"})
         if self.scene.exposure is not None:
             groups.append({"params": [self.scene.exposure.log_gains], "rate": EXPOSURE_RATE, "name": "exposure"})
-        return Adam(groups, lr=0.0, eps=1e-15, fused=True)
+        return Adam(groups, lr=0.0, betas=BETAS, eps=1e-15, fused=True)
 
     def _set_rates(self) -> None:
         decay = FINAL_RATE ** (self.step / self.options.steps)
