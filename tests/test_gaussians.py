@@ -184,6 +184,22 @@ def test_half_precision_is_independent_of_the_unit_of_the_scene(unit: float) -> 
     assert sum(values.nbytes for values in tensors.values()) < 34 * len(cloud.means)
 
 
+def test_half_precision_holds_what_is_very_far_and_what_is_at_the_origin() -> None:
+    """float16 ends at 65504 medians: what is beyond was infinite. If most means are at the origin the median is 0."""
+    cloud = small_cloud()
+    cloud.means[0] = cloud.means[0] * 1e6
+    near = GaussianScene(cloud, None, torch.zeros(3), 0.02, 4)
+    tensors, settings = halved(*scene_tensors(near))
+    again = scene_from_tensors(tensors, settings).means
+    direction = cloud.means[0] / cloud.means[0].norm()
+    assert np.isfinite(tensors["means"]).all()
+    assert again[0] @ direction > 1e3 * cloud.means[1:].norm(dim=-1).max()
+    assert torch.allclose(again[1:], cloud.means[1:], rtol=1e-5)
+    cloud.means[0], cloud.means[2:] = cloud.means[1], 0
+    tensors, settings = halved(*scene_tensors(GaussianScene(cloud, None, torch.zeros(3), 0.02, 4)))
+    assert torch.allclose(scene_from_tensors(tensors, settings).means, cloud.means, rtol=1e-5)
+
+
 def test_exposure_drift_is_compensated_between_frames_too() -> None:
     """The light fades by 40 %: gains per training frame, interpolated at the held-out one."""
     seen = truth.observations(TRAIN)

@@ -43,6 +43,8 @@ HALVED = (
 a fifth of a life span."""
 MEANS_REST, REST_STEPS = "means_rest", 254
 """Tensor of what float16 leaves of the means, int8 in this many parts of the distance between its numbers."""
+FARTHEST = 65472.0
+"""Largest float16 but one, which still has a finite distance to the next. Means farther out are held here."""
 
 
 def scene_tensors(scene: GaussianScene) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
@@ -80,15 +82,17 @@ def halved(
 ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """The same model with the tensors HALVED as float16.
 
-    Means are divided by their median distance from the origin (`unit` in the metadata), since float16 ends at 65504.
-    Their relative error of up to 1/2048 would be a quarter of a pixel at the border of frames 512 px wide; with
-    MEANS_REST it is 1/250 of that. Quaternions may have any length and are scaled to a largest entry of 1.
+    Means are divided by their median distance from the origin (`unit` in the metadata), since float16 ends at 65504,
+    and held within FARTHEST of it. Their relative error of up to 1/2048 would be a quarter of a pixel at the border of
+    frames 512 px wide; with MEANS_REST it is about 1/250 of that. Quaternions may have any length and are scaled to a
+    largest entry of 1.
     """
     distances = np.linalg.norm(tensors["means"], axis=-1)
-    unit = float(np.median(distances)) if distances.any() else 1.0
+    unit = float(np.median(distances[distances > 0])) if distances.any() else 1.0
     lengths = np.abs(tensors["quats"]).max(axis=-1, keepdims=True)
     scaled = {"quats": tensors["quats"] / lengths}
     scaled |= {name: tensors[name] / unit for name in ("means", "drifts") if name in tensors}
+    scaled["means"] = scaled["means"].clip(-FARTHEST, FARTHEST)
     small = {name: (scaled.get(name, tensors[name])).astype(np.float16) for name in HALVED if name in tensors}
     parts = REST_STEPS * (scaled["means"] - small["means"]) / _spacing(small["means"])
     small[MEANS_REST] = np.rint(parts).clip(-127, 127).astype(np.int8)
