@@ -179,8 +179,8 @@ def test_links_are_kept_where_one_window_is_the_clip(window: int, made: int, mon
     """Those of several windows are not: they would be as much memory as the system of each."""
     monkeypatch.setattr(permanence, "WINDOW", window)
     monkeypatch.setattr(permanence, "OVERLAP", 2)
-    asked, links = [], permanence.links
-    monkeypatch.setattr(permanence, "links", lambda *given: asked.append(given) or links(*given))
+    asked, link_weights = [], permanence.link_weights
+    monkeypatch.setattr(permanence, "link_weights", lambda *given: asked.append(given) or link_weights(*given))
     rgb, pairs, where = squares()
     pixels = superpixels(T, lambda k: rgb[k])
     means = pixels.means((where > 0).astype(float))
@@ -230,7 +230,7 @@ def test_links_are_weaker_between_other_colours() -> None:
     pixels = Superpixels(labels, np.array([0, 2, 4]), np.full(4, 8.0), colours)
     pairs = {"source": np.array([0]), "target": np.array([1])}
     pairs |= {"flow": np.zeros((1, 4, 4, 2), np.float32), "confidence": np.ones((1, 4, 4))}
-    found = permanence.links(pixels, pairs, 0, 3.0).toarray()
+    found = permanence.link_weights(pixels, pairs, 0, 3.0).toarray()
     assert found[0, 2] == pytest.approx(3 * 8)
     assert found[1, 3] == pytest.approx(3 * 8 * np.exp(-3 * 20**2 / (2 * 20**2)))
     assert found[2, 3] == pytest.approx(2.4 * 4 * (4 / 512) * np.exp(-3 * 20**2 / (2 * 8**2)))

@@ -64,7 +64,9 @@ def confidence_of(weight: np.ndarray) -> np.ndarray:
     return np.asarray(weight / (weight + HALF_WEIGHT))
 
 
-def links(pixels: Superpixels, pairs: Mapping[str, np.ndarray], start: int, permanence: float) -> sparse.csr_matrix:
+def link_weights(
+    pixels: Superpixels, pairs: Mapping[str, np.ndarray], start: int, permanence: float
+) -> sparse.csr_matrix:
     """W [N, N] of the superpixels of the frames from `start` on; `permanence` weighs links along the flow.
 
     With the width of the frames, areas grow with its square and borders with itself: hence the factor.
@@ -77,14 +79,14 @@ def links(pixels: Superpixels, pairs: Mapping[str, np.ndarray], start: int, perm
 class Links:
     """The superpixels of a clip and W between those of a window, which is kept where there is but one.
 
-    Arguments as of `links`, of the whole clip.
+    Arguments as of `link_weights`, of the whole clip.
     """
 
     def __init__(self, pixels: Superpixels, pairs: Mapping[str, np.ndarray], permanence: float) -> None:
         self.pixels = pixels
         kept = len(list(windows(len(pixels.labels)))) == 1
         self.within = lru_cache(int(kept))(
-            lambda start, stop: links(pixels.part(start, stop), pairs, start, permanence)
+            lambda start, stop: link_weights(pixels.part(start, stop), pairs, start, permanence)
         )
 
 
