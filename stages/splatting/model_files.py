@@ -82,10 +82,10 @@ def halved(
 ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """The same model with the tensors HALVED as float16.
 
-    Means are divided by their median distance from the origin (`unit` in the metadata), since float16 ends at 65504,
-    and held within FARTHEST of it. Their relative error of up to 1/2048 would be a quarter of a pixel at the border of
-    frames 512 px wide; with MEANS_REST it is about 1/250 of that. Quaternions may have any length and are scaled to a
-    largest entry of 1.
+    Means are divided by the median distance from the origin of those that are not at it (`unit` in the metadata), since
+    float16 ends at 65504, and held within FARTHEST. Their relative error of up to 1/2048 would be a quarter of a pixel
+    at the border of frames 512 px wide; with MEANS_REST it is about 1/250 of that. Quaternions may have any length and
+    are scaled to a largest entry of 1.
     """
     distances = np.linalg.norm(tensors["means"], axis=-1)
     unit = float(np.median(distances[distances > 0])) if distances.any() else 1.0
