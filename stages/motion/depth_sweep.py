@@ -95,32 +95,33 @@ def least_difference(others: list[Other], sought: np.ndarray, nearest: float) ->
         return least
     pictures = [np.stack([getattr(other, name) for other in near]) for name in ("found", "expected")]
     greys = [np.stack([cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) for image in of[:first]]) for of in pictures]
+    flat = [of.reshape(-1) for of in (*greys, *pictures)]
     A, b = (np.stack([getattr(other, name) for other in near]).astype(np.float32) for name in ("A", "b"))
     later = np.array([other.step > 0 for other in near])
     v, u = np.nonzero(sought)
     found, unit = np.empty(len(u), np.float32), STEP_PX / way_px
     steps = min(int(np.ceil(nearest / unit)), STEPS)
     depths = np.linspace(0, min(nearest, STEPS * unit), 1 + max(steps, 1)).astype(np.float32)
-    _search(*greys, *pictures, A, b, later, u, v, depths, found)
+    _search(*flat, sought.shape, first, A, b, later, u, v, depths, found)
     least[v, u] = found
     return least
 
 
 @numba.njit(**KERNEL)
-def _search(grey, grey_expected, images, expected, A, b, later, u, v, depths, least):  # type: ignore[no-untyped-def]
+def _search(grey, grey_expected, images, expected, size, first, A, b, later, u, v, depths, least):  # type: ignore[no-untyped-def]
     """Fill the least difference [n] float32 of pixels u, v [n] int64: first over the `depths` [d] float32, at whole
-    pixels of the nearest frames in grey [f, h, w] uint8, then around the best of them in all frames [F, h, w, 3], by
-    A [F, 3, 3] and b [F, 3] float32."""
+    pixels of the `first`, nearest frames in grey [first, h, w] uint8, then around the best of them in all frames
+    [F, h, w, 3], by A [F, 3, 3] and b [F, 3] float32. Pictures are given as one row, and their size (h, w)."""
     for k in range(len(u)):
         most, depth = np.float32(np.inf), np.float32(0)
         for d in depths:
-            found = _grey_difference(grey, grey_expected, A, b, u[k], v[k], d, most)
+            found = _grey_difference(grey, grey_expected, size, first, A, b, u[k], v[k], d, most)
             if found < most:
                 most, depth = found, d
-        best, width = _difference(images, expected, A, b, later, u[k], v[k], depth), depths[1] / 2
+        best, width = _difference(images, expected, size, A, b, later, u[k], v[k], depth), depths[1] / 2
         for _ in range(REFINEMENTS):
             for d in (max(depth - width, depths[0]), min(depth + width, depths[-1])):
-                found = _difference(images, expected, A, b, later, u[k], v[k], d)
+                found = _difference(images, expected, size, A, b, later, u[k], v[k], d)
                 if found < best:
                     best, depth = found, d
             width /= 2
@@ -128,39 +129,42 @@ def _search(grey, grey_expected, images, expected, A, b, later, u, v, depths, le
 
 
 @numba.njit(**KERNEL)
-def _grey_difference(images, expected, A, b, u, v, depth, most):  # type: ignore[no-untyped-def]
+def _grey_difference(images, expected, size, frames, A, b, u, v, depth, most):  # type: ignore[no-untyped-def]
     """Mean difference of a pixel's window at an inverse depth, of the worst frame; infinite from `most` on, and where
     no frame shows it."""
-    h, w = images.shape[1:]
+    h, w = size
     worst = np.float32(-1)
-    for j in range(len(images)):
+    for j in range(frames):
         x_px, y_px = place(A, b, j, u, v, depth)
         x, y = int(np.rint(x_px)), int(np.rint(y_px))
         if x < 0 or y < 0 or x >= w or y >= h:
             continue
-        total, pixels = np.int32(0), 0
-        for dv in range(max(-HALF_WINDOW, -v, -y), min(HALF_WINDOW, h - 1 - v, h - 1 - y) + 1):
-            for du in range(max(-HALF_WINDOW, -u, -x), min(HALF_WINDOW, w - 1 - u, w - 1 - x) + 1):
-                total += abs(np.int32(images[j, y + dv, x + du]) - expected[j, v + dv, u + du])
-                pixels += 1
+        first, last = max(-HALF_WINDOW, -v, -y), min(HALF_WINDOW, h - 1 - v, h - 1 - y)
+        begin, end = max(-HALF_WINDOW, -u, -x), min(HALF_WINDOW, w - 1 - u, w - 1 - x)
+        at, here = (j * h + y + first) * w + x + begin, (j * h + v + first) * w + u + begin
+        total, values = np.int32(0), end - begin + 1
+        for _ in range(first, last + 1):
+            for k in range(values):
+                total += abs(np.int32(images[np.uint64(at + k)]) - np.int32(expected[np.uint64(here + k)]))
             if total >= most * (2 * HALF_WINDOW + 1) ** 2:
                 return np.float32(np.inf)
-        worst = max(worst, np.float32(total / pixels))
+            at, here = at + w, here + w
+        worst = max(worst, np.float32(total / (values * (last - first + 1))))
         if worst >= most:
             return np.float32(np.inf)
     return worst if worst >= 0 else np.float32(np.inf)
 
 
 @numba.njit(**KERNEL)
-def _difference(images, expected, A, b, later, u, v, depth):  # type: ignore[no-untyped-def]
+def _difference(images, expected, size, A, b, later, u, v, depth):  # type: ignore[no-untyped-def]
     """Mean difference of a pixel's window at an inverse depth, of the worse side; infinite where no frame shows it."""
-    h, w = images.shape[1:3]
+    h, w = size
     before, befores, after, afters = np.float32(0), 0, np.float32(0), 0
-    for j in range(len(images)):
+    for j in range(len(later)):
         x, y = place(A, b, j, u, v, depth)
         if not (0 <= x <= w - 1 and 0 <= y <= h - 1):
             continue
-        apart = window_difference(images, expected, j, u, v, x, y, HALF_WINDOW, np.inf)
+        apart = window_difference(images, expected, size, j, u, v, x, y, HALF_WINDOW, np.inf)
         if later[j]:
             after, afters = after + apart, afters + 1
         else:

@@ -53,22 +53,25 @@ def seen_again(
     least = limit[v, u]
     alike, places = np.empty(len(others)), np.empty((len(others), 3))
     static = np.stack([depth[v, u] for depth in depths])
-    _seen_again(pictures, expected, covers, A, b, u, v, static, least, alike, places)
+    flat = pictures.reshape(-1), expected.reshape(-1)
+    _seen_again(*flat, covers, A, b, u, v, static, least, alike, places)
     found[v, u] = np.where(least < limit[v, u], least, np.inf)
     return found
 
 
 @numba.njit(**KERNEL)
 def _seen_again(images, expected, covered, A, b, u, v, depths, least, alike, places):  # type: ignore[no-untyped-def]
-    """Lower the `least` difference [n] float32 of pixels u, v [n] to images [F, h, w, 3], over their `depths` [d, n].
+    """Lower the `least` difference [n] float32 of pixels u, v [n] to images [F, h, w, 3], given as one row, over their
+    `depths` [d, n].
 
     What is not below the least so far need not be known: the quantile is among the others, which are sorted in `alike`
     [F], or they are too few. `places` [F, 3] are the frames that show the place uncovered, and where they do.
     """
+    size = covered.shape[1:]
     for k in range(len(u)):
         for d in range(len(depths)):
             shown = 0
-            for j in range(len(images)):
+            for j in range(len(covered)):
                 x, y = place(A, b, j, u[k], v[k], depths[d, k])
                 if _is_uncovered(covered, j, x, y):
                     places[shown, 0], places[shown, 1], places[shown, 2] = j, x, y
@@ -78,7 +81,7 @@ def _seen_again(images, expected, covered, A, b, u, v, depths, least, alike, pla
             rank, count, most = round(ALIKE * (shown - 1)), 0, least[k]
             for s in range(shown):
                 j, x, y = int(places[s, 0]), places[s, 1], places[s, 2]
-                apart = window_difference(images, expected, j, u[k], v[k], x, y, HALF_WINDOW, most)
+                apart = window_difference(images, expected, size, j, u[k], v[k], x, y, HALF_WINDOW, most)
                 if apart < most:
                     count = _insert(alike, count, apart)
                     if count > rank:
