@@ -89,7 +89,8 @@ def changes(colours: dict[int, np.ndarray], i: int, view: View) -> np.ndarray:
     for change, (j, way) in zip(found, view.ways(), strict=True):
         difference = colours[i] - warp(colours[j], way)
         difference -= np.median(difference[::EXPOSURE_PX, ::EXPOSURE_PX], axis=(0, 1))
-        change[:] = cv2.blur(difference, (NEAR_PX, NEAR_PX)) * is_inside(way)[..., None]
+        cv2.blur(difference, (NEAR_PX, NEAR_PX), dst=change)
+        change[~is_inside(way)] = 0
     return found
 
 
@@ -119,7 +120,7 @@ def seen_at_rest(
         details: `shadows.log_detail` per frame; changed: [E, h, w, 3] of `changes`.
         residual: [h, w] of the flow to a static world.
     """
-    means = changed.mean(axis=-1)
+    means = sum(np.moveaxis(changed, -1, 0)) / changed.shape[-1]
     power = means**2
     counted, alike = np.zeros((2, *residual.shape), np.float32)
     for of_edge, (j, way) in zip(power, view.ways(), strict=True):
@@ -167,10 +168,10 @@ def in_shadow(changed: np.ndarray, shadows: list[Shadow]) -> np.ndarray:
 
 def _in_shadow(changed: np.ndarray, shadow: Shadow) -> np.ndarray:
     along = changed @ (shadow.direction / np.linalg.norm(shadow.direction)).astype(np.float32)
-    power = along**2
-    across = np.maximum((changed**2).sum(axis=-1) - power, 0)
-    size = np.abs(changed.mean(axis=-1))
-    unlike = np.where(changed.any(axis=-1), across / (power + FAINT**2), np.inf)
+    power, planes = along**2, np.moveaxis(changed, -1, 0)  # over the last axis, of three, numpy sums one by one
+    across = np.maximum(sum(plane**2 for plane in planes) - power, 0)
+    size = np.abs(sum(planes) / len(planes))
+    unlike = np.where(planes.any(axis=0), across / (power + FAINT**2), np.inf)
     count = max(round((1 - COVERED) * len(changed)), 1)
     kept = np.argsort(unlike, axis=0, kind="stable")[:count]
     power, across, size = (np.take_along_axis(of_edge, kept, axis=0) for of_edge in (power, across, size))

@@ -103,7 +103,7 @@ def at_rest(
     alike, counted = np.zeros((2, 2, 2, *here.shape[:2]), np.float32)
     for j, flow, A, b in zip(targets, flows, *projections, strict=True):
         ways = dense_static_flow(A, b, inverse_depth), flow.astype(np.float32, copy=False)
-        squared = ((ways[0] - ways[1]) ** 2).sum(axis=-1)
+        squared = sum(apart**2 for apart in np.moveaxis(ways[0] - ways[1], -1, 0))
         telling = squared / (squared + TELLING_PX**2) * (is_inside(ways[0]) & is_inside(ways[1]))
         for k, way in enumerate(ways):
             weight, share = compared(here, warp(details[int(j)], way))

@@ -40,14 +40,14 @@ class Others:
 
     def __init__(self, depths: int, frame: np.ndarray) -> None:
         """Nothing yet beside a frame [h, w, 3] uint8."""
-        self.dark, self.bright = (frame <= DARK).all(axis=-1), (frame >= BRIGHT).all(axis=-1)
+        self.dark, self.bright = _between(frame, 0, DARK), _between(frame, BRIGHT, 255)
         self.change, self.square = np.zeros((2, depths, *self.dark.shape), np.float32)
         self.count = np.zeros((2, depths, *self.dark.shape), np.float32)
 
     def add(self, later: bool, depth: int, found: np.ndarray, expected: np.ndarray, inside: np.ndarray) -> None:
         """Add an earlier or later frame as seen at a depth, `found` [h, w, 3] uint8 where `inside` [h, w], beside the
         `expected`: this frame at the exposure of the other. Where both are saturated nothing is compared."""
-        saturated = (self.dark & (found <= DARK).all(axis=-1)) | (self.bright & (found >= BRIGHT).all(axis=-1))
+        saturated = (self.dark & _between(found, 0, DARK)) | (self.bright & _between(found, BRIGHT, 255))
         seen = inside & ~saturated
         change = cv2.transform(cv2.subtract(found, expected, dtype=cv2.CV_32F), MEAN_OF_COLOURS) * seen
         self.change[depth] += change
@@ -78,6 +78,11 @@ class Others:
         alone = np.where(seen, ratios, 0).max(axis=0)
         odd = _half_at(residual / tolerance, UNEXPLAINED) * _half_at(alone, ALONE)
         return odd if (odd > 0.5).mean() <= MOST else np.zeros_like(odd)
+
+
+def _between(image: np.ndarray, low: int, high: int) -> np.ndarray:
+    """Where [h, w] bool all colours of an image [h, w, 3] uint8 are at least `low` and at most `high`."""
+    return cv2.inRange(image, (low,) * 3, (high,) * 3) > 0
 
 
 def _half_at(value: np.ndarray, middle: float) -> np.ndarray:
