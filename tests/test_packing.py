@@ -85,6 +85,21 @@ def test_short_columns_alone_are_kept(
         assert len(unpacked) == expected
 
 
+@pytest.mark.parametrize(("short_bytes", "read_again"), [(10**6, 0), (100, 9)])
+def test_who_reads_says_up_to_which_size_columns_are_kept(
+    short_bytes: int, read_again: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    unpacked: list[int] = []
+    monkeypatch.setattr("stages.shared.packing.unpack", lambda *row: unpacked.append(1) or unpack(*row))
+    write(tmp_path / "pairs.arrow", np.random.default_rng(0).normal(size=SHAPE).astype(np.float16))
+    columns = read_dense(tmp_path / "pairs.arrow", short_bytes)
+    np.testing.assert_array_equal(columns["packed"][:], columns["packed"][:])
+    unpacked.clear()
+    columns.release()
+    assert np.isfinite(columns["packed"][:]).all()
+    assert len(unpacked) == read_again
+
+
 def test_a_packed_row_that_is_no_number_is_refused_where_it_is_read(tmp_path: Path) -> None:
     values = np.zeros(SHAPE, np.float16)
     values[6, 3, 2, 1] = np.nan

@@ -30,6 +30,9 @@ CAMERA_CURVE = (0.37, 0.1)
 Two-view geometry absorbs part of every motion, so the threshold without cameras is lower.
 """
 
+KEPT_BYTES = 256_000_000
+"""Size of the flow, and of its confidence, up to which all is kept: this stage goes through it twelve times."""
+
 
 def main(
     sequence: Annotated[Path, In("sequence.json of the input check")],
@@ -62,7 +65,7 @@ def main(
         for source, target in zip(kept, (output, figure), strict=True):
             copy(source, target)
         return f"cameras unchanged: {read_metadata(output)['moving_share']:.1%} of the pixels seem to move"
-    matched, scale = read_dense(flow), float(read_metadata(flow)["scale"])
+    matched, scale = read_dense(flow, KEPT_BYTES), float(read_metadata(flow)["scale"])
     scene = read_scene_on_grid(frames, matched["confidence"].shape[:0:-1])
     pairs = FlowPairs(matched, scene=scene)
     rgb = read_reduced(frames.frames, pairs.confidence.shape[:0:-1])

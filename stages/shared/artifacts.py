@@ -110,8 +110,11 @@ class Dense(dict[str, np.ndarray]):
             self._mapped.madvise(mmap.MADV_DONTNEED)
 
 
-def read_dense(path: Path) -> Dense:
+def read_dense(path: Path, short_bytes: int | None = None) -> Dense:
     """Memory-map an Arrow IPC file: read-only arrays [n] and [n, ...] without a copy, or `Rows`, read one by one.
+
+    Args:
+        short_bytes: size up to which all rows of a column are kept once they are read; None: `rows.SHORT_BYTES`.
 
     Raises:
         InputError: if it is not an Arrow IPC file, or holds NaN or infinity; of packed rows when they are read.
@@ -120,7 +123,7 @@ def read_dense(path: Path) -> Dense:
     table = _checked(path, "an Arrow IPC file", lambda: pa.ipc.open_file(pa.py_buffer(mapped)).read_all())
     columns, give_back = Dense({}, mapped), partial(mapped.madvise, mmap.MADV_DONTNEED)
     for name in table.column_names:
-        values = column_in(path, table.schema.field(name), table[name], give_back)
+        values = column_in(path, table.schema.field(name), table[name], give_back, short_bytes)
         for first in range(0, 0 if isinstance(values, Rows) and values.packed else len(values), ROWS_AT_ONCE):
             refuse_infinite(path, {name: values[first : first + ROWS_AT_ONCE]})
             columns.release()

@@ -15,10 +15,11 @@ follows from what they keep, by calculation: of `gaussians` 39 bytes per pixel o
 the motion of 48 frames. `colmap` was measured on small frames alone. What `control` holds grows with what moves: 8 %
 of the pixels were assumed. `export` was measured on 8 frames with all formats. The bases of `motion`, `ba` and
 `gaussians` leave room for a process that compiles kernels, which takes up to 110 MB more.
-Of flow a stage keeps columns of up to 32 MB (`rows.SHORT_BYTES`), measured on the demo since.
+Of flow a stage keeps columns of up to 32 MB (`rows.SHORT_BYTES`), measured on the demo since, `motion` of up to 256 MB
+(`motion.__main__.KEPT_BYTES`), flow and confidence each.
 `simulate` and `report`, which read no sequence, have a constant.
-`motion` was measured on 24 frames of 512 x 218 px and on 200 of 320 x 136 since it follows long tracks, whose
-surroundings in 50 frames it keeps; the surfaces of 44 frames that `hiding` keeps after that are less, by calculation.
+`motion` was measured on 24 frames of 512 x 218 px and on 200 of 320 x 136 since it keeps the flow, and the surroundings
+of long tracks in 50 frames; the surfaces of 44 frames that `hiding` keeps after that are less, by calculation.
 `ba` was measured on 200 frames on grids of 320 x 136 px (502 MiB) and, its flow enlarged, 512 x 218 (624 MiB, 1570
 edges), and on 40 of the former (335 MiB).
 `lens` was measured on 28 frames of 384 x 216 px and 200 of 512 x 218 with a distortion, which takes more than none.
@@ -40,6 +41,10 @@ from dataclasses import dataclass
 
 MARGIN = 1.15
 """Factor on the fitted memory: peaks vary with the content of the frames, mostly by up to a tenth."""
+FLOW, KEPT_FLOW_MB = (4, 2), 256
+"""Bytes per pixel of flow and of its confidence, and the size of either up to which it is kept."""
+KEPT_AT_PEAK = 0.75
+"""Share of what is kept of the flow by which the peak rises: it is filled while less is held beside it."""
 WINDOW = 80
 """Frames whose flow `flow` and `segment` hold at a time, about: they work on a window of the clip."""
 RETRY = 1.5
@@ -69,7 +74,8 @@ class Held:
 class Need:
     """Memory of a stage: constant megabytes, and bytes per pixel of each kind in `Held`.
 
-    What is kept of all frames in order not to read it again has a limit of its own, in megabytes.
+    What is kept of all frames in order not to read it again has a limit of its own, in megabytes. Flow is kept as a
+    whole, or not.
     """
 
     base_mb: float
@@ -81,6 +87,7 @@ class Need:
     kept_frames: float = 0
     kept_grid: float = 0
     kept_mb: float = 0
+    keeps_flow: bool = False
 
 
 NEEDS = {
@@ -89,7 +96,7 @@ NEEDS = {
     "inspect": Need(135, per_frame=17),
     "flow": Need(230, per_grid=3, per_window=7.5),
     "lens": Need(360, per_edges=0.4, per_frame=40, per_window=0.7),
-    "motion": Need(420, per_grid=31, per_window=2),
+    "motion": Need(420, per_grid=31, per_window=2, keeps_flow=True),
     "segment": Need(390, per_grid=12, per_window=5),
     "ba": Need(400, per_edges=1.5),
     "scene": Need(180, per_grid=4, kept_grid=45, kept_mb=1200),
@@ -110,4 +117,6 @@ def megabytes(stage: str, held: Held, attempt: int = 1) -> int:
     pixels = need.per_edges * held.edges + need.per_frames * held.frames + need.per_frame * held.frame
     pixels += need.per_grid * held.grid + need.per_window * held.window
     kept_mb = min((need.kept_frames * held.frames + need.kept_grid * held.grid) / 1e6, need.kept_mb)
+    columns_mb = [of_pixel * held.edges / 1e6 for of_pixel in FLOW] if need.keeps_flow else []
+    kept_mb += KEPT_AT_PEAK * sum(column_mb for column_mb in columns_mb if column_mb <= KEPT_FLOW_MB)
     return round(MARGIN * (need.base_mb + pixels / 1e6 + kept_mb) * RETRY ** (attempt - 1))

@@ -29,15 +29,20 @@ class Rows:
 
     Attributes:
         packed: the n buffers of packed rows; empty if they are not packed.
-        short: whether all rows are kept, up to SHORT_BYTES.
+        short: whether all rows are kept, up to `short_bytes`, or SHORT_BYTES.
     """
 
     def __init__(
-        self, count: int, like: np.ndarray, read: Callable[[int], np.ndarray], packed: Sequence[pa.Buffer] = ()
+        self,
+        count: int,
+        like: np.ndarray,
+        read: Callable[[int], np.ndarray],
+        packed: Sequence[pa.Buffer] = (),
+        short_bytes: int | None = None,
     ) -> None:
         """Of `count` rows, each of the shape and type of `like`."""
         self.shape, self.dtype, self.packed = (count, *like.shape), like.dtype, packed
-        self.short = count * like.nbytes <= SHORT_BYTES
+        self.short = count * like.nbytes <= (SHORT_BYTES if short_bytes is None else short_bytes)
         self._read = lru_cache(count if self.short else HELD)(read)
 
     @property
@@ -72,14 +77,21 @@ class Rows:
         self._read.cache_clear()
 
 
-def column_in(path: Path, field: pa.Field, column: pa.ChunkedArray, give_back: Callable[[], None]) -> Any:
+def column_in(
+    path: Path,
+    field: pa.Field,
+    column: pa.ChunkedArray,
+    give_back: Callable[[], None],
+    short_bytes: int | None = None,
+) -> Any:
     """A column of a mapped file as an array without a copy, or as Rows if it is packed, or images of several batches.
 
     Args:
         path: the file, for its errors. give_back: gives back the memory of what was read from the file.
+        short_bytes: as in `Rows`.
     """
     if PACKED in (field.metadata or {}):
-        return _unpacked(path, field, column, give_back)
+        return _unpacked(path, field, column, give_back, short_bytes)
     if column.num_chunks > 1 and isinstance(column.type, pa.FixedShapeTensorType):
         parts = [array_of(pa.chunked_array([chunk])) for chunk in column.chunks]
         ends = np.cumsum([len(part) for part in parts]).tolist()
@@ -88,11 +100,13 @@ def column_in(path: Path, field: pa.Field, column: pa.ChunkedArray, give_back: C
             part = bisect.bisect_right(ends, k)
             return np.asarray(parts[part][k - ends[part]])
 
-        return Rows(len(column), parts[0][0], row)
+        return Rows(len(column), parts[0][0], row, short_bytes=short_bytes)
     return array_of(column)
 
 
-def _unpacked(path: Path, field: pa.Field, column: pa.ChunkedArray, give_back: Callable[[], None]) -> Rows:
+def _unpacked(
+    path: Path, field: pa.Field, column: pa.ChunkedArray, give_back: Callable[[], None], short_bytes: int | None
+) -> Rows:
     from stages.shared.packing import unpack  # imports OpenCV, which few stages of tables need
 
     buffers, shape = _buffers(column), tuple(json.loads(field.metadata[PACKED]))
@@ -110,7 +124,7 @@ def _unpacked(path: Path, field: pa.Field, column: pa.ChunkedArray, give_back: C
         values.setflags(write=False)
         return values
 
-    return Rows(len(buffers), np.broadcast_to(np.float16(0), shape), row, buffers)
+    return Rows(len(buffers), np.broadcast_to(np.float16(0), shape), row, buffers, short_bytes)
 
 
 def _buffers(column: pa.ChunkedArray) -> list[pa.Buffer]:
