@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from stages.flow.edges import edge_list, long_edges, most_edges
-from stages.motion.__main__ import KEPT_BYTES
 from stages.shared.images import reduced_size
 from stages.shared.memory import KEPT_FLOW_MB, WINDOW, Held, megabytes
+from stages.shared.rows import OFTEN_READ_BYTES
 
 OFFSETS = {512: ((1, 2, 3, 5), 2), 320: ((1, 2, 4), 1), 256: ((1, 2, 3), 0)}
 """Offsets and long edges of the measured runs, by the width of their flow."""
@@ -17,7 +17,7 @@ LONG_WALK |= {"render": 673, "viewer": 647, "evaluate": 638}
 MEASURED = [
     *[("flow", 50, (512, 218), 512, 676), ("flow", 12, (512, 218), 512, 327), ("flow", 12, (512, 218), 320, 217)],
     *[("flow", 300, (512, 218), 512, 1050), ("motion", 24, (512, 218), 512, 642)],
-    *[("motion", 200, (512, 218), 320, 769), ("ba", 200, (512, 218), 320, 502)],
+    *[("motion", 200, (512, 218), 320, 769), ("ba", 200, (512, 218), 320, 593), ("ba", 24, (512, 218), 512, 510)],
     *[("lens", 28, (384, 216), 320, 389), ("lens", 200, (512, 218), 320, 388)],
     ("segment", 24, (512, 218), 512, 502),
     *[("scene", 14, (512, 218), 320, 187), ("scene", 40, (512, 218), 320, 280)],
@@ -44,7 +44,7 @@ def test_jobs_ask_for_what_they_use(stage: str, T: int, size: tuple[int, int], w
 
 
 def test_flow_is_kept_up_to_the_size_that_memory_is_asked_for() -> None:
-    assert 1e6 * KEPT_FLOW_MB == KEPT_BYTES
+    assert 1e6 * KEPT_FLOW_MB == OFTEN_READ_BYTES
 
 
 def test_every_attempt_asks_for_more() -> None:

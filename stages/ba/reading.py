@@ -13,6 +13,7 @@ from stages.ba.options import BAOptions
 from stages.ba.texture import texture_weights
 from stages.shared.artifacts import Dense, read_dense, read_metadata
 from stages.shared.images import read_reduced
+from stages.shared.rows import OFTEN_READ_BYTES
 from stages.shared.sequences import Sequence
 from stages.shared.threads import threaded
 
@@ -54,7 +55,7 @@ class Matches:
 
 def read_matches(flow: Path, T: int, options: BAOptions) -> Matches:
     """The matches of T frames, of which the longest shot is to be solved, or all where poses are given."""
-    about, columns, stride = read_metadata(flow), read_dense(flow), options.stride_px
+    about, columns, stride = read_metadata(flow), read_dense(flow, OFTEN_READ_BYTES), options.stride_px
     shot = np.ones(T, bool)
     if not options.poses_fixed:
         sampled = []

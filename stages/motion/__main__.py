@@ -19,6 +19,7 @@ from stages.shared.flow_pairs import FlowPairs
 from stages.shared.images import read_reduced, write_figure
 from stages.shared.log import logger
 from stages.shared.masks import read_scene_on_grid
+from stages.shared.rows import OFTEN_READ_BYTES
 from stages.shared.sequences import Sequence, read_sequence
 from stages.shared.settled import Solved, results_to_keep
 from stages.shared.static_flow import resample
@@ -29,9 +30,6 @@ CAMERA_CURVE = (0.37, 0.1)
 
 Two-view geometry absorbs part of every motion, so the threshold without cameras is lower.
 """
-
-KEPT_BYTES = 256_000_000
-"""Size of the flow, and of its confidence, up to which all is kept: this stage goes through it twelve times."""
 
 
 def main(
@@ -65,7 +63,7 @@ def main(
         for source, target in zip(kept, (output, figure), strict=True):
             copy(source, target)
         return f"cameras unchanged: {read_metadata(output)['moving_share']:.1%} of the pixels seem to move"
-    matched, scale = read_dense(flow, KEPT_BYTES), float(read_metadata(flow)["scale"])
+    matched, scale = read_dense(flow, OFTEN_READ_BYTES), float(read_metadata(flow)["scale"])
     scene = read_scene_on_grid(frames, matched["confidence"].shape[:0:-1])
     pairs = FlowPairs(matched, scene=scene)
     rgb = read_reduced(frames.frames, pairs.confidence.shape[:0:-1])

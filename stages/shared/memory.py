@@ -15,8 +15,8 @@ follows from what they keep, by calculation: of `gaussians` 39 bytes per pixel o
 the motion of 48 frames. `colmap` was measured on small frames alone. What `control` holds grows with what moves: 8 %
 of the pixels were assumed. `export` was measured on 8 frames with all formats. The bases of `motion`, `ba` and
 `gaussians` leave room for a process that compiles kernels, which takes up to 110 MB more.
-Of flow a stage keeps columns of up to 32 MB (`rows.SHORT_BYTES`), measured on the demo since, `motion` of up to 256 MB
-(`motion.__main__.KEPT_BYTES`), flow and confidence each.
+Of flow a stage keeps columns of up to 32 MB (`rows.SHORT_BYTES`), measured on the demo since, `motion` and `ba`, which
+were measured with it, of up to 256 MB (`rows.OFTEN_READ_BYTES`), flow and confidence each.
 `simulate` and `report`, which read no sequence, have a constant.
 `motion` was measured on 24 frames of 512 x 218 px and on 200 of 320 x 136 since it keeps the flow, and the surroundings
 of long tracks in 50 frames; the surfaces of 44 frames that `hiding` keeps after that are less, by calculation.
@@ -98,7 +98,7 @@ NEEDS = {
     "lens": Need(360, per_edges=0.4, per_frame=40, per_window=0.7),
     "motion": Need(420, per_grid=31, per_window=2, keeps_flow=True),
     "segment": Need(390, per_grid=12, per_window=5),
-    "ba": Need(400, per_edges=1.5),
+    "ba": Need(400, per_edges=1.5, keeps_flow=True),
     "scene": Need(180, per_grid=4, kept_grid=45, kept_mb=1200),
     "control": Need(590, per_grid=8, kept_grid=8, kept_mb=300),
     "gaussians": Need(785, per_frames=0.6, per_frame=370, kept_frames=34, kept_mb=2000),

@@ -18,6 +18,8 @@ HELD = 32
 """Rows that are kept after they were read: an edge is asked for several times in turn."""
 SHORT_BYTES = 32_000_000
 """Size of the rows, as they are read, up to which all are kept: the flow of a short clip is gone through many times."""
+OFTEN_READ_BYTES = 256_000_000
+"""The same for stages that go through it many times, and ask for the memory: `motion` twelve times, `ba` three."""
 PACKED = b"packed"
 """Key in the metadata of a field whose rows are packed (`packing.pack`); its value is the shape of a row, in JSON."""
 
