@@ -173,11 +173,13 @@ def _refined(options: SegmentOptions, frames: Sequence, flow: Path, prior: Path,
     world, shown = _static_world(*previous, flow, size), None
     sure, instance = persistent(*given, candidates=world is not None)
     if world is not None and instance.any():
-        from stages.segment.layers import belonging
+        from stages.segment.floating import floating
+        from stages.segment.layers import MOVING, belonging
 
         pairs = FlowPairs(matched, scene=read_scene_on_grid(frames, size))
         shown = belonging(pixels, pairs, picture, world, sure)
-        sure, instance = persistent(*given, shown.weight, shown.asked)
+        moving = np.where(floating(given[0], world, sure), np.maximum(shown.weight, MOVING), shown.weight)
+        sure, instance = persistent(*given, moving, shown.asked)
 
     def mask(k: int, rgb: np.ndarray) -> Mask:
         of_pixels = None if shown is None else shown.of_frame(k)
