@@ -1,5 +1,6 @@
 """The side of a tram beside its front, which is found: it floats before a wall and the ground below."""
 
+from collections.abc import Sequence
 from typing import Any, cast
 
 import numpy as np
@@ -16,7 +17,7 @@ FRONT, SIDE = (slice(24, 64), slice(40, 72)), (slice(24, 64), slice(72, 112))
 class World:
     """A wall, and ground that comes nearer from row 48 on; before them, things [(rows, columns), inverse depth]."""
 
-    def __init__(self, things: list[tuple[tuple[slice, slice], float]]) -> None:
+    def __init__(self, things: Sequence[tuple[tuple[slice, slice], float]]) -> None:
         self.depth = np.where(np.arange(H) < 48, 0.2, 0.2 + 0.01 * (np.arange(H) - 48))[:, None] * np.ones(W)
         for place, inverse_depth in things:
             self.depth[place] = inverse_depth
@@ -25,7 +26,11 @@ class World:
         return self.depth.astype(np.float32)
 
 
-def shown(things: list[tuple[tuple[slice, slice], float]], found: list[tuple[slice, slice] | None]) -> np.ndarray:
+def shown(
+    things: Sequence[tuple[tuple[slice, slice], float]],
+    found: Sequence[tuple[slice, slice] | None],
+    permanence: float = 1.0,
+) -> np.ndarray:
     """Where [T, H, W] bool something floats and hangs on what is found in each of T frames. All is seen at rest."""
     v, u = np.mgrid[:H, :W] // TILE_PX
     labels, count = v * (W // TILE_PX) + u, H * W // TILE_PX**2
@@ -39,7 +44,7 @@ def shown(things: list[tuple[tuple[slice, slice], float]], found: list[tuple[sli
     for mask, place in zip(masks, found, strict=True):
         if place is not None:
             mask[place] = 1
-    hangs = floating(Links(pixels, pairs, 1.0), cast(Any, World(things)), pixels.means(masks))
+    hangs = floating(Links(pixels, pairs, permanence), cast(Any, World(things)), pixels.means(masks))
     return np.stack([pixels.paint(hangs, k) for k in range(T)])
 
 
@@ -69,9 +74,22 @@ def test_what_hangs_alone_or_from_the_border_is_no_part_of_a_mover() -> None:
 
 
 def test_a_thing_that_a_mover_passes_is_no_part_of_it() -> None:
-    """It adjoins it in one frame, and floats there, but not in those around."""
-    assert not shown([(SIDE, 0.8)], [None, None, FRONT, None, None]).any()
-    assert shown([(SIDE, 0.8)], [None, FRONT, FRONT, FRONT, None])[2].any()
+    """It adjoins it in one frame, and floats there, but not in those around; how strong links are does not matter."""
+    for permanence in (1.0, 0.01):
+        assert not shown([(SIDE, 0.8)], [None, None, FRONT, None, None], permanence).any()
+        assert shown([(SIDE, 0.8)], [None, FRONT, FRONT, FRONT, None], permanence)[2].any()
+
+
+def test_what_is_found_in_the_frames_around_agrees() -> None:
+    whole = FRONT[0], slice(FRONT[1].start, SIDE[1].stop)
+    hangs = shown([(SIDE, 0.8)], [whole, whole, FRONT, whole, whole])
+    np.testing.assert_array_equal(hangs, place(SIDE) & (np.arange(T) == 2)[:, None, None])
+
+
+def test_a_long_clip_is_worked_on_window_by_window(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("stages.segment.permanence.WINDOW", 3)
+    monkeypatch.setattr("stages.segment.permanence.OVERLAP", 1)
+    test_the_side_of_a_tram_floats_beside_its_front(0.8)
 
 
 def test_what_is_seen_through_a_mover_is_behind_it() -> None:

@@ -37,13 +37,12 @@ def floating(linked: Links, world: StaticWorld, sure: np.ndarray) -> np.ndarray:
     frame = np.repeat(np.arange(len(pixels.labels)), np.diff(pixels.first))
     floats = np.concatenate([_of_frame(pixels, world, found, k) for k in range(len(pixels.labels))])
     agreeing, matched = np.zeros((2, len(found)))
-    for start, stop, taper in windows(len(pixels.labels)):
+    for start, stop, _ in windows(len(pixels.labels)):  # links of two windows that overlap count in both
         nodes = slice(pixels.first[start], pixels.first[stop])
         W, at = linked.within(start, stop).tocoo(), frame[nodes]
         along = np.where(at[W.row] == at[W.col], 0, W.data)  # links within a frame are borders
-        share = np.repeat(taper, np.diff(pixels.first[start : stop + 1]))
-        for total, counted in ((agreeing, (floats | found)[nodes]), (matched, np.ones_like(share))):
-            total[nodes] += share * np.bincount(W.row, along * counted[W.col], len(share))
+        matched[nodes] += np.bincount(W.row, along, len(at))
+        agreeing[nodes] += np.bincount(W.row, along * (floats | found)[nodes][W.col], len(at))
     return np.asarray(floats & (matched > 0) & (agreeing >= AGREE * matched))
 
 
