@@ -30,6 +30,7 @@ def shown(
     things: Sequence[tuple[tuple[slice, slice], float]],
     found: Sequence[tuple[slice, slice] | None],
     permanence: float = 1.0,
+    hole: tuple[slice, slice] | None = None,
 ) -> np.ndarray:
     """Where [T, H, W] bool something floats and hangs on what is found in each of T frames. All is seen at rest."""
     v, u = np.mgrid[:H, :W] // TILE_PX
@@ -44,6 +45,8 @@ def shown(
     for mask, place in zip(masks, found, strict=True):
         if place is not None:
             mask[place] = 1
+        if hole is not None:
+            mask[hole] = 0
     hangs = floating(Links(pixels, pairs, permanence), cast(Any, World(things)), pixels.means(masks))
     return np.stack([pixels.paint(hangs, k) for k in range(T)])
 
@@ -94,6 +97,12 @@ def test_a_long_clip_is_worked_on_window_by_window(monkeypatch: pytest.MonkeyPat
 
 def test_what_is_seen_through_a_mover_is_behind_it() -> None:
     assert not shown([(SIDE, 0.05)], T * [FRONT]).any()
+
+
+@pytest.mark.parametrize("inverse_depth", [0.05, 0.8])
+def test_what_a_mover_encloses_is_seen_through_it(inverse_depth: float) -> None:
+    """Ground between legs lies before nothing, as nothing else is beside it."""
+    assert not shown([(SIDE, inverse_depth)], T * [(slice(16, 72), slice(40, 120))], hole=SIDE).any()
 
 
 @pytest.mark.parametrize(("tiles", "hangs"), [(LEAST - 1, False), (LEAST, True)])

@@ -178,8 +178,10 @@ def _refined(options: SegmentOptions, frames: Sequence, flow: Path, prior: Path,
 
         pairs = FlowPairs(matched, scene=read_scene_on_grid(frames, size))
         shown = belonging(pixels, pairs, picture, world, sure)
-        moving = np.where(floating(given[0], world, sure), np.maximum(shown.weight, MOVING), shown.weight)
-        sure, instance = persistent(*given, moving, shown.asked)
+        sure, instance = persistent(*given, shown.weight, shown.asked)
+        if (floats := floating(given[0], world, sure)).any():  # beside what the pictures have confirmed
+            moving = np.where(floats, np.maximum(shown.weight, MOVING), shown.weight)
+            sure, instance = persistent(*given, moving, shown.asked)
 
     def mask(k: int, rgb: np.ndarray) -> Mask:
         of_pixels = None if shown is None else shown.of_frame(k)

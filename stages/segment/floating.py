@@ -18,8 +18,9 @@ NEARER = 1.15
 """Ratio of inverse depths between neighbours from which on the nearer one lies before the other."""
 BEFORE = 0.8
 """Share of the border with what is not found, at least, along which something that floats lies before it."""
-HANGS = 0.15
-"""Share of its border, at least, that it has with what is found."""
+HANGS, OPEN = 0.15, 0.15
+"""Shares of its border, at least, that it has with what is found, and along which it lies before the rest: what a mover
+encloses, ground between legs, is seen through it."""
 LEAST, MOST = 6, 0.3
 """Superpixels of which it has at least so many: the rims of movers have the depth of what is behind them. Share of the
 frame that it has at most."""
@@ -64,7 +65,8 @@ def _of_frame(pixels: Superpixels, world: StaticWorld, found: np.ndarray, k: int
     )
     labels = part.labels[0]
     area, pieces = np.bincount(body, part.areas, count), np.bincount(body, minlength=count)
-    floats = (hanging > HANGS * (hanging + others)) & (behind >= BEFORE * others)
+    border = hanging + others
+    floats = (hanging > HANGS * border) & (behind > OPEN * border) & (behind >= BEFORE * others)
     floats &= (pieces >= LEAST) & (area < MOST * labels.size)
     floats[body[np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])]] = False
     return np.asarray(floats[body] & ~found)
