@@ -2,8 +2,8 @@
 
 The side of a tram that comes the other way moves in the image like the side of a nearer tram at rest, so nothing in its
 flow tells. But nothing holds that nearer tram: at its depth as if static it lies before all that is around it, the
-ground below it too, and it adjoins a mover alone. What stands on the ground, or hangs from the border of the image,
-does not float; what a mover passes adjoins it in some frames, and not in those between.
+ground below it too, and it adjoins a mover. What stands on the ground, or reaches the border of the image, does not
+float; what a mover passes adjoins it in some frames, and not in those between.
 """
 
 import numpy as np
@@ -40,6 +40,8 @@ def floating(linked: Links, world: StaticWorld, sure: np.ndarray) -> np.ndarray:
     agreeing, matched = np.zeros((2, len(found)))
     for start, stop, _ in windows(len(pixels.labels)):  # links of two windows that overlap count in both
         nodes = slice(pixels.first[start], pixels.first[stop])
+        if not floats[nodes].any():
+            continue
         W, at = linked.within(start, stop).tocoo(), frame[nodes]
         along = np.where(at[W.row] == at[W.col], 0, W.data)  # links within a frame are borders
         matched[nodes] += np.bincount(W.row, along, len(at))

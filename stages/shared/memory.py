@@ -15,13 +15,15 @@ follows from what they keep, by calculation: of `gaussians` 39 bytes per pixel o
 the motion of 48 frames. `colmap` was measured on small frames alone. What `control` holds grows with what moves: 8 %
 of the pixels were assumed. `export` was measured on 8 frames with all formats. The bases of `motion`, `ba` and
 `gaussians` leave room for a process that compiles kernels, which takes up to 110 MB more.
-Of flow a stage keeps columns of up to 32 MB (`rows.SHORT_BYTES`), measured on the demo since, `motion` and `ba`, which
-were measured with it, of up to 256 MB (`rows.OFTEN_READ_BYTES`), flow and confidence each.
+Of flow a stage keeps columns of up to 32 MB (`rows.SHORT_BYTES`), measured on the demo since, `motion` and `ba` up to
+256 MB (`rows.OFTEN_READ_BYTES`), flow and confidence each: they were measured with it on 24 frames of 512 x 218 px, and
+on 200 of 320 x 136, whose confidence alone is kept. The number of edges is the largest possible: where a clip has few
+far ones, its flow may be kept though none is asked for (54 to 74 frames of 512 x 218 px, about 100 MB).
 `simulate` and `report`, which read no sequence, have a constant.
 `motion` was measured on 24 frames of 512 x 218 px and on 200 of 320 x 136 since it keeps the flow, and the surroundings
 of long tracks in 50 frames; the surfaces of 44 frames that `hiding` keeps after that are less, by calculation.
-`ba` was measured on 200 frames on grids of 320 x 136 px (502 MiB) and, its flow enlarged, 512 x 218 (624 MiB, 1570
-edges), and on 40 of the former (335 MiB).
+`ba` was measured before that on 200 frames on grids of 320 x 136 px (502 MiB) and, its flow enlarged, 512 x 218 (624
+MiB, 1570 edges), and on 40 of the former (335 MiB).
 `lens` was measured on 28 frames of 384 x 216 px and 200 of 512 x 218 with a distortion, which takes more than none.
 `flow`, `motion`, `segment` and the stages after the adjustment, but `export`, were measured on the 1,000 frames of
 long_walk too, of 512 x 218 px with flow of 320 x 136.

@@ -31,7 +31,8 @@ def window_difference(images, expected, size, j, u, v, x, y, half, most):  # typ
     on.
 
     The colours of a row of the window lie side by side. Unsigned indices need no check for negative ones, which count
-    from the end: without it the loop over a row becomes vector instructions, and takes .4 of the time.
+    from the end: without it the loop over a row becomes vector instructions, and takes .4 of the time. They sum in an
+    order of their own: between processors the last bits may differ.
     """
     h, w = size
     left, top = min(int(x), w - 2), min(int(y), h - 2)
