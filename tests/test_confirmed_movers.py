@@ -13,6 +13,7 @@ from stages.segment import __main__ as segment_stage
 from stages.segment import refinement
 from stages.segment.layers import Belonging
 from stages.segment.options import SegmentOptions
+from stages.segment.permanence import DYNAMIC, Links
 from stages.segment.superpixels import Superpixels
 from stages.shared.artifacts import write_dense, write_json
 from stages.shared.cameras import scale_intrinsics, write_cameras
@@ -78,6 +79,12 @@ def test_cameras_of_the_round_before_make_a_mover_whole(tmp_path: Path, monkeypa
     assert overlaps(*PREVIOUS) == alone
 
 
+def silent(pixels: Superpixels, *_: object) -> Belonging:
+    """As `belonging`, of pictures that were compared everywhere and show nothing."""
+    none = np.zeros(len(pixels.areas))
+    return Belonging(none, none + 1, np.zeros((T, H, W), np.int8))
+
+
 def test_what_floats_beside_a_mover_is_part_of_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its right part is seen at rest, but before the wall, and the pictures say nothing."""
     masks = masks_of(tmp_path, np.stack([left_part(k) for k in range(T)]), weight=1.0)
@@ -85,14 +92,23 @@ def test_what_floats_beside_a_mover_is_part_of_it(tmp_path: Path, monkeypatch: p
     cells = {"inverse_depth": np.where(right, np.float32(1.5), np.float32(1))[:, 2::4, 2::4]}
     write_dense(tmp_path / "depth.arrow", cells, {"stride_px": 8.0})
 
-    def nothing(pixels: Superpixels, *_: object) -> Belonging:
-        none = np.zeros(len(pixels.areas))
-        return Belonging(none, none, np.zeros((T, H, W), np.int8))
-
-    monkeypatch.setattr("stages.segment.layers.belonging", nothing)
+    monkeypatch.setattr("stages.segment.layers.belonging", silent)
     assert (np.stack(masks(*PREVIOUS)) & right).sum() > 0.8 * right.sum()
     monkeypatch.setattr("stages.segment.floating.floating", lambda linked, *_: np.zeros(len(linked.pixels.areas), bool))
     assert (np.stack(masks(*PREVIOUS)) & right).sum() < 0.5 * right.sum()
+
+
+def test_what_floats_confirms_no_weak_mover(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is asked about, and the pictures do not show that it moves."""
+    masks = masks_of(tmp_path, np.stack([np.where(left_part(k), 0.59, 0.02) for k in range(T)]), weight=0.667)
+    beside = np.stack([square(k) & ~left_part(k) for k in range(T)]).astype(float)
+
+    def floats(linked: Links, _: object, sure: np.ndarray) -> np.ndarray:
+        return np.asarray((linked.pixels.means(beside) > 0.5) & (sure >= DYNAMIC).any())
+
+    monkeypatch.setattr("stages.segment.floating.floating", floats)
+    monkeypatch.setattr("stages.segment.layers.belonging", silent)
+    assert not np.any(masks(*PREVIOUS))
 
 
 def test_a_weak_mover_is_kept_if_the_pictures_confirm_it(tmp_path: Path) -> None:

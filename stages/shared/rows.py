@@ -84,7 +84,7 @@ def column_in(
     field: pa.Field,
     column: pa.ChunkedArray,
     give_back: Callable[[], None],
-    short_bytes: int | None = None,
+    short_bytes: int | None,
 ) -> Any:
     """A column of a mapped file as an array without a copy, or as Rows if it is packed, or images of several batches.
 
