@@ -30,8 +30,8 @@ class Verdict:
 
     Attributes:
         decision: a word of the model's own, "not observable" or "not tested"; reason: why, in words.
-        gain: share of the cost of held-out pixels that the model saves, for a zoom on a usual tile; gain_sigma: its
-            standard error.
+        gain: share of the cost of held-out pixels that the model saves, for a zoom and a rolling shutter on a usual
+            tile; gain_sigma: its standard error.
         threshold: the gain from which on the model is taken, if that is significant.
         seconds: CPU time of the decision.
     """

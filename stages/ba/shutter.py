@@ -31,7 +31,7 @@ PROBE, PASSES, TRIES = 0.3, 2, 4
 SETTLED = 0.01
 """A change of the readout below this is none."""
 MIN_GAIN = 0.04
-"""Share of the held-out cost that a rolling shutter must save."""
+"""Share of the held-out cost of a usual tile that a rolling shutter must save."""
 SIGNIFICANT = 3.0
 """The gain, and the readout, must exceed this many of their standard deviations."""
 MAX_SIGMA = 0.15
@@ -127,16 +127,19 @@ def weigh(graph: FlowGraph, state: State, unknowns: Unknowns, prior: FocalPrior,
     density = len(coarse.pixels) / len(graph.pixels)
     state = resampled(state, graph, coarse)
 
-    def fit(readout: float, state: State) -> Fit:
+    def fit(readout: float, state: State, swapped: bool = False) -> Fit:
         for _ in range(PASSES if readout else 1):
             halves = held_out.halves(correct(coarse, state, readout))
-            found = held_out.fit(halves, state, unknowns, prior, "shutter")
+            found = held_out.fit(halves[::-1] if swapped else halves, state, unknowns, prior, "shutter")
             state = found.state
         return found
 
     tried, curvature = _search(coarse, fit, state, 0.0 if assumed else FAR_FROM_SAVED * MIN_GAIN)
     readout = min(tried, key=lambda at: tried[at].cost)
-    gain, gain_sigma = held_out.gain(coarse, (tried[0.0], tried[readout]))
+    pairs = [(tried[0.0], tried[readout])]
+    if readout:
+        pairs.append((fit(0.0, tried[0.0].state, swapped=True), fit(readout, tried[readout].state, swapped=True)))
+    gain, gain_sigma = held_out.usual_gain(coarse, *pairs)
     sigma_px = _sharp_scale(tried[readout].errors, held_out.halves(coarse)[1])
     sigma = CORRELATION * max(sigma_px / SHARP, MIN_NOISE_PX) * float(np.sqrt(density / max(curvature, 1e-300)))
     decision, reason = judge(gain, gain_sigma, readout, sigma)
