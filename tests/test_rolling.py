@@ -67,6 +67,21 @@ def test_flow_without_the_shutter_is_that_of_a_static_scene_seen_at_once() -> No
     assert left < 0.1 * raw
 
 
+def test_rows_of_a_frame_are_seen_where_the_shutter_shows_them() -> None:
+    """The oracle moves every row with the true path; rows of the target are known but for what depths differ by."""
+    graph, depth = observe_rolled(SHAKY, READOUT, noise_px=0.0)
+    rolling, pairs = exposed_in_turn(graph, depth), pairs_of(graph, depth.shape[1:])
+    lines, errors = rolling.projections(pairs, depth.shape[1]), []
+    for e, (A, b, i, j) in enumerate(zip(*lines, graph.source, graph.target, strict=True)):
+        at_once = projection(*((rolling.cam_from_world[k], rolling.Ks[k]) for k in (i, j)))
+        ways = (dense_static_flow(*of, 1 / depth[i]) for of in (at_once, (A, b)))
+        of_both = np.stack([np.linalg.norm(pairs.flow[e] - way, axis=-1) for way in ways])
+        errors.append(of_both[CELLS].reshape(2, -1)[:, graph.weights[e] > MIN_WEIGHT])
+    raw, left = np.median(np.concatenate(errors, axis=1), axis=1)
+    assert raw > 0.05
+    assert left < 0.2 * raw
+
+
 @pytest.mark.parametrize("fall_px", [-9.0, 100.0])
 def test_shifts_from_files_are_those_of_points_seen_by_cameras_of_rows(fall_px: float, tmp_path: Path) -> None:
     """A camera zooms, a frame is dropped, the grid is half as large; what leaves the frame is in its end row."""

@@ -1,7 +1,7 @@
 """Estimate the probability that a pixel moves in the world, from flow and the cameras of the previous round."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
@@ -23,6 +23,9 @@ from stages.shared.rows import OFTEN_READ_BYTES
 from stages.shared.sequences import Sequence, read_sequence
 from stages.shared.settled import Solved, results_to_keep
 from stages.shared.static_flow import resample
+
+if TYPE_CHECKING:
+    from stages.shared.rolling import RollingShutter
 
 FLOW_CURVE = (0.17, 0.04)
 CAMERA_CURVE = (0.37, 0.1)
@@ -98,12 +101,13 @@ def _evidence(
     if cameras is None or poses is None or depth is None:
         evidence, facts = _from_flow(pairs, len(frames.numbers), seed)
         return evidence, np.zeros(1, np.float16), facts
+    shutter = None
     if readout := read_readout(poses):
         from stages.shared.rolling import rolling_shutter  # with much of scipy, which other clips spare
 
-        pairs = rolling_shutter(frames, cameras, readout, depth, scale).taken_out(pairs)
+        shutter = rolling_shutter(frames, cameras, readout, depth, scale)
     stride_px = float(read_metadata(depth)["stride_px"])
-    return _from_cameras(rgb, pairs, cameras, read_dense(depth), scale, stride_px)
+    return _from_cameras(rgb, pairs, cameras, read_dense(depth), scale, stride_px, shutter)
 
 
 def _from_flow(pairs: FlowPairs, T: int, seed: int) -> tuple[Evidence, dict[str, Any]]:
@@ -122,6 +126,7 @@ def _from_cameras(
     depth: dict[str, np.ndarray],
     scale: float,
     stride_px: float,
+    shutter: "RollingShutter | None",
 ) -> tuple[Evidence, np.ndarray, dict[str, Any]]:
     """Evidence from the cameras of the previous round with depth searched anew, what single frames show [T, h, w], and
     which model was used."""
@@ -129,12 +134,13 @@ def _from_cameras(
     seen = cameras.cam_from_world, scale_intrinsics(cameras.Ks, scale)
     unobserved = cameras.status == "unobserved"  # their poses are interpolated, so their flow is no evidence
     pairs = pairs.counting(~(unobserved[pairs.source] | unobserved[pairs.target]))
+    at_once = shutter.taken_out(pairs) if shutter else pairs
     evidence, inverse_depth, sigma_px = resweep.camera_evidence(
-        pairs, *seen, resample(depth["inverse_depth"], stride_px * scale, h, w)
+        at_once, *seen, resample(depth["inverse_depth"], stride_px * scale, h, w)
     )
-    drifting = drift.drifting(StaticScene(pairs, rgb, seen, inverse_depth, evidence.residual), rgb)
+    drifting = drift.drifting(StaticScene(at_once, rgb, seen, inverse_depth, evidence.residual), rgb)
     drifting[hiding.hiding(rgb, seen, inverse_depth, evidence)] = 1
-    lines = resweep.projections(pairs, *seen)
+    lines = shutter.projections(pairs, h) if shutter else resweep.projections(pairs, *seen)
     evidence, passing = photometric.corroborate(evidence, rgb, pairs, lines, inverse_depth, drifting)
     passing[unobserved] = 0
     rotating = set(cameras.status[~unobserved]) == {"rotation-only"}

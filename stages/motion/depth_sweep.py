@@ -31,7 +31,7 @@ class Other(NamedTuple):
     Attributes:
         step: frames to it. found: [h, w, 3] uint8. expected: [h, w, 3] uint8, this frame at its exposure.
         by_flow: [h, w] difference of both along the flow, in colour levels, 0 where it leads out of view.
-        inside: [h, w], where it does not. A, b: [3, 3] and [3], projection of this frame's pixels.
+        inside: [h, w], where it does not. A, b: [3, 3] and [3], projection of this frame's pixels, or of every row.
     """
 
     step: int
@@ -58,7 +58,7 @@ def hardly_moves(steps: np.ndarray, b: np.ndarray, static: np.ndarray, size: tup
     """Whether the camera passes MOST_OF the static pixels by less than HARDLY_PX a frame in pictures [h, w].
 
     Args:
-        steps: [n] frames to the others. b: [n, 3] of their projections. static: [m] inverse depths.
+        steps: [n] frames to the others. b: [n, 3] of their projections, or [n, h, 3]. static: [m] inverse depths.
     """
     if not len(steps) or not static.size:
         return True
@@ -72,7 +72,7 @@ def reach(others: list[Other], static: np.ndarray, size: tuple[int, int]) -> flo
 
 
 def _ways(others: list[Other]) -> tuple[np.ndarray, np.ndarray]:
-    """Steps [n] and b [n, 3] of the frames."""
+    """Steps [n] and b [n, 3] or [n, h, 3] of the frames."""
     return np.array([other.step for other in others]), np.stack([other.b for other in others])
 
 
@@ -80,7 +80,7 @@ def _way_px(steps: np.ndarray, b: np.ndarray, size: tuple[int, int]) -> float:
     """The longest way in the image, [h, w], from infinity to an inverse depth of 1, in the nearest of the frames."""
     h, w = size
     corners = np.array([[0, 0], [w, 0], [0, h], [w, h]], float)
-    nearest = b[np.abs(steps) == np.abs(steps).min()]
+    nearest = b.reshape(len(b), -1, 3)[np.abs(steps) == np.abs(steps).min()].mean(axis=1)
     return float(np.linalg.norm(nearest[:, None, :2] - nearest[:, None, 2:] * corners, axis=-1).max())
 
 
@@ -97,6 +97,7 @@ def least_difference(others: list[Other], sought: np.ndarray, nearest: float) ->
     greys = [np.stack([cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) for image in of[:first]]) for of in pictures]
     flat = [of.reshape(-1) for of in (*greys, *pictures)]
     A, b = (np.stack([getattr(other, name) for other in near]).astype(np.float32) for name in ("A", "b"))
+    A, b = A.reshape(len(A), -1, 3, 3), b.reshape(len(b), -1, 3)
     later = np.array([other.step > 0 for other in near])
     v, u = np.nonzero(sought)
     found, unit = np.empty(len(u), np.float32), STEP_PX / way_px
@@ -111,7 +112,7 @@ def least_difference(others: list[Other], sought: np.ndarray, nearest: float) ->
 def _search(grey, grey_expected, images, expected, size, first, A, b, later, u, v, depths, least):  # type: ignore[no-untyped-def]
     """Fill the least difference [n] float32 of pixels u, v [n] int64: first over the `depths` [d] float32, at whole
     pixels of the `first`, nearest frames in grey [first, h, w] uint8, then around the best of them in all frames
-    [F, h, w, 3], by A [F, 3, 3] and b [F, 3] float32. Pictures are given as one row, and their size (h, w)."""
+    [F, h, w, 3], by A [F, R, 3, 3] and b [F, R, 3] float32. Pictures are given as one row, and their size (h, w)."""
     for k in range(len(u)):
         most, depth = np.float32(np.inf), np.float32(0)
         for d in depths:

@@ -63,7 +63,7 @@ def log_colours(rgb: np.ndarray) -> np.ndarray:
 class View(NamedTuple):
     """A frame of a static world in the frames around it: targets [E], A [E, 3, 3], b [E, 3], inverse depth [h, w].
 
-    A and b are those of `resweep`.
+    A and b are those of `resweep`, or of every row (`rolling`).
     """
 
     targets: np.ndarray

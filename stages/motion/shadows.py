@@ -96,7 +96,8 @@ def at_rest(
 
     Args:
         details: `log_detail` per frame. rgb: frame i, [h, w, 3] uint8.
-        targets: [E]; flows: [E, h, w, 2] px; projections: A [E, 3, 3] and b [E, 3], of edges that leave frame i.
+        targets: [E]; flows: [E, h, w, 2] px; projections: A [E, 3, 3] and b [E, 3], or those of every row, of edges
+            that leave frame i.
         inverse_depth: [h, w] of the static scene.
     """
     here = details[i]

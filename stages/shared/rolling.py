@@ -14,7 +14,14 @@ from scipy.interpolate import CubicSpline
 
 from stages.shared import lie
 from stages.shared.artifacts import Dense, read_dense, read_metadata
-from stages.shared.cameras import Cameras, frame_from_grid, grid_from_frame, pixel_grid, scale_intrinsics
+from stages.shared.cameras import (
+    Cameras,
+    frame_from_grid,
+    grid_from_frame,
+    pixel_grid,
+    projection,
+    scale_intrinsics,
+)
 from stages.shared.flow_pairs import FlowPairs
 from stages.shared.rows import Rows
 from stages.shared.sequences import Sequence
@@ -103,6 +110,31 @@ class RollingShutter:
 
         corrected: Any = Rows(len(pairs.source), np.broadcast_to(np.float16(0), pairs.flow.shape[1:]), row)
         return replace(pairs, columns=Dense({**pairs.columns, "flow": corrected}))
+
+    def projection(self, i: int, j: int, h: int) -> tuple[np.ndarray, np.ndarray]:
+        """`cameras.projection` of every row of frame i into frame j, A [h, 3, 3] and b [h, 3], of frames h px high.
+
+        A row is taken to be seen when that row of frame j is exposed on which its middle would be at its median depth
+        if all rows were exposed at once.
+        """
+        K, cells = self.Ks[i], self.inverse_depth[i]
+        rows = np.arange(h)
+        d = np.interp(rows, frame_from_grid(np.arange(len(cells)), self.cell_px), np.median(cells, axis=1))
+        A, b = projection((self.cam_from_world[i], K), (self.cam_from_world[j], self.Ks[j]))
+        there = np.column_stack([np.full(h, K[0, 2]), rows, np.ones(h)]) @ A.T + d[:, None] * b
+        seen = np.clip(there[:, 1] / np.maximum(there[:, 2], Z_MIN), 0, h - 1)
+        return projection((self._poses(i, rows / (h - 1)), K), (self._poses(j, seen / (h - 1)), self.Ks[j]))
+
+    def projections(self, pairs: FlowPairs, h: int) -> tuple[np.ndarray, np.ndarray]:
+        """`projection` of every edge, A [E, h, 3, 3] and b [E, h, 3]."""
+        found = [self.projection(int(i), int(j), h) for i, j in zip(pairs.source, pairs.target, strict=True)]
+        A, b = (np.stack(part) for part in zip(*found, strict=True))
+        return A, b
+
+    def _poses(self, k: int, down: np.ndarray) -> np.ndarray:
+        """cam_from_world [n, 4, 4] of rows [n] of frame k, as shares of its height."""
+        turned = np.stack([lie.exp_se3(twist) for twist in self._twists(k, down)])
+        return np.asarray(turned @ self.cam_from_world[k])
 
     def _twists(self, k: int, down: np.ndarray) -> np.ndarray:
         """Twists [..., 6] of the camera from the middle row of frame k to rows [...], as shares of its height."""

@@ -14,13 +14,14 @@ NEAREST = 0.2
 
 @numba.njit(**KERNEL)
 def place(A, b, j, u, v, depth):  # type: ignore[no-untyped-def]
-    """Where pixel u, v at an inverse depth is seen, by A [F, 3, 3] and b [F, 3] of `cameras.projection`; outside of
-    every image if it is too near to the other camera."""
-    Z = A[j, 2, 0] * u + A[j, 2, 1] * v + A[j, 2, 2] + depth * b[j, 2]
+    """Where pixel u, v at an inverse depth is seen, by A [F, R, 3, 3] and b [F, R, 3] of `cameras.projection`, of every
+    row or of all as one; outside of every image if it is too near to the other camera."""
+    row = min(v, A.shape[1] - 1)
+    Z = A[j, row, 2, 0] * u + A[j, row, 2, 1] * v + A[j, row, 2, 2] + depth * b[j, row, 2]
     if Z < NEAREST:
         return -1e9, -1e9
-    x = A[j, 0, 0] * u + A[j, 0, 1] * v + A[j, 0, 2] + depth * b[j, 0]
-    y = A[j, 1, 0] * u + A[j, 1, 1] * v + A[j, 1, 2] + depth * b[j, 1]
+    x = A[j, row, 0, 0] * u + A[j, row, 0, 1] * v + A[j, row, 0, 2] + depth * b[j, row, 0]
+    y = A[j, row, 1, 0] * u + A[j, row, 1, 1] * v + A[j, row, 1, 2] + depth * b[j, row, 1]
     return x / Z, y / Z
 
 
