@@ -54,9 +54,9 @@ def static_cameras(ground_px: int = GROUND_PX) -> Cameras:
 
 
 def static_world(ground_px: int = GROUND_PX) -> StaticWorld:
-    """These cameras and the wall."""
-    cameras = static_cameras(ground_px)
-    return StaticWorld(cameras, cameras.Ks, lambda _: np.ones((H, W), np.float32))
+    """These cameras and the wall, by the depth of the adjustment alone."""
+    cameras, wall = static_cameras(ground_px), np.ones((H, W), np.float32)
+    return StaticWorld(cameras, cameras.Ks, lambda _: wall, lambda _: (wall, np.zeros((H, W), bool)))
 
 
 def tiles() -> Superpixels:

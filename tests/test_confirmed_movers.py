@@ -37,6 +37,7 @@ def masks_of(folder: Path, prior: np.ndarray, weight: float) -> Callable[..., li
     write_dense(folder / "pairs.arrow", flow_columns(), {"width": W, "height": H, "scale": 0.5})
     evidence = {"frame": np.arange(1, T + 1), "probability": prior.astype(np.float16)}
     evidence["weight"] = np.full(prior.shape, weight, np.float16)
+    evidence["static_depth"] = np.ones(prior.shape, np.float16)
     write_dense(folder / "prior.arrow", evidence)
     cameras = static_cameras()
     write_cameras(folder / "poses.parquet", replace(cameras, Ks=scale_intrinsics(cameras.Ks, 2)))

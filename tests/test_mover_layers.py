@@ -21,21 +21,28 @@ from passing_square import (
 from stages.segment import layers, uncovered
 from stages.segment.layers import MOVING, Belonging, belonging
 from stages.segment.permanence import Links, persistent
+from stages.segment.static_world import StaticWorld
 from stages.segment.superpixels import Superpixels
 from stages.shared import flow_pairs
 from stages.shared.artifacts import Dense
 from stages.shared.flow_pairs import FlowPairs
 
 
-def evidence(contrast: int, ground_px: int = GROUND_PX, darker: float = 1.0) -> tuple[Superpixels, Belonging]:
+def evidence(
+    contrast: int, ground_px: int = GROUND_PX, darker: float = 1.0, noise: float = 0.0, world: StaticWorld | None = None
+) -> tuple[Superpixels, Belonging]:
     """The tiles of a clip and what its pictures say, where the left part of the mover is known.
 
-    Every frame is `darker` by this factor than the one before.
+    Args:
+        darker: factor of every frame beside the one before. noise: standard deviation in levels.
     """
-    frames = [np.rint(darker**k * frame).astype(np.uint8) for k, frame in enumerate(clip(contrast, ground_px))]
+    random, frames = np.random.default_rng(6), []
+    for k, frame in enumerate(clip(contrast, ground_px)):
+        noisy = darker**k * frame + noise * random.standard_normal(frame.shape)
+        frames.append(np.rint(np.clip(noisy, 0, 255)).astype(np.uint8))
     pixels, pairs = tiles(), FlowPairs(Dense(flow_columns(ground_px)))
     sure = pixels.means(np.stack([left_part(k) for k in range(T)]).astype(float)).round()
-    return pixels, belonging(pixels, pairs, lambda k: frames[k], static_world(ground_px), sure)
+    return pixels, belonging(pixels, pairs, lambda k: frames[k], world or static_world(ground_px), sure)
 
 
 def inner(mask: np.ndarray) -> np.ndarray:
@@ -63,6 +70,19 @@ def test_ground_beside_a_mover_is_given_to_the_static_scene(ground_px: int) -> N
         assert np.median(shown[inner(near)]) < 0
         assert (shown[inner(~square(k))] <= 0).all()
         assert (shown[:, :20] == 0).all(), "far from the mover its motion says nothing"
+
+
+@pytest.mark.parametrize("fits", [True, False])
+def test_ground_that_was_masked_by_mistake_is_static_where_its_flow_says_so(fits: bool) -> None:
+    """Its depth in the adjustment is then that of a mover, at which the pictures of the ground do not match."""
+    wall, near = np.ones((H, W), np.float32), np.full((H, W), 3, np.float32)
+    masked, fitted = static_world()._replace(inverse_depth=lambda _: near), np.full((H, W), fits)
+    pixels, found = evidence(contrast=60, world=masked._replace(as_static=lambda _: (wall, fitted)))
+    for k in range(T):
+        beside = np.zeros((H, W), bool)
+        beside[24:72, 92 + MOVER_PX * k : 120 + MOVER_PX * k] = True
+        assert (np.median(pixels.paint(found.weight, k)[inner(beside)]) < 0) == fits
+        assert np.median(pixels.paint(found.weight, k)[inner(square(k) & ~left_part(k))]) > 0.1 * MOVING
 
 
 def test_what_pictures_show_fades_away_from_a_mover() -> None:

@@ -52,7 +52,8 @@ def world() -> StaticWorld:
     poses = np.tile(np.eye(4), (T, 1, 1))
     poses[:, 0, 3] = GROUND_PX / 100 * np.arange(T)
     cameras = make_cameras(poses, intrinsics(100, 100, W / 2, H / 2), np.arange(1, T + 1))
-    return StaticWorld(cameras, cameras.Ks, lambda _: np.ones((H, W), np.float32))
+    wall = np.ones((H, W), np.float32)
+    return StaticWorld(cameras, cameras.Ks, lambda _: wall, lambda _: (wall, np.zeros((H, W), bool)))
 
 
 LIMIT = np.full((H, W), 256, np.float32)

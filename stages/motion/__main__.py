@@ -39,7 +39,7 @@ def main(
     sequence: Annotated[Path, In("sequence.json of the input check")],
     flow: Annotated[Path, In("flow/pairs.arrow")],
     output: Annotated[
-        Path, Out("prior.arrow: probability of motion and the weight of its evidence, per frame and pixel")
+        Path, Out("prior.arrow: probability of motion, the weight of its evidence and the best static inverse depth")
     ],
     figure: Annotated[Path, Out("picture for the report: frames and their prior")],
     options: MotionOptions,
@@ -70,7 +70,7 @@ def main(
     scene = read_scene_on_grid(frames, matched["confidence"].shape[:0:-1])
     pairs = FlowPairs(matched, scene=scene)
     rgb = read_reduced(frames.frames, pairs.confidence.shape[:0:-1])
-    evidence, passing, facts = _evidence(frames, rgb, pairs, scale, begun[0], options.seed)
+    evidence, passing, static_depth, facts = _evidence(frames, rgb, pairs, scale, begun[0], options.seed)
     if scene is not None:
         evidence = Evidence(evidence.residual, evidence.weight * scene)
     residual = pool(evidence, rgb, pairs)
@@ -82,6 +82,8 @@ def main(
     logger.info("%s: %s", frames.name, facts)
     columns = {"frame": np.array(frames.numbers), "probability": probability.astype(np.float16)}
     columns["weight"] = evidence.weight.astype(np.float16)
+    if static_depth is not None:
+        columns["static_depth"] = static_depth.astype(np.float16)
     write_dense(output, columns, {"units": "probability", **facts, "options": options.model_dump(mode="json")})
     write_figure(figure, _picture(rgb, probability))
     return f"{facts['moving_share']:.1%} of the pixels seem to move"
@@ -94,13 +96,13 @@ def to_probability(residual: np.ndarray, midway: float, spread: float) -> np.nda
 
 def _evidence(
     frames: Sequence, rgb: np.ndarray, pairs: FlowPairs, scale: float, previous: Solved, seed: int
-) -> tuple[Evidence, np.ndarray, dict[str, Any]]:
+) -> tuple[Evidence, np.ndarray, np.ndarray | None, dict[str, Any]]:
     """Evidence from the cameras of the round before or, without any, from flow; otherwise as `_from_cameras`."""
     poses, depth = previous
     cameras = usable_cameras(poses, depth, "the prior comes from flow alone")
     if cameras is None or poses is None or depth is None:
         evidence, facts = _from_flow(pairs, len(frames.numbers), seed)
-        return evidence, np.zeros(1, np.float16), facts
+        return evidence, np.zeros(1, np.float16), None, facts
     shutter = None
     if readout := read_readout(poses):
         from stages.shared.rolling import rolling_shutter  # with much of scipy, which other clips spare
@@ -127,9 +129,9 @@ def _from_cameras(
     scale: float,
     stride_px: float,
     shutter: "RollingShutter | None",
-) -> tuple[Evidence, np.ndarray, dict[str, Any]]:
-    """Evidence from the cameras of the previous round with depth searched anew, what single frames show [T, h, w], and
-    which model was used."""
+) -> tuple[Evidence, np.ndarray, np.ndarray, dict[str, Any]]:
+    """Evidence from the cameras of the previous round with depth searched anew, what single frames show [T, h, w], that
+    inverse depth [T, h, w], and which model was used."""
     h, w = pairs.confidence.shape[1:]
     seen = cameras.cam_from_world, scale_intrinsics(cameras.Ks, scale)
     unobserved = cameras.status == "unobserved"  # their poses are interpolated, so their flow is no evidence
@@ -145,7 +147,7 @@ def _from_cameras(
     passing[unobserved] = 0
     rotating = set(cameras.status[~unobserved]) == {"rotation-only"}
     model = "rotations: the camera does not translate" if rotating else "depth re-sweep"
-    return evidence, passing, {"source": "cameras", "model": model, "sigma_px": sigma_px}
+    return evidence, passing, inverse_depth, {"source": "cameras", "model": model, "sigma_px": sigma_px}
 
 
 def _picture(rgb: np.ndarray, probability: np.ndarray) -> np.ndarray:

@@ -2,7 +2,6 @@
 
 from collections import Counter
 from collections.abc import Callable, Iterator
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -14,12 +13,11 @@ from stages.given.masks import GivenMasks
 from stages.segment.options import SegmentOptions
 from stages.segment.permanence import DYNAMIC, Links, confidence_of, persistent
 from stages.segment.refinement import guarded_threshold, smooth_along_edges, to_instances, to_mask
-from stages.segment.static_world import StaticWorld
+from stages.segment.static_world import static_world
 from stages.segment.superpixels import AT_ONCE, superpixels
 from stages.shared import cli, drawing
-from stages.shared.artifacts import Dense, read_dense, read_json, read_metadata, write_json
+from stages.shared.artifacts import Dense, read_dense, read_json, write_json
 from stages.shared.atomic import atomic_folder, copy, copy_folder
-from stages.shared.cameras import read_readout, scale_intrinsics, usable_cameras
 from stages.shared.cli import In, Out
 from stages.shared.errors import InputError
 from stages.shared.flow_pairs import FlowPairs
@@ -171,7 +169,7 @@ def _refined(options: SegmentOptions, frames: Sequence, flow: Path, prior: Path,
     probability, weight = (pixels.means(_one_by_one(evidence, name)) for name in ("probability", "weight"))
     matched = read_dense(flow)
     given = Links(pixels, matched, options.permanence), probability, confidence_of(weight), options.threshold, stated
-    world, shown = _static_world(frames, *previous, flow, size), None
+    world, shown = static_world(frames, evidence, flow, *previous), None
     sure, instance = persistent(*given, candidates=world is not None)
     if world is not None and instance.any():
         from stages.segment.floating import floating
@@ -193,27 +191,6 @@ def _refined(options: SegmentOptions, frames: Sequence, flow: Path, prior: Path,
         return Mask(dynamic, to_instances(dynamic, pixels.paint(instance, k)), threshold > DYNAMIC)
 
     return mask
-
-
-def _static_world(
-    frames: Sequence, poses: Path | None, depth: Path | None, flow: Path, size: tuple[int, int]
-) -> StaticWorld | None:
-    """The cameras and the depth of the round before on the flow grid of this size (w, h); None if there are none."""
-    cameras = usable_cameras(poses, depth, "masks come from the prior alone")
-    if cameras is None or poses is None or depth is None:
-        return None
-    from stages.shared.static_flow import resample  # compiled code, which the first round spares
-
-    scale = float(read_metadata(flow)["scale"])
-    cells, cell_px = read_dense(depth)["inverse_depth"], float(read_metadata(depth)["stride_px"]) * scale
-    Ks = scale_intrinsics(cameras.Ks, scale)
-    of_rows = None
-    if readout := read_readout(poses):
-        from stages.shared.rolling import rolling_shutter  # with much of scipy, which other clips spare
-
-        shutter = rolling_shutter(frames, cameras, readout, depth, scale)
-        of_rows = partial(shutter.projection, h=size[1])
-    return StaticWorld(cameras, Ks, lambda k: resample(cells[k : k + 1], cell_px, size[1], size[0])[0], of_rows)
 
 
 def _one_by_one(columns: Dense, name: str) -> Iterator[np.ndarray]:

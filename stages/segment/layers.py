@@ -14,8 +14,8 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from stages.segment.extension import extend, on_grid, weigh
 from stages.segment.permanence import DYNAMIC
-from stages.segment.refinement import REFERENCE_WIDTH
 from stages.segment.static_world import StaticWorld
 from stages.segment.superpixels import Superpixels
 from stages.segment.uncovered import DISTANCES, seen_again
@@ -97,7 +97,7 @@ def belonging(
         part, seen = pixels.part(k, k + 1), pixels.paint(sure, k).astype(np.float32)
         if not (seen >= DYNAMIC).any():
             return np.zeros((5, len(part.areas)))
-        depths = _static_depths(world.inverse_depth(k), np.maximum(1 - seen / STATIC, 0) ** 2)
+        depths = _static_depths(world, k, np.maximum(1 - seen / STATIC, 0) ** 2)
         allowed = tolerance(frames[k])
         static, moved, share, known = _compared(k, seen, allowed, depths, pairs, frames, world)
         asked = known * ((seen >= DYNAMIC).mean() <= MOST)
@@ -176,7 +176,7 @@ def _compared(
     static, moved = np.take_along_axis(both, side[None, None], axis=0)[0] / allowed
     known = np.isfinite(static) & np.isfinite(moved)
     static, moved = np.where(known, static, 0), np.where(known, moved, 0)
-    around = _extended(_weighted(mover[..., None], mover), _on_grid(MOTION_PX[-1], sure))[1]
+    around = extend(weigh(mover[..., None], mover), on_grid(MOTION_PX[-1], sure))[1]
     return np.stack([static, moved, around, known])
 
 
@@ -203,8 +203,8 @@ def _residuals(
         flow = pairs.flow[e].astype(np.float32)
         weight = mover * (pairs.confidence[e].astype(np.float32) + UNSURE_FLOW)
         ways = [dense_static_flow(A, b, depth) for depth in depths]
-        weighted = _weighted(flow, weight)
-        extended = [_extended(weighted, _on_grid(px, mover)) for px in MOTION_PX]
+        weighted = weigh(flow, weight)
+        extended = [extend(weighted, on_grid(px, mover)) for px in MOTION_PX]
         ways += [motion for motion, _ in extended]
         known = [True] * len(depths) + [share > LEAST_SHARE for _, share in extended]
         expected = exposed(frames[i], warp(frames[j], flow, EVERY_PX))
@@ -215,38 +215,20 @@ def _residuals(
     return np.asarray(np.where(seen > 0, total / np.maximum(seen, 1), np.inf))
 
 
-def _static_depths(inverse_depth: np.ndarray, static: np.ndarray) -> list[np.ndarray]:
+def _static_depths(world: StaticWorld, k: int, static: np.ndarray) -> list[np.ndarray]:
     """Inverse depths [h, w] that a static pixel may have: its own, the farthest and nearest around, and behind movers.
+
+    Its own is that at which its flow fits a static scene, if it does: in the adjustment, what was masked by mistake has
+    the depth of a mover, at which it does not match, and would be masked for good.
 
     Args:
         static: [h, w] weight of a pixel for what is behind a mover.
     """
+    inverse_depth, (fitted, fits) = world.inverse_depth(k), world.as_static(k)
     own = cv2.medianBlur(inverse_depth, MEDIAN_PX)
-    square = np.ones((round(_on_grid(AROUND_PX, own)),) * 2, np.uint8)
-    weighted = _weighted(inverse_depth[..., None], static)
-    behind = [_extended(weighted, _on_grid(px, own)) for px in DEPTH_PX]
+    square = np.ones((round(on_grid(AROUND_PX, own)),) * 2, np.uint8)
+    weighted = weigh(inverse_depth[..., None], static)
+    behind = [extend(weighted, on_grid(px, own)) for px in DEPTH_PX]
     known = [np.where(share > LEAST_SHARE, depth[..., 0], own) for depth, share in behind]
-    return [own, cv2.erode(own, square), cv2.dilate(own, square), *known]
-
-
-def _weighted(values: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """Values [h, w, c] times their weight [h, w], and behind them the weight: [h, w, c + 1]."""
-    return np.dstack([values * weight[..., None], weight])
-
-
-def _extended(weighted: np.ndarray, sigma_px: float) -> tuple[np.ndarray, np.ndarray]:
-    """Mean [h, w, c] of `weighted` values [h, w, c + 1] over a Gaussian around each pixel, and the weight [h, w] there.
-
-    A normalised convolution (Knutsson and Westin, CVPR 1993), on as coarse a grid as the Gaussian allows.
-    """
-    h, w = weighted.shape[:2]
-    step = max(1, int(sigma_px / 2))
-    coarse = cv2.resize(weighted, (max(1, w // step), max(1, h // step)), interpolation=cv2.INTER_AREA)
-    blurred = cv2.GaussianBlur(coarse, (0, 0), sigma_px / step, borderType=cv2.BORDER_CONSTANT)
-    blurred = cv2.resize(blurred, (w, h), interpolation=cv2.INTER_LINEAR)
-    return blurred[..., :-1] / np.maximum(blurred[..., -1:], 1e-6), blurred[..., -1]
-
-
-def _on_grid(px: float, image: np.ndarray) -> float:
-    """Pixels of frames of REFERENCE_WIDTH as pixels of an image [h, w]."""
-    return px * image.shape[1] / REFERENCE_WIDTH
+    around = [cv2.erode(own, square), cv2.dilate(own, square), *known]
+    return [np.where(fits, cv2.medianBlur(fitted, MEDIAN_PX), own), *around]

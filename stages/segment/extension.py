@@ -1,0 +1,29 @@
+"""What is known of some pixels, extended to those around."""
+
+import cv2
+import numpy as np
+
+from stages.segment.refinement import REFERENCE_WIDTH
+
+
+def weigh(values: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """Values [h, w, c] times their weight [h, w], and behind them the weight: [h, w, c + 1]."""
+    return np.dstack([values * weight[..., None], weight])
+
+
+def extend(weighted: np.ndarray, sigma_px: float) -> tuple[np.ndarray, np.ndarray]:
+    """Mean [h, w, c] of `weighted` values [h, w, c + 1] over a Gaussian around each pixel, and the weight [h, w] there.
+
+    A normalised convolution (Knutsson and Westin, CVPR 1993), on as coarse a grid as the Gaussian allows.
+    """
+    h, w = weighted.shape[:2]
+    step = max(1, int(sigma_px / 2))
+    coarse = cv2.resize(weighted, (max(1, w // step), max(1, h // step)), interpolation=cv2.INTER_AREA)
+    blurred = cv2.GaussianBlur(coarse, (0, 0), sigma_px / step, borderType=cv2.BORDER_CONSTANT)
+    blurred = cv2.resize(blurred, (w, h), interpolation=cv2.INTER_LINEAR)
+    return blurred[..., :-1] / np.maximum(blurred[..., -1:], 1e-6), blurred[..., -1]
+
+
+def on_grid(px: float, image: np.ndarray) -> float:
+    """Pixels of frames of REFERENCE_WIDTH as pixels of an image [h, w]."""
+    return px * image.shape[1] / REFERENCE_WIDTH
