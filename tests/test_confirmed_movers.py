@@ -10,7 +10,7 @@ import pytest
 from passing_square import GROUND_PX, H, T, W, clip, flow_columns, left_part, square, static_cameras
 
 from stages.segment import __main__ as segment_stage
-from stages.segment import refinement
+from stages.segment import layers, refinement
 from stages.segment.layers import Belonging
 from stages.segment.options import SegmentOptions
 from stages.segment.permanence import DYNAMIC, Links
@@ -25,14 +25,17 @@ PREVIOUS = "poses.parquet", "depth.arrow"
 """Cameras and depth of the round before."""
 
 
-def masks_of(folder: Path, prior: np.ndarray, weight: float) -> Callable[..., list[np.ndarray]]:
+def masks_of(folder: Path, prior: np.ndarray, weight: float, noise: float = 0.0) -> Callable[..., list[np.ndarray]]:
     """Masks [H, W] bool of the clip by the stage, from a prior [T, H, W] and, if their files are given, the cameras.
 
-    Frames have twice the size of the flow, as flow is often found on smaller frames.
+    Frames have twice the size of the flow, as flow is often found on smaller frames, and noise of this standard
+    deviation in levels.
     """
+    random = np.random.default_rng(7)
     for k, rgb in enumerate(clip(60)):
         double = cv2.resize(rgb, None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)
-        write_image(folder / "clip" / f"frame_{k + 1:04d}.png", double)
+        noisy = np.clip(double + noise * random.standard_normal(double.shape), 0, 255).astype(np.uint8)
+        write_image(folder / "clip" / f"frame_{k + 1:04d}.png", noisy if noise else double)
     write_json(folder / "sequence.json", sequence_to_json(check_sequence("clip", folder / "clip")))
     write_dense(folder / "pairs.arrow", flow_columns(), {"width": W, "height": H, "scale": 0.5})
     evidence = {"frame": np.arange(1, T + 1), "probability": prior.astype(np.float16)}
@@ -51,6 +54,21 @@ def masks_of(folder: Path, prior: np.ndarray, weight: float) -> Callable[..., li
         return [read_mask(folder / f"masks/frame_{k + 1:04d}.png")[::2, ::2] for k in range(T)]
 
     return masks
+
+
+def test_loud_noise_is_smoothed_before_pictures_are_compared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a mover whose left part is known the pictures show the rest, at night as well."""
+    masks = masks_of(tmp_path, np.stack([left_part(k) for k in range(T)]), weight=1.0, noise=30)
+
+    def overlap() -> float:
+        found = zip(masks(*PREVIOUS), map(square, range(T)), strict=True)
+        return float(np.mean([(mask & mover).sum() / (mask | mover).sum() for mask, mover in found]))
+
+    smooth = overlap()
+    monkeypatch.setattr(segment_stage, "smoothed", lambda rgb, _: rgb)
+    assert smooth > overlap() + 0.15
+    monkeypatch.setattr(layers, "noise_of", lambda frame, *_: np.zeros(frame.shape[:2], np.float32))
+    assert smooth > overlap() + 0.05, "nor without noise among what right matches differ by"
 
 
 def test_cameras_of_the_round_before_make_a_mover_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

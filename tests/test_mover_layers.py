@@ -72,6 +72,15 @@ def test_ground_beside_a_mover_is_given_to_the_static_scene(ground_px: int) -> N
         assert (shown[:, :20] == 0).all(), "far from the mover its motion says nothing"
 
 
+def test_noise_does_not_hide_what_moves_with_a_known_part() -> None:
+    """Right matches differ by the noise, which is measured along the flow: it is no residual of a wrong motion."""
+    pixels, found = evidence(contrast=60, noise=10)
+    for k in range(T):
+        shown = pixels.paint(found.weight, k)
+        assert np.median(shown[inner(square(k) & ~left_part(k))]) > 0.1 * MOVING
+        assert (shown[inner(~square(k))] <= 0).all()
+
+
 @pytest.mark.parametrize("fits", [True, False])
 def test_ground_that_was_masked_by_mistake_is_static_where_its_flow_says_so(fits: bool) -> None:
     """Its depth in the adjustment is then that of a mover, at which the pictures of the ground do not match."""

@@ -14,6 +14,7 @@ from stages.flow.edges import Edge, edges_ending
 from stages.flow.frames import BLOCK, Images, blocks
 from stages.shared import costs
 from stages.shared.artifacts import Dense, read_dense, unless_damaged, write_dense
+from stages.shared.image_noise import noise_variance
 from stages.shared.threads import threaded
 
 
@@ -45,7 +46,7 @@ def to_match(rgb: Images, finest_scale: int, threads: int, folder: Path) -> Fram
 def _averaged(rgb: Images, finest_scale: int, threads: int, folder: Path) -> Frames:
     weights = noise.quiet_weights(rgb[len(rgb) // 2])
     loud = Images(len(rgb), lambda k: rgb[k] @ weights, BLOCK * 8)
-    levels = [float(level) for level in loud.mapped(lambda frame: np.asarray(noise.noise_variance(frame)))]
+    levels = [float(level) for level in loud.mapped(lambda frame: np.asarray(noise_variance(frame)))]
     files = _average(loud, float(np.mean(levels)), finest_scale, threads, folder)
     typical = float(np.median([value for file in files for value in read_dense(file)["typical"]]))
     block = lru_cache(2 * BLOCK)(lambda n: read_dense(files[n]))

@@ -7,10 +7,9 @@ import numpy as np
 
 from stages.flow.edges import Edge
 from stages.flow.frames import Images
+from stages.shared.image_noise import MIN_NOISE, noise_variance
 from stages.shared.warp import is_inside, warp
 
-MIN_NOISE = 0.29
-"""Standard deviation of 8-bit rounding, in grey levels."""
 BLUR_PX, TEXTURE_WINDOW_PX = 1.5, 15
 """Standard deviation of the blur before the gradients, and side of the structure tensor's window."""
 HIDDEN_PX, COARSE_PX = 0.4, 0.6
@@ -30,16 +29,6 @@ are larger than the remaining noise predicts."""
 SUPPORT_PX, NO_TEXTURE = 31, 4.0
 """In strong noise flow depends on a window of SUPPORT_PX, so texture is needed there too. A variance above NO_TEXTURE
 (px^2) counts as no texture."""
-
-
-def noise_variance(image: np.ndarray) -> float:
-    """Variance of the noise of a grey frame [h, w] uint8 or float32, in squared grey levels.
-
-    Immerkaer, CVIU 1996, with the median in place of the mean: edges affect it less.
-    """
-    kernel = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)
-    response = np.abs(cv2.filter2D(image, cv2.CV_32F, kernel))
-    return max(float(np.median(response)) / 0.6745 / 6, MIN_NOISE) ** 2
 
 
 def flow_variance(image: np.ndarray, noise: float | np.ndarray | None = None) -> np.ndarray:

@@ -21,6 +21,7 @@ from stages.shared.atomic import atomic_folder, copy, copy_folder
 from stages.shared.cli import In, Out
 from stages.shared.errors import InputError
 from stages.shared.flow_pairs import FlowPairs
+from stages.shared.image_noise import blur_of_noise, smoothed
 from stages.shared.images import enlarge, read_mask, read_rgb, reduce, write_figure, write_image
 from stages.shared.log import logger, progress
 from stages.shared.masks import instances_path, mask_path, read_burnt_in, read_scene_on_grid
@@ -157,8 +158,10 @@ def _refined(options: SegmentOptions, frames: Sequence, flow: Path, prior: Path,
         raise InputError(prior, expected, f"columns {sorted(evidence)}", "run the motion stage again")
     size = evidence["probability"].shape[:0:-1]
 
+    blur_px = blur_of_noise(reduce(read_rgb(frames.frames[len(frames.frames) // 2]), size))
+
     def picture(k: int) -> np.ndarray:
-        return reduce(read_rgb(frames.frames[k]), size)
+        return smoothed(reduce(read_rgb(frames.frames[k]), size), blur_px)
 
     pixels = superpixels(len(frames.frames), picture)
     handed = _handed_in(options.evidence, frames, "segment.evidence")

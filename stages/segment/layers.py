@@ -21,7 +21,7 @@ from stages.segment.superpixels import Superpixels
 from stages.segment.uncovered import DISTANCES, seen_again
 from stages.shared.flow_pairs import FlowPairs
 from stages.shared.masks import within
-from stages.shared.picture_difference import EVERY_PX, difference, exposed, tolerance
+from stages.shared.picture_difference import EVERY_PX, difference, exposed, noise_of, tolerance
 from stages.shared.static_flow import dense_static_flow
 from stages.shared.threads import threaded
 from stages.shared.warp import is_inside, warp
@@ -98,7 +98,7 @@ def belonging(
         if not (seen >= DYNAMIC).any():
             return np.zeros((5, len(part.areas)))
         depths = _static_depths(world, k, np.maximum(1 - seen / STATIC, 0) ** 2)
-        allowed = tolerance(frames[k])
+        allowed = tolerance(frames[k], _noise(k, pairs, frames))
         static, moved, share, known = _compared(k, seen, allowed, depths, pairs, frames, world)
         asked = known * ((seen >= DYNAMIC).mean() <= MOST)
         limit = np.where(_sought(k, seen, pairs), np.maximum(2 * SURELY_MATCHED, moved + 1) * allowed, 0)
@@ -121,6 +121,19 @@ def belonging(
     moving, resting = _clear(excess)
     weight = MOVING * moving * _matches(residual, MATCHED) - RESTING * (resting * (sure < DYNAMIC) + rests)
     return Belonging(_near(share) * weight, asked, shown)
+
+
+def _noise(i: int, pairs: FlowPairs, frames: dict[int, np.ndarray]) -> np.ndarray:
+    """`noise_of` frame i [h, w], by the frames at most SURE_FRAMES away."""
+    every, apart, inside = np.s_[::EVERY_PX, ::EVERY_PX], [], []
+    for e in pairs.leaving(i, i + 1):
+        if abs(int(pairs.target[e]) - i) <= SURE_FRAMES:
+            flow = pairs.flow[e].astype(np.float32)
+            there = warp(frames[int(pairs.target[e])], flow, EVERY_PX)
+            apart.append(np.abs(exposed(frames[i], there)[every].astype(np.float32) - there).mean(axis=2))
+            inside.append(is_inside(flow)[every])
+    shape = (len(apart), *frames[i][every].shape[:2])
+    return noise_of(frames[i], np.reshape(apart, shape), np.reshape(inside, shape).astype(bool))
 
 
 def _clear(excess: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -11,6 +11,8 @@ LEAST_CONTRAST, GAINS = 8.0, (0.5, 2.0)
 """Colour levels between the halves of a picture from which on they tell a gain, and its bounds."""
 EVERY_PX = 3
 """Of every third pixel each way, the levels are compared: these are enough for medians."""
+BRIGHTNESSES = 8
+"""Parts, from the darkest to the brightest, of which the noise is measured apart."""
 MEAN_OF_COLOURS = np.full((1, 3), 1 / 3, np.float32)
 
 
@@ -58,9 +60,37 @@ def _median(counts: np.ndarray) -> float:
     return float(middles.mean())
 
 
-def tolerance(frame: np.ndarray) -> np.ndarray:
-    """Expected residual [h, w], in colour levels, of the right match of each pixel of a frame [h, w, 3]."""
+def tolerance(frame: np.ndarray, noise: np.ndarray | float = 0.0) -> np.ndarray:
+    """Expected residual [h, w], in colour levels, of the right match of each pixel of a frame [h, w, 3].
+
+    Args:
+        noise: [h, w] of `noise_of`, which counts where it is more than that of a good picture.
+    """
+    return np.asarray(np.maximum(np.float32(TOLERANCE[0]), noise) + _misplaced(frame))
+
+
+def noise_of(frame: np.ndarray, apart: np.ndarray, inside: np.ndarray) -> np.ndarray:
+    """Levels [h, w] by which the noise of a frame [h, w, 3] lets right matches differ.
+
+    The median of what flow leaves beyond errors of position, by brightness, on which the noise of a sensor depends: in
+    BRIGHTNESSES parts of as many matches each, linear between them.
+
+    Args:
+        apart: [n, ...] mean difference of the colours to n frames along the flow, in levels, of [::EVERY_PX,
+            ::EVERY_PX] of the pixels. inside: [n, ...] bool, where it leads to.
+    """
+    grey = cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY)
+    if inside.sum() < BRIGHTNESSES:
+        return np.zeros(grey.shape, np.float32)
+    here, beyond = (of[::EVERY_PX, ::EVERY_PX] for of in (grey, _misplaced(frame)))
+    brightness, left = np.broadcast_to(here, apart.shape)[inside], (apart - beyond)[inside]
+    parts = np.array_split(np.argsort(brightness, kind="stable"), BRIGHTNESSES)
+    at, noise = (np.array([np.median(of[part]) for part in parts]) for of in (brightness, left))
+    return np.asarray(np.interp(np.arange(256), at, np.maximum(noise, 0)).astype(np.float32)[grey])
+
+
+def _misplaced(frame: np.ndarray) -> np.ndarray:
+    """Levels [h, w] that an error of position makes of the slopes of a frame [h, w, 3]."""
     grey = cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY)
     slope = np.hypot(cv2.Sobel(grey, cv2.CV_32F, 1, 0, scale=1 / 8), cv2.Sobel(grey, cv2.CV_32F, 0, 1, scale=1 / 8))
-    levels, pixels = TOLERANCE
-    return np.asarray(levels + pixels * cv2.blur(slope, (SLOPE_PX, SLOPE_PX)))
+    return np.asarray(TOLERANCE[1] * cv2.blur(slope, (SLOPE_PX, SLOPE_PX)))
