@@ -26,7 +26,7 @@ from stages.shared.rolling import frame_times, moved_by, path_of
 
 PIXELS = 400
 """The readout is decided on a grid of about this many pixels per frame."""
-PROBE, PASSES, TRIES = 0.3, 2, 4
+PROBE, PASSES, TRIES = 0.3, 2, 6
 """The first readout that is tried; corrections of the matches at each; and the most readouts that are tried."""
 SETTLED = 0.01
 """A change of the readout below this is none."""
@@ -168,30 +168,48 @@ def _saved(tried: dict[float, Fit]) -> float:
 def _search(
     graph: FlowGraph, fit: Callable[[float, State], Fit], state: State, least: float
 ) -> tuple[dict[float, Fit], float]:
-    """Fits at the readouts that were tried, 0 and at least one more, and the curvature of the cost there, px^2.
+    """Fits at the readouts that were tried, 0 and at least one more, and the curvature of the cost at the best, px^2.
 
-    The residuals of the best cameras at two readouts give their derivative by the readout, and this the next one.
+    First the lowest cost is bracketed: far from it steps by the derivative of the residuals are too short, as the cost
+    is robust. Within the bracket they are taken; cameras at two readouts give the derivative.
 
     Args:
         least: share of the cost; where the best readout would save less, no more are tried.
     """
-    fitted = held_out.halves(graph)[0]
-    last, readout, tried = 0.0, PROBE, {0.0: fit(0.0, state)}
-    before = _residuals(graph, tried[last].state, last)
+    tried, readout = {0.0: fit(0.0, state)}, PROBE
     for _ in range(TRIES):
-        tried[readout] = fit(readout, tried[last].state)
-        now = _residuals(graph, tried[readout].state, readout)
-        slope = (now - before) / (readout - last)
-        errors = np.linalg.norm(now, axis=2)
-        inlier = 1 / (1 + (errors / _sharp_scale(errors, fitted)) ** 2) ** 2
-        squared = inlier * (slope**2).sum(axis=2)
-        step = -(fitted.weights * inlier * (now * slope).sum(axis=2)).sum() / max(
-            (fitted.weights * squared).sum(), 1e-300
-        )
-        last, before, readout = readout, now, float(np.clip(readout + step, -1, 1))
+        nearest = min(tried, key=lambda at: abs(at - readout))
+        tried[readout] = fit(readout, tried[nearest].state)
+        step, curvature = _step(graph, tried)
+        readout = _next({at: found.cost for at, found in tried.items()}, step)
         if any(abs(readout - at) < SETTLED for at in tried) or _saved(tried) < least:
             break
-    return tried, float((graph.weights * squared).sum())
+    return tried, curvature
+
+
+def _next(costs: dict[float, float], step: float) -> float:
+    """The readout to try after those of these costs, 0 and PROBE among them.
+
+    Args:
+        step: from the best of them, by the derivative of the residuals.
+    """
+    tried, best = sorted(costs), min(costs, key=lambda at: costs[at])
+    k = tried.index(best)
+    if k in (0, len(tried) - 1) and abs(best) < 1:  # lower costs may lie beyond
+        return float(np.clip(2 * best, -1, 1)) if best else -PROBE
+    return float(np.clip(best + step, tried[max(k - 1, 0)], tried[min(k + 1, len(tried) - 1)]))
+
+
+def _step(graph: FlowGraph, tried: dict[float, Fit]) -> tuple[float, float]:
+    """A Gauss-Newton step from the best readout that was tried, and the curvature of the cost there, px^2."""
+    fitted, best = held_out.halves(graph)[0], min(tried, key=lambda at: tried[at].cost)
+    other = min((at for at in tried if at != best), key=lambda at: abs(at - best))
+    now, before = (_residuals(graph, tried[at].state, at) for at in (best, other))
+    slope, errors = (now - before) / (best - other), np.linalg.norm(now, axis=2)
+    inlier = 1 / (1 + (errors / _sharp_scale(errors, fitted)) ** 2) ** 2
+    squared = inlier * (slope**2).sum(axis=2)
+    step = (fitted.weights * inlier * (now * slope).sum(axis=2)).sum() / max((fitted.weights * squared).sum(), 1e-300)
+    return -float(step), float((graph.weights * squared).sum())
 
 
 def _residuals(graph: FlowGraph, state: State, readout: float) -> np.ndarray:
