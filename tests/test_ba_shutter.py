@@ -102,6 +102,20 @@ def test_a_rolling_shutter_is_found_with_its_readout_and_better_poses(readout: f
         assert trajectory_error(at_once.state.cam_from_world, truth) > 1e-2
 
 
+@pytest.mark.parametrize(("turn", "drift_px"), [(0.02, 3), (0.03, 10)])
+def test_what_moves_in_a_few_tiles_hides_no_short_readout(turn: float, drift_px: float) -> None:
+    """The search goes on: on a usual tile even the first readouts save something, in the sum they do not."""
+    path = hand(turn, 0.03)
+    graph, depth = observe_rolled(path, 0.15)
+    state = State(path(np.arange(T)), graph.resample(1 / depth, 1), FOCAL * graph.width)
+    moves = np.abs(graph.pixels - graph.centre - 10).max(axis=1) < 0.2 * graph.width
+    drift = np.random.default_rng(4).normal(0, drift_px, (len(graph.source), 1, 2)) * moves[:, None]
+    mixed, prior = replace(graph, matches=graph.matches + drift.astype(np.float32)), FocalPrior(FOCAL * graph.width)
+    found = shutter.weigh(mixed, state, Unknowns(True, True), prior, assumed=False)
+    assert found.decision == "rolling"
+    assert found.readout == pytest.approx(0.15, abs=0.05)
+
+
 def test_what_moves_in_a_few_tiles_hardly_lessens_what_a_rolling_shutter_saves() -> None:
     """Its flow, which nobody has masked, costs much with the shutter and without: a usual tile counts, not the sum."""
     graph, depth = observe_rolled(SHAKY, 0.25)

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from stages.shared.image_noise import LOUD, blur_of_noise, noise_variance, smoothed
+from stages.shared.image_noise import LOUD, MOST_PX, blur_of_noise, noise_variance, smoothed
 
 
 def picture(sigma: float) -> np.ndarray:
@@ -14,12 +14,26 @@ def picture(sigma: float) -> np.ndarray:
     return np.clip(texture + sigma * random.standard_normal((90, 120, 1)), 0, 255).astype(np.uint8).repeat(3, axis=2)
 
 
-@pytest.mark.parametrize("sigma", [6.0, 12.0, 24.0])
+@pytest.mark.parametrize("sigma", [6.0, 9.0, 14.0])
 def test_loud_noise_is_measured_and_smoothed_away(sigma: float) -> None:
     noisy = picture(sigma)
     assert np.sqrt(noise_variance(noisy[..., 0])) == pytest.approx(sigma, rel=0.15)
     noise = smoothed(noisy, blur_of_noise(noisy)).astype(float) - smoothed(picture(0), blur_of_noise(noisy))
     assert noise.std() < 2
+
+
+@pytest.mark.parametrize("saturated", [0, 255])
+def test_what_is_saturated_shows_no_noise_and_hides_none(saturated: int) -> None:
+    noisy = picture(12.0)
+    whole = blur_of_noise(noisy)
+    noisy[:60] = saturated
+    assert blur_of_noise(noisy) == pytest.approx(whole, rel=0.2)
+    assert blur_of_noise(np.full_like(noisy, saturated)) == 0
+
+
+def test_pictures_are_never_smoothed_beyond_recognition() -> None:
+    checks = np.indices((90, 120)).sum(axis=0) % 2 * 200 + 20
+    assert blur_of_noise(np.dstack(3 * [checks]).astype(np.uint8)) == MOST_PX
 
 
 def test_texture_in_daylight_is_not_smoothed() -> None:

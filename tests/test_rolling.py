@@ -14,6 +14,7 @@ from stages.ba import shutter
 from stages.ba.graph import MIN_WEIGHT, FlowGraph
 from stages.ba.state import State
 from stages.motion import __main__ as motion_stage
+from stages.segment.static_world import static_world
 from stages.shared import lie
 from stages.shared.artifacts import read_dense, write_dense, write_json
 from stages.shared.cameras import centred_intrinsics, make_cameras, pixel_grid, projection, read_readout, write_cameras
@@ -21,6 +22,7 @@ from stages.shared.flow_pairs import FlowPairs
 from stages.shared.rolling import RollingShutter, frame_times, rolling_shutter
 from stages.shared.sequences import check_sequence, sequence_to_json
 from stages.shared.static_flow import dense_static_flow
+from stages.shared.window_kernels import place
 
 SHAKY, READOUT = hand(0.02, 0.03), 0.8
 CELLS = slice(None), slice(STRIDE // 2, None, STRIDE), slice(STRIDE // 2, None, STRIDE)
@@ -80,6 +82,18 @@ def test_rows_of_a_frame_are_seen_where_the_shutter_shows_them() -> None:
     raw, left = np.median(np.concatenate(errors, axis=1), axis=1)
     assert raw > 0.05
     assert left < 0.2 * raw
+
+
+def test_kernels_take_the_projection_of_the_row() -> None:
+    graph, depth = observe_rolled(SHAKY, READOUT, noise_px=0.0)
+    h = depth.shape[1]
+    A, b = exposed_in_turn(graph, depth).projection(0, 1, h)
+    way = dense_static_flow(A, b, 1 / depth[0])
+    for u, v in ((3, 0), (70, h // 2), (20, h - 1)):
+        p = A[v] @ (u, v, 1) + b[v] / depth[0, v, u]
+        assert_allclose(place(A[None], b[None], 0, u, v, 1 / depth[0, v, u]), p[:2] / p[2], rtol=1e-9)
+        assert_allclose(way[v, u], p[:2] / p[2] - (u, v), atol=1e-3)
+    assert np.linalg.norm(A[0] - A[-1]) > 1e-3 * np.linalg.norm(A[0])
 
 
 @pytest.mark.parametrize("fall_px", [-9.0, 100.0])
@@ -148,3 +162,16 @@ def test_a_still_scene_behind_a_rolling_shutter_does_not_move(tmp_path: Path) ->
 
     assert moving_share("global") > 0.04
     assert moving_share("rolling") == 0
+    found = read_dense(tmp_path / "prior.arrow")["static_depth"]
+    assert np.median(np.abs(found * depth - 1)) < 0.02, "what masks are compared at"
+    frames, evidence = check_sequence("clip", clip), read_dense(tmp_path / "prior.arrow")
+    files = [tmp_path / name for name in ("prior.arrow", "pairs.arrow", "poses.parquet", "depth.arrow")]
+    world = static_world(frames, evidence, *files)
+    assert world is not None
+    expected = rolling_shutter(frames, cameras, READOUT, tmp_path / "depth.arrow", 1.0).projection(0, 1, h)
+    for rows, of in zip(world.projection(0, 1), expected, strict=True):
+        assert_allclose(rows, of, rtol=1e-9, atol=1e-9)
+    write_cameras(tmp_path / "poses.parquet", cameras)
+    at_once = static_world(frames, evidence, *files)
+    assert at_once is not None
+    assert at_once.projection(0, 1)[0].shape == (3, 3)

@@ -127,7 +127,7 @@ def of_shutter(evidence: shutter.Evidence) -> list[str]:
     """A warning about a rolling shutter, also where it explains the flow, but not observably so."""
     gain, gain_sigma = evidence.gain or 0.0, evidence.gain_sigma or 0.0
     if evidence.decision == "rolling":
-        taken = "poses are those of the middle row; the pictures of a frame count as exposed at once"
+        taken = "poses are those of the middle row; a frame is drawn as exposed at once"
         return [f"rolling shutter: {evidence.reason}; {taken}"]
     if evidence.decision == "not observable" and gain >= max(shutter.MIN_GAIN, shutter.SIGNIFICANT * gain_sigma):
         return [f"the shutter may roll, which is not observable: {evidence.reason}"]

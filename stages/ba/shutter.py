@@ -156,12 +156,13 @@ def _shakes(graph: FlowGraph, state: State) -> np.ndarray:
     return np.pad((np.diff(twists, axis=0) ** 2).sum(axis=1), 1)
 
 
-def _saved(tried: dict[float, Fit]) -> float:
-    """Share of the cost that the best readout saves by the parabola through those tried; all of it if there is none."""
-    readouts, costs = np.array(list(tried)), np.array([fit.cost for fit in tried.values()])
-    if len(readouts) < 3:
+def _saved(graph: FlowGraph, tried: dict[float, Fit]) -> float:
+    """Share of its cost that the best readout saves on a usual tile by the parabola through those tried; all of it if
+    there is none."""
+    if len(tried) < 3:
         return 1.0
-    square, slope, _ = np.polyfit(readouts, costs / costs[0] - 1, 2)
+    gains = [held_out.usual_gain(graph, (tried[0.0], found))[0] for found in tried.values()]
+    square, slope, _ = np.polyfit(list(tried), np.negative(gains), 2)
     return float(slope**2 / (4 * square)) if square > 0 else 1.0
 
 
@@ -182,7 +183,7 @@ def _search(
         tried[readout] = fit(readout, tried[nearest].state)
         step, curvature = _step(graph, tried)
         readout = _next({at: found.cost for at, found in tried.items()}, step)
-        if any(abs(readout - at) < SETTLED for at in tried) or _saved(tried) < least:
+        if any(abs(readout - at) < SETTLED for at in tried) or _saved(graph, tried) < least:
             break
     return tried, curvature
 

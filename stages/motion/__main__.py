@@ -56,7 +56,8 @@ def main(
     where no pair shows parallax). With the cameras of the previous round it is the residual at the best depth of each
     pixel, which the images must confirm where flow is unreliable; the drift of long tracks, which shows slow motion;
     what hides static surface that seems nearer; and, of things that the flow loses, what a single frame shows. A
-    rolling shutter that these cameras have is taken out of the flow first. Evidence is pooled along the flow as it is.
+    rolling shutter that these cameras have is taken out of the flow first; pictures are compared, and evidence is
+    pooled, along the flow as it is.
     The metadata of the output says which was used, and why. If the round before began with the same cameras, its
     results are carried over.
     """
@@ -83,7 +84,7 @@ def main(
     columns = {"frame": np.array(frames.numbers), "probability": probability.astype(np.float16)}
     columns["weight"] = evidence.weight.astype(np.float16)
     if static_depth is not None:
-        columns["static_depth"] = static_depth.astype(np.float16)
+        columns["static_depth"] = static_depth
     write_dense(output, columns, {"units": "probability", **facts, "options": options.model_dump(mode="json")})
     write_figure(figure, _picture(rgb, probability))
     return f"{facts['moving_share']:.1%} of the pixels seem to move"
@@ -147,7 +148,8 @@ def _from_cameras(
     passing[unobserved] = 0
     rotating = set(cameras.status[~unobserved]) == {"rotation-only"}
     model = "rotations: the camera does not translate" if rotating else "depth re-sweep"
-    return evidence, passing, inverse_depth, {"source": "cameras", "model": model, "sigma_px": sigma_px}
+    facts = {"source": "cameras", "model": model, "sigma_px": sigma_px}
+    return evidence, passing, inverse_depth.astype(np.float16), facts
 
 
 def _picture(rgb: np.ndarray, probability: np.ndarray) -> np.ndarray:

@@ -13,7 +13,7 @@ from stages.given.masks import GivenMasks
 from stages.segment.options import SegmentOptions
 from stages.segment.permanence import DYNAMIC, Links, confidence_of, persistent
 from stages.segment.refinement import guarded_threshold, smooth_along_edges, to_instances, to_mask
-from stages.segment.static_world import static_world
+from stages.segment.static_world import MOTION_AGAIN, static_world
 from stages.segment.superpixels import AT_ONCE, superpixels
 from stages.shared import cli, drawing
 from stages.shared.artifacts import Dense, read_dense, read_json, write_json
@@ -155,13 +155,16 @@ def _refined(options: SegmentOptions, frames: Sequence, flow: Path, prior: Path,
     evidence = read_dense(prior)
     if "weight" not in evidence or len(evidence["weight"]) != len(frames.frames):
         expected = f"columns 'probability' and 'weight' of {len(frames.frames)} frames"
-        raise InputError(prior, expected, f"columns {sorted(evidence)}", "run the motion stage again")
+        raise InputError(prior, expected, f"columns {sorted(evidence)}", MOTION_AGAIN)
     size = evidence["probability"].shape[:0:-1]
 
-    blur_px = blur_of_noise(reduce(read_rgb(frames.frames[len(frames.frames) // 2]), size))
+    def raw(k: int) -> np.ndarray:
+        return reduce(read_rgb(frames.frames[k]), size)
+
+    blur_px = float(np.median([blur_of_noise(raw(int(k))) for k in drawing.spread(len(frames.frames), 3)]))
 
     def picture(k: int) -> np.ndarray:
-        return smoothed(reduce(read_rgb(frames.frames[k]), size), blur_px)
+        return smoothed(raw(k), blur_px)
 
     pixels = superpixels(len(frames.frames), picture)
     handed = _handed_in(options.evidence, frames, "segment.evidence")
@@ -172,7 +175,7 @@ def _refined(options: SegmentOptions, frames: Sequence, flow: Path, prior: Path,
     probability, weight = (pixels.means(_one_by_one(evidence, name)) for name in ("probability", "weight"))
     matched = read_dense(flow)
     given = Links(pixels, matched, options.permanence), probability, confidence_of(weight), options.threshold, stated
-    world, shown = static_world(frames, evidence, flow, *previous), None
+    world, shown = static_world(frames, evidence, prior, flow, *previous), None
     sure, instance = persistent(*given, candidates=world is not None)
     if world is not None and instance.any():
         from stages.segment.floating import floating

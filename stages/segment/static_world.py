@@ -11,7 +11,10 @@ from stages.segment.permanence import DYNAMIC, HALF_WEIGHT
 from stages.shared import cameras
 from stages.shared.artifacts import Dense, read_dense, read_metadata
 from stages.shared.cameras import Cameras, read_readout, scale_intrinsics, usable_cameras
+from stages.shared.errors import InputError
 from stages.shared.sequences import Sequence
+
+MOTION_AGAIN = "run the motion stage again"
 
 
 class StaticWorld(NamedTuple):
@@ -44,16 +47,19 @@ class StaticWorld(NamedTuple):
 
 
 def static_world(
-    frames: Sequence, evidence: Dense, flow: Path, poses: Path | None, depth: Path | None
+    frames: Sequence, evidence: Dense, prior: Path, flow: Path, poses: Path | None, depth: Path | None
 ) -> StaticWorld | None:
     """The cameras and the depth of the round before on the flow grid; None if there are none.
 
     Args:
-        evidence: the prior, from these cameras. flow: pairs.arrow. poses: poses.parquet. depth: depth.arrow.
+        evidence: the content of the prior, from these cameras. flow: pairs.arrow. poses: poses.parquet.
+            depth: depth.arrow.
     """
     found = usable_cameras(poses, depth, "masks come from the prior alone")
     if found is None or poses is None or depth is None:
         return None
+    if "static_depth" not in evidence:
+        raise InputError(prior, "column 'static_depth' beside cameras", f"columns {sorted(evidence)}", MOTION_AGAIN)
     from stages.shared.static_flow import resample  # compiled code, which the first round spares
 
     h, w = evidence["probability"].shape[1:]

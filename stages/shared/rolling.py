@@ -126,15 +126,14 @@ class RollingShutter:
         return projection((self._poses(i, rows / (h - 1)), K), (self._poses(j, seen / (h - 1)), self.Ks[j]))
 
     def projections(self, pairs: FlowPairs, h: int) -> tuple[np.ndarray, np.ndarray]:
-        """`projection` of every edge, A [E, h, 3, 3] and b [E, h, 3]."""
+        """`projection` of every edge, A [E, h, 3, 3] and b [E, h, 3], float32."""
         found = [self.projection(int(i), int(j), h) for i, j in zip(pairs.source, pairs.target, strict=True)]
-        A, b = (np.stack(part) for part in zip(*found, strict=True))
+        A, b = (np.array(part, np.float32) for part in zip(*found, strict=True))
         return A, b
 
     def _poses(self, k: int, down: np.ndarray) -> np.ndarray:
         """cam_from_world [n, 4, 4] of rows [n] of frame k, as shares of its height."""
-        turned = np.stack([lie.exp_se3(twist) for twist in self._twists(k, down)])
-        return np.asarray(turned @ self.cam_from_world[k])
+        return np.asarray(lie.exp_se3(self._twists(k, down)) @ self.cam_from_world[k])
 
     def _twists(self, k: int, down: np.ndarray) -> np.ndarray:
         """Twists [..., 6] of the camera from the middle row of frame k to rows [...], as shares of its height."""
