@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 from rolled import FOCAL, hand, observe_rolled
 from synthetic import make_scene, observe, trajectory_error
 
-from stages.ba import dba, held_out, shutter
+from stages.ba import dba, diagnostics, held_out, shutter
 from stages.ba.estimate import estimate
 from stages.ba.graph import MIN_WEIGHT, thin_graph
 from stages.ba.options import BAOptions
@@ -204,6 +204,14 @@ def test_a_shutter_that_is_asked_for_of_a_camera_that_hardly_moves_is_not_follow
     assert_allclose(asked.state.cam_from_world, off.state.cam_from_world, rtol=0, atol=0)
     assert any("`rolling_shutter: yes` is not followed: the camera hardly moves" in flag for flag in asked.flags)
     assert not any("not followed" in flag for flag in off.flags)
+
+
+@pytest.mark.parametrize(("gain", "readout_sigma", "told"), [(0.4, 0.2, 1), (0.4, 8.0, 0), (0.02, 0.2, 0)])
+def test_a_shutter_that_may_roll_is_told_where_its_readout_is_known_to_itself(
+    gain: float, readout_sigma: float, told: int
+) -> None:
+    evidence = shutter.Evidence("not observable", "why", gain, 0.01, readout=0.5, readout_sigma=readout_sigma)
+    assert len(diagnostics.of_shutter(evidence)) == told
 
 
 def test_depths_are_carried_to_other_pixels() -> None:

@@ -131,6 +131,6 @@ def test_the_prior_finds_what_moves_with_the_camera() -> None:
     numbers, none = np.arange(1, T + 1), np.zeros((T, 6, 6))
     seen = Cameras(poses, Ks, numbers, none, np.full(T, "estimated"), np.ones(T, bool))
     depth = {"inverse_depth": inverse_depth.astype(np.float16)}
-    evidence, _, _ = motion._from_cameras(frames, pairs, seen, depth, 1.0, 1.0)
+    evidence, *_ = motion._from_cameras(frames, pairs, seen, depth, 1.0, 1.0, None)
     assert evidence.residual[moves].mean() > 0.3
     assert evidence.residual[~moves].mean() < 0.02

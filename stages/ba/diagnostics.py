@@ -124,12 +124,17 @@ def of_zoom(evidence: zoom.Evidence) -> list[str]:
 
 
 def of_shutter(evidence: shutter.Evidence) -> list[str]:
-    """A warning about a rolling shutter, also where it explains the flow, but not observably so."""
+    """A warning about a rolling shutter, also where it explains the flow, but not observably so.
+
+    A readout that is not known to itself, as before a camera that hardly moves, only fits the errors of the flow.
+    """
     gain, gain_sigma = evidence.gain or 0.0, evidence.gain_sigma or 0.0
     if evidence.decision == "rolling":
         taken = "poses are those of the middle row; a frame is drawn as exposed at once"
         return [f"rolling shutter: {evidence.reason}; {taken}"]
-    if evidence.decision == "not observable" and gain >= max(shutter.MIN_GAIN, shutter.SIGNIFICANT * gain_sigma):
+    explains = gain >= max(shutter.MIN_GAIN, shutter.SIGNIFICANT * gain_sigma)
+    known = evidence.readout_sigma is not None and abs(evidence.readout) >= evidence.readout_sigma
+    if evidence.decision == "not observable" and explains and known:
         return [f"the shutter may roll, which is not observable: {evidence.reason}"]
     return []
 
