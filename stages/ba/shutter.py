@@ -175,7 +175,7 @@ def _search(
     is robust. Within the bracket they are taken; cameras at two readouts give the derivative.
 
     Args:
-        least: share of the cost; where the best readout would save less, no more are tried.
+        least: share of the cost of a usual tile; where the best readout would save less, no more are tried.
     """
     tried, readout = {0.0: fit(0.0, state)}, PROBE
     for _ in range(TRIES):

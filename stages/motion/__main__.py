@@ -57,9 +57,8 @@ def main(
     pixel, which the images must confirm where flow is unreliable; the drift of long tracks, which shows slow motion;
     what hides static surface that seems nearer; and, of things that the flow loses, what a single frame shows. A
     rolling shutter that these cameras have is taken out of the flow first; pictures are compared, and evidence is
-    pooled, along the flow as it is.
-    The metadata of the output says which was used, and why. If the round before began with the same cameras, its
-    results are carried over.
+    pooled, along the flow as it is. The metadata of the output says which was used, and why. If the round before began
+    with the same cameras, its results are carried over.
     """
     frames = read_sequence(sequence)
     begun = Solved(previous_poses, previous_depth), Solved(earlier_poses, earlier_depth)

@@ -9,7 +9,7 @@ import cv2
 import numba
 import numpy as np
 
-from stages.shared.window_kernels import KERNEL, place, window_difference
+from stages.shared.window_kernels import KERNEL, of_rows, place, window_difference
 
 STEPS, STEP_PX = 40, 1.0
 """Depths that are tried at most, beside infinity, and the longest way in the image, from one frame to the next, from
@@ -96,8 +96,7 @@ def least_difference(others: list[Other], sought: np.ndarray, nearest: float) ->
     pictures = [np.stack([getattr(other, name) for other in near]) for name in ("found", "expected")]
     greys = [np.stack([cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) for image in of[:first]]) for of in pictures]
     flat = [of.reshape(-1) for of in (*greys, *pictures)]
-    A, b = (np.stack([getattr(other, name) for other in near]).astype(np.float32) for name in ("A", "b"))
-    A, b = A.reshape(len(A), -1, 3, 3), b.reshape(len(b), -1, 3)
+    A, b = of_rows(*(np.stack([getattr(other, name) for other in near]).astype(np.float32) for name in ("A", "b")))
     later = np.array([other.step > 0 for other in near])
     v, u = np.nonzero(sought)
     found, unit = np.empty(len(u), np.float32), STEP_PX / way_px

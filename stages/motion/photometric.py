@@ -64,8 +64,7 @@ def corroborate(
     Args:
         evidence: residual [T, h, w] of the flow to a static world, and its weight.
         rgb: [T, h, w, 3] uint8 frames on the flow grid.
-        projections: A [E, 3, 3] and b [E, 3] of `resweep`, or A [E, h, 3, 3] and b [E, h, 3] of every row;
-            inverse_depth: [T, h, w] in the units of b.
+        projections: A and b of `resweep`, or of every row (`rolling`); inverse_depth: [T, h, w] in the units of b.
         drifting: [T, h, w] of `drift` and `hiding`, which pictures have confirmed; a residual below it is raised to it.
     """
 

@@ -10,6 +10,7 @@ are compared: a thing of another colour that is as bright as what is behind it i
 import cv2
 import numpy as np
 
+from stages.shared.image_noise import BRIGHT, DARK
 from stages.shared.picture_difference import MEAN_OF_COLOURS
 
 UNEXPLAINED = 1.5
@@ -23,8 +24,6 @@ FLOOR = 0.5
 agree by chance, the more so through noise."""
 LEAST_FRAMES, MOST = 3, 0.2
 """Other frames that must show a pixel, at least; share of a frame that may be odd, at most."""
-DARK, BRIGHT = 1, 254
-"""Colour levels that count as saturated: neither exposure nor difference can be told there."""
 WINDOW_PX = 3
 """Of the means of differences."""
 

@@ -12,7 +12,7 @@ from stages.segment.static_world import StaticWorld
 from stages.shared.picture_difference import EVERY_PX, exposed
 from stages.shared.static_flow import dense_static_flow
 from stages.shared.warp import warp
-from stages.shared.window_kernels import KERNEL, place, window_difference
+from stages.shared.window_kernels import KERNEL, of_rows, place, window_difference
 
 DISTANCES = 1, 2, 3, 4, 5, 6, 8, 10, 12
 """Distances in frames, either way, of the pictures that are compared: a step takes about as long."""
@@ -46,7 +46,6 @@ def seen_again(
     if not len(v) or not others:
         return found
     A, b = (np.stack(part) for part in zip(*(world.projection(i, j) for j in others), strict=True))
-    lines = A.reshape(len(A), -1, 3, 3), b.reshape(len(b), -1, 3)
     ways = (dense_static_flow(*of, depths[0]) for of in zip(A, b, strict=True))
     shown = (warp(frames[j], way, EVERY_PX) for j, way in zip(others, ways, strict=True))
     expected = np.stack([exposed(frames[i], there) for there in shown])
@@ -55,7 +54,7 @@ def seen_again(
     alike, places = np.empty(len(others)), np.empty((len(others), 3))
     static = np.stack([depth[v, u] for depth in depths])
     flat = pictures.reshape(-1), expected.reshape(-1)
-    _seen_again(*flat, covers, *lines, u, v, static, least, alike, places)
+    _seen_again(*flat, covers, *of_rows(A, b), u, v, static, least, alike, places)
     found[v, u] = np.where(least < limit[v, u], least, np.inf)
     return found
 

@@ -9,7 +9,7 @@ LOUD, BLUR_PX, MOST_PX = 4.0, 0.18, 3.0
 """Standard deviation of the noise, in grey levels, from which on a picture is smoothed, and the standard deviation of
 the Gaussian, in pixels per grey level, and at most. Fine texture in daylight looks like noise of 1 to 3.5 levels."""
 DARK, BRIGHT = 1, 254
-"""Grey levels that are saturated, without noise."""
+"""Grey levels up to which, and from which on, a picture is saturated: it shows neither noise nor exposure there."""
 
 
 def noise_variance(image: np.ndarray, seen: np.ndarray | None = None) -> float:

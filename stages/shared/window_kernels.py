@@ -12,6 +12,11 @@ NEAREST = 0.2
 """Least ratio of a depth in another frame and in this one."""
 
 
+def of_rows(A: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A [F, R, 3, 3] and b [F, R, 3] as `place` takes them: of every row (`rolling`), or of all as one, [F, 3, 3]."""
+    return A.reshape(len(A), -1, 3, 3), b.reshape(len(b), -1, 3)
+
+
 @numba.njit(**KERNEL)
 def place(A, b, j, u, v, depth):  # type: ignore[no-untyped-def]
     """Where pixel u, v at an inverse depth is seen, by A [F, R, 3, 3] and b [F, R, 3] of `cameras.projection`, of every
