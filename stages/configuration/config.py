@@ -145,7 +145,7 @@ def idle_effects(config: Config) -> dict[str, str]:
     taken = (adjustment.intrinsics, adjustment.poses_from, adjustment.depth_from)
     found = {}
     if config.segment.given or config.segment.evidence or any(value not in (ESTIMATE, TRUTH) for value in taken):
-        found[LENS] = "intrinsics, poses, masks or depth are given: they do not fit undistorted frames"
+        found[LENS] = "intrinsics, poses, depth, or masks to use or go by are given: they do not fit undistorted frames"
     if adjustment.intrinsics != ESTIMATE or adjustment.poses_fixed:
         found["ba.zoom"] = "intrinsics or fixed poses are given: their focal lengths are not estimated"
     if adjustment.poses_fixed:

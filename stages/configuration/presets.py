@@ -28,11 +28,11 @@ PRESETS: dict[Preset, Overrides] = {
 """`balanced` is the defaults. `snakemake sweep` compares the presets on any sequences (its group `presets`); with an
 option under `sweep: knobs:` it shows what that option contributes. Figures below are examples from a few sequences.
 
-`fast` takes about half of the CPU time of `balanced` from flow to poses. Its path error was 0.02 to 0.11 % of the
-path, that of `balanced` 0.02 to 0.06 % (six sequences); on a fast and blurred sequence 0.38 and 0.22 %. Masks of thin
-movers lose area. Smaller frames lose less accuracy than a coarser finest scale. The first poses are estimated without
-masks. This does no harm unless movers fill nearly half of the view: there the error was 0.75 instead of 0.05 %, and
-flagged.
+`fast` takes somewhat less than half of the CPU time of `balanced` from flow to poses. Its path error was 0.02 to 0.11 %
+of the path, that of `balanced` 0.02 to 0.06 % (six sequences); on a fast and blurred sequence 0.38 and 0.22 %. Masks of
+thin movers lose area. Smaller frames lose less accuracy than a coarser finest scale. The first poses are estimated
+without masks. This does no harm unless movers fill nearly half of the view: there the error was 0.75 instead of 0.05 %,
+and flagged.
 
 `accurate` halves the stride of the adjustment. This doubles its time and lowers the path error by at most a tenth (four
 sequences). It has one round more, for scenes half of which moves.
