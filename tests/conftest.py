@@ -27,6 +27,16 @@ REPO = Path(__file__).resolve().parents[1]
 DATA = REPO.parent / "shared" / "data"
 SOURCES = ("Snakefile", "config.yaml", "profiles", "workflow", "stages")
 
+BEGUN_FIRST = ("test_slurm", "test_workflow")
+"""Files that take minutes, of which the other process would wait for one that began last: Slurm's tests wait most of
+their time, those of plans run no stage and need no kernels, so that none is compiled during a test of a stage's memory.
+"""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Tests in the order of their files but for the longest (`make test` has two processes, each with whole files)."""
+    items.sort(key=lambda item: item.path.stem not in BEGUN_FIRST)
+
 
 def run_snakemake(folder: Path, *arguments: str, env: dict[str, str] | None = None) -> subprocess.CompletedProcess[str]:
     """`snakemake ARGUMENTS` in `folder` and in the environment `env` (None: this one), with its output as text."""

@@ -62,13 +62,19 @@ def steps(setting: Setting, stage: str) -> tuple[Step, ...]:
 
 
 @functools.cache
+def flags_of(setting: Setting, stage: str) -> str:
+    """The command-line flags of a stage under a setting; cached, since every job and every comparison asks."""
+    return configuration.flags(setting.config, stage)
+
+
+@functools.cache
 def _flags_up_to(setting: Setting, stage: str, number: int) -> tuple[tuple[str, str], ...]:
     """Every step up to the given one with its flags; if two settings agree in them, their results are equal."""
     chain = steps(setting, stage)
     chain = chain[: chain.index((stage, number)) + 1]
     if stage == "evaluate" and is_baseline(setting.overrides):  # the one stage that reads what COLMAP made
         chain = (*chain, ("colmap", number))
-    return tuple((name, configuration.flags(setting.config, name)) for name, _ in chain)
+    return tuple((name, flags_of(setting, name)) for name, _ in chain)
 
 
 def find_home(settings: Sequence[Setting], setting: Setting, stage: str, number: int) -> str:

@@ -167,15 +167,9 @@ def of_job(function):
     return function
 
 
-@functools.cache
-def flags_of(setting, section):
-    """The command-line flags of one script under a setting; cached, since every job asks."""
-    return configuration.flags(setting.config, section)
-
-
 def flags(section):
     """The params function of a script's command-line flags: Snakemake reruns the script when they change."""
-    return of_job(lambda wildcards: flags_of(setting_of(wildcards), section))
+    return of_job(lambda wildcards: plan.flags_of(setting_of(wildcards), section))
 
 
 def round_number(wildcards):
