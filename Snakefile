@@ -8,6 +8,7 @@ configfile: f"{workflow.basedir}/config.yaml"
 
 
 include: "workflow/rules/common.smk"
+include: "workflow/rules/jobs.smk"
 include: "workflow/rules/resources.smk"
 include: "workflow/rules/compare.smk"
 include: "workflow/rules/simulate.smk"
