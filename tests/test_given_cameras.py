@@ -192,6 +192,10 @@ def test_transforms_of_blender(tmp_path: Path) -> None:
         ({"fl_x": 95.0, "cx": 60.0}, {}, "expected one principal point and one ratio fy / fx for all frames, found fx"),
         ({}, {"k1": 0.1}, "found model OPENCV; undistort"),
         ({}, {"camera_model": "EQUIRECTANGULAR"}, "found model EQUIRECTANGULAR; undistort"),
+        ({"transform_matrix": np.full((4, 4), np.nan).tolist()}, {}, "finite numbers in every transform_matrix"),
+        ({"fl_x": None}, {}, "expected numbers fl_x, fl_y, cx, cy, w, h, found another structure"),
+        ({"fl_x": np.nan}, {}, "expected finite intrinsics, found nan, nan, 48, 32, 0"),
+        ({}, {"w": 0}, "expected the size of the images in px, found 0 x 64"),
         ({}, {"w": 128}, "shaped like the frames, 96 x 64, found 128 x 64"),
     ],
 )
@@ -214,6 +218,7 @@ def test_the_lenses_of_a_file_do_not_matter_where_others_are_given(tmp_path: Pat
         ("a b c d e f g h", "expected numbers in line 3.*found 'a b c d"),
         ("1 0 0 0 0 0 0 2", "expected a quaternion of length 1 for line 3, found length 2"),
         ("1 nan 0 0 0 0 0 1", "expected finite numbers for line 3"),
+        ("nan 0 0 0 0 0 0 1", "expected a finite time stamp in line 3, found nan"),
         ("2 0 0 0 0 0 0 1", "expected time stamps that differ, found 2 in line 2 and line 3"),
     ],
 )
@@ -221,6 +226,17 @@ def test_wrong_lines_of_a_trajectory_are_named(tmp_path: Path, line: str, said: 
     (tmp_path / "path.tum").write_text(f"# stamp x y z\n2 0 0 0 0 0 0 1\n{line}\n")
     with pytest.raises(InputError, match=said):
         read_poses(str(tmp_path / "path.tum"), FRAMES)
+
+
+def test_a_byte_order_mark_is_no_word(tmp_path: Path) -> None:
+    """Editors on Windows write it in front of a text."""
+    trajectory = tum(tmp_path / "path.tum", FRAMES.stamps)
+    transforms = write_transforms(tmp_path / "transforms.json", {})
+    model = colmap_model(tmp_path / "colmap", "PINHOLE", [[95.0, 90.0, 45.5, 33.5]]) / "text"
+    for path in (trajectory, transforms, model / "cameras.txt", model / "images.txt"):
+        path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes())
+    for given in (trajectory, transforms, model):
+        assert np.allclose(read_poses(str(given), FRAMES)[0], truth.CAM_FROM_WORLD)
 
 
 def test_models_that_are_incomplete_are_named(tmp_path: Path) -> None:

@@ -33,6 +33,14 @@ def test_schema_is_the_committed_one() -> None:
     assert committed == fresh, "run: python -m stages.configuration > workflow/schemas/config.schema.json"
 
 
+@pytest.mark.parametrize("key", [False, 1, None])
+def test_a_key_that_is_no_text_is_named(key: object) -> None:
+    """YAML 1.1 reads no: as false, and 1: as a number."""
+    said = rf"{key}: expected the name of an option, found {key}; correct or quote it"
+    with pytest.raises(InputError, match=said):
+        configuration.load({key: 3})  # type: ignore[dict-item]
+
+
 def test_shipped_config_states_every_option_with_its_default() -> None:
     shipped = yaml.safe_load((REPO / "config.yaml").read_text())
     comparisons = {name: shipped[name] for name in ("sweep", "scaling")}  # listed there alone
@@ -96,6 +104,9 @@ def test_numbers_as_text_are_numbers() -> None:
         count: int = 1
 
     assert validate(Example, {"rate": "1e-3", "count": "5"}, "test") == Example(rate=0.001, count=5)
+    assert validate(Example, {"count": "1e3"}, "test") == Example(count=1000)
+    with pytest.raises(InputError, match="count"):
+        validate(Example, {"count": "15e-1"}, "test")
     with pytest.raises(InputError, match="rate"):
         validate(Example, {"rate": "nan"}, "test")
     assert to_flags(Example()) == "--rate 0.1 --count 1"

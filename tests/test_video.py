@@ -3,6 +3,7 @@
 import re
 import struct
 from pathlib import Path
+from typing import Any
 
 import av
 import cv2
@@ -18,7 +19,7 @@ from stages.shared.errors import InputError
 from stages.shared.images import read_rgb
 from stages.shared.sequences import read_sequence
 from stages.video import __main__ as video_stage
-from stages.video.decode import _deinterlaced
+from stages.video.decode import _deinterlaced, end_option
 from stages.video.index import Index, make_index
 from stages.video.options import VideoOptions
 
@@ -66,15 +67,35 @@ def test_rotation_in_the_metadata_is_carried_out(tmp_path: Path, turn_deg: int) 
     assert (index.width, index.height) == upright[0].shape[1::-1]
 
 
-def test_the_matrix_of_a_phone_held_upright_turns_clockwise(tmp_path: Path) -> None:
-    """ISO 14496-12, track header: x' = a x + c y, y' = b x + d y, in 16.16 bits and the order a, b, u, c, d, v."""
-    images = moving(4)
-    content = bytearray(encode(tmp_path / "clip.mp4", images).read_bytes())
+def with_matrix(video: Path, a: int, b: int, c: int, d: int) -> Path:
+    """The MP4 file with this display matrix.
+
+    ISO 14496-12, track header: x' = a x + c y, y' = b x + d y, in 16.16 bits and the order a, b, u, c, d, v.
+    """
+    content = bytearray(video.read_bytes())
     at = content.index(b"tkhd") + 4 + 40  # version 0: 40 bytes before the matrix
-    content[at : at + 24] = struct.pack(">6i", 0, 1 << 16, 0, -1 << 16, 0, 0)
-    (tmp_path / "phone.mp4").write_bytes(content)
-    clockwise = [cv2.rotate(image, cv2.ROTATE_90_CLOCKWISE) for image in images]
-    assert psnr(decoded(tmp_path / "phone.mp4", tmp_path), clockwise) > 38
+    content[at : at + 20] = struct.pack(">5i", a << 16, b << 16, 0, c << 16, d << 16)
+    video.write_bytes(content)
+    return video
+
+
+@pytest.mark.parametrize(
+    ("matrix", "shown"),
+    [
+        ((0, 1, -1, 0), lambda image: cv2.rotate(image, cv2.ROTATE_90_CLOCKWISE)),  # a phone held upright
+        ((-1, 0, 0, 1), lambda image: cv2.flip(image, 1)),  # a front camera's mirror image
+        ((1, 0, 0, -1), lambda image: cv2.flip(image, 0)),
+        ((0, 1, 1, 0), cv2.transpose),
+        ((0, -1, -1, 0), lambda image: cv2.flip(cv2.transpose(image), -1)),
+    ],
+)
+def test_a_matrix_turns_and_mirrors(tmp_path: Path, matrix: tuple[int, int, int, int], shown: Any) -> None:
+    images = moving(4)
+    video = with_matrix(encode(tmp_path / "clip.mp4", images), *matrix)
+    truth = [shown(image) for image in images]
+    assert psnr(decoded(video, tmp_path), truth) > 38
+    index = indexed(video)
+    assert (index.width, index.height) == truth[0].shape[1::-1]
 
 
 def test_variable_frame_rate_keeps_every_time_stamp(tmp_path: Path) -> None:
@@ -205,6 +226,19 @@ def test_a_truncated_video_says_what_is_left_of_it(tmp_path: Path, name: str, co
     assert str(refused.value).startswith(f"{cut}: {said}")
     end = float(re.search(r"end: ([\d.]+)", str(refused.value))[1])  # type: ignore[index]
     assert indexed(cut, end=end).shots["cut"].times_s[-1] == end > 0.2
+
+
+@pytest.mark.parametrize(("last_s", "end"), [(1 / 6, "0.166"), (0.1666, "0.166"), (0.28, "0.280"), (0.29, "0.290")])
+def test_an_end_asks_for_no_frame_after_the_last_good_one(last_s: float, end: str) -> None:
+    """Rounded up, it asked for the frame that cannot be decoded: 2 of 6 cuts at 24 frames per second had no way out."""
+    assert end_option(last_s) == f"`video: {{end: {end}}}`"
+    assert float(end) <= last_s
+
+
+def test_a_matroska_file_whose_times_begin_late_is_complete(tmp_path: Path) -> None:
+    """Its header tells when it ends, not how long it is."""
+    late = encode(tmp_path / "late.mkv", moving(8), [5000 + 40 * k for k in range(8)])
+    assert indexed(late).shots["late"].times_s == pytest.approx([k / 25 for k in range(8)])
 
 
 def test_frames_whose_times_begin_anew_are_counted(tmp_path: Path) -> None:

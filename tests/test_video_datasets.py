@@ -76,12 +76,20 @@ def test_tiny_frames_are_warned_of(tmp_path: Path) -> None:
     assert any("16 x 12 px" in warning for warning in check_sequence("clip", tmp_path).warnings)
 
 
-def test_a_name_with_braces_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_name_with_marks_of_the_workflow_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     write_frames(tmp_path / "take {1}" / "left")
-    for dataset in (encode(tmp_path / "clip {1}.mp4", moving(4)), tmp_path / "take {1}"):
-        with pytest.raises(InputError, match=r"expected names without braces, found '(clip|take) \{1\}'; rename"):
+    clips = [encode(tmp_path / name, moving(4)) for name in ("clip {1}.mp4", "clip <1>.mp4")]
+    for dataset in (*clips, tmp_path / "take {1}"):
+        with pytest.raises(InputError, match=r"names without { } < >, found '(clip|take) [{<]1[}>]'; rename"):
             planned({"dataset": str(dataset)})
+
+
+def test_a_strip_is_refused_before_it_is_decoded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    strip = encode(tmp_path / "strip.mp4", [image[:10] for image in moving(4)])
+    with pytest.raises(InputError, match=r"strip\.mp4: expected frames at most 8 times as wide as high, found 96 x 10"):
+        planned({"dataset": str(strip)})
 
 
 def test_the_workflow_plans_every_shot_and_refuses_a_broken_video(tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 """The sequences of the chosen dataset: folders of frames, shots of videos, or scenes that the simulator will render."""
 
 import functools
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
 
 SCENES = Path(__file__).parents[1] / "simulate" / "scenes"
 """The scene library; its folder `long` holds scenes of a thousand frames, which run only by their names."""
+MARKS = "{}<>"
+"""Begin and end wildcards and variables in the paths of the workflow."""
 EARLY_FRAMES = 1000
 """Up to this many frames, all image headers are checked before any work; beyond, those of each first frame alone.
 
@@ -34,16 +37,20 @@ def dataset_name(config: Config) -> str:
 
 
 def require_folders(config: Config) -> None:
-    """Refuse a file where a run makes its folders: Snakemake ends in a traceback there.
+    """Refuse a file where a run makes its folders, and folders that are read-only: Snakemake ends in a traceback there.
 
     Raises:
-        InputError: names the file.
+        InputError: names the file or folder.
     """
     for parent in ("results", "logs", SIMULATED if config.dataset == SIMULATED else "decoded"):
         for path in (Path(parent), Path(parent, dataset_name(config))):
             if (path.is_symlink() or path.exists()) and not path.is_dir():
                 found = "a file" if path.exists() else "a link to nothing"
                 raise InputError(path, "a folder", found, "move it, or run elsewhere by --directory")
+            where = path if path.exists() else Path()
+            if not os.access(where, os.W_OK):
+                advice = "make it writable, or run elsewhere by --directory"
+                raise InputError(where.resolve(), "a folder to write to", "one that is read-only", advice)
 
 
 def find_sequences(
@@ -97,7 +104,7 @@ def frame_folders(config: Config, shots: Mapping[str, "VideoShot"]) -> dict[str,
         shots: `video_shots`, which reads the indexes of all videos.
 
     Raises:
-        InputError: for an unknown sequence, or a name with braces, which mark wildcards in the paths of the workflow.
+        InputError: for an unknown sequence, or a name with one of MARKS.
     """
     dataset = Path(config.dataset)
     if config.dataset == SIMULATED:
@@ -111,8 +118,8 @@ def frame_folders(config: Config, shots: Mapping[str, "VideoShot"]) -> dict[str,
     wanted = config.sequences if config.sequences == "all" else _wanted(config.sequences, folders, shots)
     chosen = {name: str(folder) for name, folder in choose(wanted, folders, dataset).items()}
     for name in (dataset_name(config), *chosen):
-        if set("{}") & set(name):
-            raise InputError(dataset, "names without braces", f"'{name}'", "rename the file or folder")
+        if set(MARKS) & set(name):
+            raise InputError(dataset, f"names without {' '.join(MARKS)}", f"'{name}'", "rename the file or folder")
     return chosen
 
 

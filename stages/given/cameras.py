@@ -44,10 +44,13 @@ def pinhole(
         model: its name. plain: whether it is a pinhole camera where all numbers of the distortion are zero.
 
     Raises:
-        InputError: for a camera with distortion, and numbers that are not finite.
+        InputError: for a camera with distortion, numbers that are not finite, and images without a pixel.
     """
+    if min(size) <= 0:
+        raise InputError(source, "the size of the images in px", f"{size[0]} x {size[1]}", "write the cameras again")
     if not np.isfinite([*parameters, *distortion]).all():
-        raise InputError(source, "finite intrinsics", f"{[*parameters, *distortion]}", "write the cameras again")
+        found = ", ".join(f"{number:g}" for number in [*parameters, *distortion])
+        raise InputError(source, "finite intrinsics", found, "write the cameras again")
     if not plain or np.any(distortion != 0):
         advice = "undistort the frames first, as by `colmap image_undistorter`, and give the cameras of the result"
         raise InputError(source, "a camera without distortion (PINHOLE, SIMPLE_PINHOLE)", f"model {model}", advice)

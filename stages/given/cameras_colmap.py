@@ -106,7 +106,7 @@ def _images_in_text(path: Path) -> Iterator[_Image]:
 def _lines(path: Path) -> Iterator[tuple[int, str]]:
     """The lines of a text file with their numbers, without comments."""
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(path, "lines of text, as in COLMAP's text format", "no text", ADVICE) from error
     return ((n, line) for n, line in enumerate(lines, start=1) if not line.lstrip().startswith("#"))

@@ -29,22 +29,29 @@ def read_transforms(path: Path) -> Poses:
         InputError: for a file that is not of this format, and cameras with distortion.
     """
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = json.loads(path.read_text(encoding="utf-8-sig"))
         frames = content["frames"]
         names = [str(frame["file_path"]) for frame in frames]
         matrices = np.array([frame["transform_matrix"] for frame in frames], float)
     except (OSError, ValueError, KeyError, TypeError) as error:
         expected = "frames with file_path and transform_matrix, as in a transforms.json"
-        raise InputError(path, expected, str(error).splitlines()[0][:60] or "none", ADVICE) from error
+        raise InputError(path, expected, _lack(error), ADVICE) from error
     if matrices.ndim != 3 or matrices.shape[1:] not in ((4, 4), (3, 4)):
         raise InputError(path, "a transform_matrix of 4 x 4 for every frame", f"shape {matrices.shape[1:]}", ADVICE)
-    R = rotations(path, matrices[:, :3, :3], names)
     if not np.isfinite(matrices).all():
-        raise InputError(path, "finite translations", "NaN or infinity", ADVICE)
+        raise InputError(path, "finite numbers in every transform_matrix", "NaN or infinity", ADVICE)
+    R = rotations(path, matrices[:, :3, :3], names)
     lenses = [_lens(path, content | frame) for frame in frames]
     known = [lens for lens in lenses if lens is not None]
     world_from_opengl = lie.from_parts(R, matrices[:, :3, 3])
     return Poses(from_opengl(world_from_opengl), names=names, lenses=known if len(known) == len(frames) else None)
+
+
+def _lack(error: Exception) -> str:
+    """What a file of another structure holds, in words."""
+    if isinstance(error, KeyError):
+        return f"no {error}"
+    return "another structure" if isinstance(error, TypeError) else str(error).splitlines()[0][:60] or "none"
 
 
 def _lens(path: Path, camera: Mapping[str, Any]) -> Lens | None:
@@ -62,7 +69,7 @@ def _lens(path: Path, camera: Mapping[str, Any]) -> Lens | None:
     except KeyError:
         return None
     except (TypeError, ValueError) as error:
-        raise InputError(path, "numbers fl_x, fl_y, cx, cy, w, h", str(error)[:60], ADVICE) from error
+        raise InputError(path, "numbers fl_x, fl_y, cx, cy, w, h", _lack(error), ADVICE) from error
     model = str(camera.get("camera_model", "OPENCV"))
     parameters = np.array([fx, fy, *centre])
     return pinhole(path, model, (width, height), parameters, np.array(distortion), model in PINHOLES)

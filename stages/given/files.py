@@ -7,6 +7,7 @@ from typing import Annotated
 
 from pydantic import Field
 
+from stages.shared.dataset_folders import shown_entries
 from stages.shared.errors import InputError
 
 GivenPath = Annotated[str, Field(min_length=1)]
@@ -35,7 +36,7 @@ def listed(folder: Path, suffixes: Iterable[str], what: str, option: str) -> lis
     expected = f"a folder of {what} ({', '.join(kinds)}) for `{option}`"
     if not folder.is_dir():
         raise InputError(folder, expected, "a file" if folder.exists() else "nothing there", f"correct `{option}`")
-    found = [path for path in sorted(folder.iterdir()) if path.suffix.lower() in kinds and path.is_file()]
+    found = [path for path in shown_entries(folder) if path.suffix.lower() in kinds and path.is_file()]
     found = [path for path in found if not path.stem.endswith(CONFIDENCE)]
     if not found:
         raise InputError(folder, expected, "none of them", f"correct `{option}`")

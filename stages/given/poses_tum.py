@@ -28,6 +28,8 @@ def read_tum(path: Path) -> Poses:
             raise InputError(path, f"numbers in line {n}: {COLUMNS}", f"'{line.strip()[:40]}'", advice) from error
         if len(rows[-1]) != 8:
             raise InputError(path, f"8 numbers in line {n}: {COLUMNS}", f"{len(rows[-1])}", advice)
+        if not np.isfinite(rows[-1][0]):
+            raise InputError(path, f"a finite time stamp in line {n}", f"{rows[-1][0]}", advice)
         labels.append(f"line {n}")
     if not rows:
         raise InputError(path, f"lines of poses: {COLUMNS}", "none", advice)
@@ -45,6 +47,6 @@ def read_tum(path: Path) -> Poses:
 
 def _lines(path: Path, advice: str) -> list[str]:
     try:
-        return path.read_text(encoding="utf-8").splitlines()
+        return path.read_text(encoding="utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(path, f"lines of text: {COLUMNS}", "no text", advice) from error

@@ -224,5 +224,6 @@ def _report_failure(stage: str, error: BaseException, log_file: Path | None) -> 
     if log_file is None:
         traceback.print_exc()
     where = f"the traceback is in {log_file}" if log_file else "traceback above"
-    print(f"{stage}: internal error: {type(error).__name__}: {error}; {where}", file=sys.stderr)
+    said = " ".join(str(error).split())  # in one line, the last of the log, which the terminal shows
+    print(f"{stage}: internal error: {type(error).__name__}: {said}; {where}", file=sys.stderr)
     return 1

@@ -42,7 +42,7 @@ def sequence_folders(dataset: Path, pass_name: str) -> dict[str, Path]:
     if passes and pass_name not in passes:
         raise InputError(training, f"the pass '{pass_name}'", f"only {', '.join(passes)}", f"set `pass: {passes[0]}`")
     parent = training / pass_name if passes else dataset
-    folders = {folder.name: folder for folder in sorted(parent.iterdir()) if folder.is_dir() and frame_files(folder)}
+    folders = {entry.name: entry for entry in shown_entries(parent) if entry.is_dir() and frame_files(entry)}
     if not folders:
         raise InputError(parent, "folders of PNG or JPG frames, or videos", "none", advice)
     return folders
@@ -59,7 +59,7 @@ def video_files(dataset: Path) -> dict[str, Path]:
         return {dataset.stem: dataset}
     if not dataset.is_dir():
         return {}
-    entries, pictures = sorted(dataset.iterdir()), frame_files(dataset)
+    entries, pictures = shown_entries(dataset), frame_files(dataset)
     files = [path for path in entries if is_video(path)]
     if pictures and (len(pictures) >= MIN_FRAMES or not files):
         return {}
@@ -106,7 +106,17 @@ def frame_files(folder: Path) -> list[Path]:
 
 
 def _is_frame(entry: os.DirEntry[str]) -> bool:
-    return entry.name.lower().endswith(SUFFIXES) and entry.is_file()
+    return entry.name.lower().endswith(SUFFIXES) and not _is_hidden(entry.name) and entry.is_file()
+
+
+def _is_hidden(name: str) -> bool:
+    """Whether a file or folder is hidden, as `._frame_0001.png` is, which macOS writes beside a file on a stick."""
+    return name.startswith(".")
+
+
+def shown_entries(folder: Path) -> list[Path]:
+    """What is in a folder, by name, without what is hidden."""
+    return sorted(entry for entry in folder.iterdir() if not _is_hidden(entry.name))
 
 
 def is_video(path: Path) -> bool:

@@ -57,7 +57,7 @@ def told(needed_mb: float, outputs: Iterable[str | Path], folder: Path) -> str:
         needed_mb: of all jobs. outputs: their files; those that are there from earlier are removed before.
 
     Raises:
-        InputError: if there is less room in `folder` than the run takes.
+        InputError: if there is less room on the disk of `folder` than the run takes.
     """
     free_mb = shutil.disk_usage(folder).free / 1e6
     removed_mb = sum(path.stat().st_size for path in map(Path, outputs) if path.is_file()) / 1e6

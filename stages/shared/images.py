@@ -13,6 +13,7 @@ from stages.shared.errors import InputError
 from stages.shared.threads import threaded
 
 cv2.setNumThreads(int(os.environ["OMP_NUM_THREADS"]))
+START_OF_JPEG = b"\xff\xd8"
 DISPLAY_GAMMA = 2.2
 """Power that stands for the curve of the display where fog is fitted and drawn, which must agree."""
 
@@ -20,12 +21,13 @@ DISPLAY_GAMMA = 2.2
 def read_rgb(path: Path) -> np.ndarray:
     """A frame as [H, W, 3] uint8 RGB.
 
-    Grey frames are repeated over the channels, alpha is dropped, and 16-bit values are divided by 257.
+    Grey frames are repeated over the channels, alpha is dropped, and 16-bit values are divided by 257. JPEG files are
+    turned as their EXIF data ask.
 
     Raises:
         InputError: if the file cannot be decoded.
     """
-    image = _decode(path, cv2.IMREAD_UNCHANGED)
+    image = _decode(path, cv2.IMREAD_UNCHANGED, of_jpeg=cv2.IMREAD_COLOR)  # the first of these turns nothing
     if image.dtype == np.uint16:
         image = np.round(image / 257).astype(np.uint8)
     if image.ndim == 2:
@@ -104,8 +106,11 @@ def write_figure(path: Path, image: np.ndarray) -> None:
         coloured.save(partial, "PNG")
 
 
-def _decode(path: Path, mode: int) -> np.ndarray:
+def _decode(path: Path, mode: int, of_jpeg: int | None = None) -> np.ndarray:
+    """An image file in a mode of OpenCV, or, if that is stated, in another one for JPEG files."""
     content = np.fromfile(path, np.uint8)
+    if of_jpeg is not None and content[:2].tobytes() == START_OF_JPEG:
+        mode = of_jpeg
     image = cv2.imdecode(content, mode) if len(content) else None
     if image is None:
         raise InputError(path, "a readable image", "one that cannot be decoded", "replace the file")

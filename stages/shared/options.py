@@ -40,8 +40,18 @@ class Options(BaseModel):
             raise ValueError(f"a number of type {annotation.__name__}")
         if isinstance(value, list) and len(value) == 1 and value[0] in allowed_words(annotation):
             return value[0]  # a flag that takes several values holds a word as a list of one
+        if annotation is int and isinstance(value, str) and _is_whole(value):
+            return int(float(value))  # as "1e3"
         is_section = isinstance(annotation, type) and issubclass(annotation, Options)
         return {} if value is None and is_section else value
+
+
+def _is_whole(text: str) -> bool:
+    """Whether a text is a whole number, as "1e3" is, which YAML 1.1 reads as text."""
+    try:
+        return float(text).is_integer()
+    except ValueError:
+        return False
 
 
 OptionsT = TypeVar("OptionsT", bound=Options)
@@ -57,9 +67,17 @@ def validate(model: type[OptionsT], values: Mapping[str, Any], where: str = THE_
         OptionError: one line for the first wrong option, with the nearest name if it is unknown.
     """
     try:
-        return model(**values)
+        return model(**_named(values, where))
     except ValidationError as error:
         raise _as_option_error(model, error.errors(), where) from error
+
+
+def _named(values: Mapping[Any, Any], where: str) -> Mapping[str, Any]:
+    """The values, whose keys YAML 1.1 may have read as numbers or as true, false and null."""
+    for key in values:
+        if not isinstance(key, str):
+            raise OptionError([str(key)], "the name of an option", repr(key), "correct or quote it", where)
+    return values
 
 
 def to_flags(options: Options) -> str:
@@ -105,6 +123,8 @@ def _within(error: Any, place: tuple[Any, ...]) -> bool:
 def _expected(error: Any) -> str:
     if error["type"] in ("tuple_type", "list_type"):
         return "a list"
+    if error["type"] == "too_short":
+        return f"a list of at least {error['ctx']['min_length']}"
     if error["type"] == "string_too_short":
         return "a path"
     return str(error["msg"].removeprefix("Input should be ").removeprefix("Value error, "))

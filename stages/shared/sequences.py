@@ -7,14 +7,12 @@ from pathlib import Path
 from typing import Any
 
 from stages.shared.artifacts import read_json
-from stages.shared.dataset_folders import MIN_FRAMES, frame_files, is_video
+from stages.shared.dataset_folders import MIN_FRAMES, frame_files, is_video, shown_entries
 from stages.shared.errors import InputError
-from stages.shared.image_headers import conversions, read_header
+from stages.shared.image_headers import conversions, read_header, refuse_strip
 
 SMALL_PX = 64
 """Frames whose longer side is less are warned of: it is the least width that the flow can be asked for."""
-WIDEST = 8
-"""Frames are at most so many times as wide as high: reduced for the flow, a strip has too few rows to search in."""
 TRUTH_KINDS = {
     "camdata_left": ".cam",
     "depth": ".dpt",
@@ -89,12 +87,11 @@ def list_sequence(name: str, folder: Path) -> Sequence:
     for before, after, path in zip(numbers, numbers[1:], files[1:], strict=False):
         if after != before + 1:
             found = "the same number twice" if after == before else f"{after} after {before}"
-            raise InputError(path, f"frame number {before + 1}", found, "renumber the frames without gaps")
-    (width, height), mode = read_header(files[0])
-    if width > WIDEST * height:
-        expected = f"frames at most {WIDEST} times as wide as high"
-        raise InputError(files[0], expected, f"{width} x {height}", "crop their sides")
-    return Sequence(name, files, numbers, width, height, warnings=conversions({mode}))
+            advice = "renumber the frames without gaps; the last number in a name counts"
+            raise InputError(path, f"frame number {before + 1}", found, advice)
+    (width, height), kind = read_header(files[0])
+    refuse_strip(files[0], width, height)
+    return Sequence(name, files, numbers, width, height, warnings=conversions({kind}))
 
 
 def check_sequence(name: str, folder: Path) -> Sequence:
@@ -104,25 +101,25 @@ def check_sequence(name: str, folder: Path) -> Sequence:
         InputError: for fewer than 3 frames, a gap in the numbering, different sizes, strips, or an unreadable file.
     """
     sequence = list_sequence(name, folder)
-    modes = check_headers(sequence)
-    warnings = [*conversions(modes), *_too_small(sequence), *_unused(folder)]
+    kinds = check_headers(sequence)
+    warnings = [*conversions(kinds), *_too_small(sequence), *_unused(folder)]
     return replace(sequence, truth=find_truth(folder), warnings=warnings)
 
 
 def check_headers(sequence: Sequence) -> set[str]:
-    """Check headers and last bytes of all frames, without decoding, and return their Pillow modes.
+    """Check headers and last bytes of all frames, without decoding, and return their kinds (`read_header`).
 
     Raises:
         InputError: for a size that differs from the first frame's, or an unreadable file.
     """
-    modes = set()
+    kinds = set()
     for path in sequence.frames:
-        (width, height), mode = read_header(path)
+        (width, height), kind = read_header(path)
         if (width, height) != (sequence.width, sequence.height):
             expected = f"{sequence.width} x {sequence.height} like the first frame"
             raise InputError(path, expected, f"{width} x {height}", "resize the frames")
-        modes.add(mode)
-    return modes
+        kinds.add(kind)
+    return kinds
 
 
 def frames_digest(frames: list[Path]) -> str:
@@ -190,7 +187,7 @@ def _too_small(sequence: Sequence) -> list[str]:
 
 def _unused(folder: Path) -> list[str]:
     """That a video beside frames is not used: the frames may be taken from it, or be a cover."""
-    videos = sorted(path for path in folder.iterdir() if is_video(path))
+    videos = [path for path in shown_entries(folder) if is_video(path)]
     said = "beside the frames is not used: name it as the `dataset:` if you mean the video"
     return [f"'{videos[0].name}' {said}"] if videos else []
 

@@ -2,11 +2,13 @@
 
 import contextlib
 import itertools
+import math
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import av
 import cv2
@@ -66,7 +68,9 @@ def read_header(path: Path) -> Header:
         time_base = stream.time_base or Fraction(1, av.time_base)
         length = stream.duration * time_base if stream.duration else None
         if length is None and only and container.duration:
-            length = Fraction(container.duration, av.time_base)
+            # Matroska's counts from time 0, others' from the first time stamp.
+            start = container.start_time or 0 if "matroska" in container.format.name else 0
+            length = Fraction(container.duration - start, av.time_base)
         aspect = stream.sample_aspect_ratio or 1
         return Header(
             codec=stream.codec_context.codec.name,
@@ -125,6 +129,14 @@ def is_cut_short(header: Header, last_s: float, interval_s: float) -> bool:
     return missing > 2 * interval_s and missing > SHORTER * (header.length_s or 0)
 
 
+def end_option(last_s: float) -> str:
+    """The option, as it is written, by which a video is used up to its frame at `last_s`, and none after it is read.
+
+    Rounded to the next millisecond it would ask for the frame after that one.
+    """
+    return f"`video: {{end: {math.floor(1000 * last_s + 1e-6) / 1000:.3f}}}`"
+
+
 def upright(frame: Frame, header: Header, bars_px: tuple[int, int], max_width: int) -> np.ndarray:
     """A frame [H, W, 3] uint8 RGB with square pixels, as a player shows it, at most `max_width` px wide.
 
@@ -137,7 +149,7 @@ def upright(frame: Frame, header: Header, bars_px: tuple[int, int], max_width: i
     pixels = coded[y : len(coded) - y, x : coded.shape[1] - x]
     size = _square(pixels.shape[1], pixels.shape[0], header.aspect)
     pixels = pixels if size == pixels.shape[1::-1] else cv2.resize(pixels, size, interpolation=cv2.INTER_CUBIC)
-    shown = np.ascontiguousarray(np.rot90(pixels, _quarter_turns(frame.image)))
+    shown = np.ascontiguousarray(_turned(pixels, _display_matrix(frame.image)))
     return reduce(shown, reduced_size(shown.shape[1], shown.shape[0], max_width))
 
 
@@ -145,7 +157,7 @@ def upright_size(frame: Frame, header: Header, bars_px: tuple[int, int], max_wid
     """Width and height of the `upright` frame, px."""
     x, y = bars_px
     width, height = _square(frame.image.width - 2 * x, frame.image.height - 2 * y, header.aspect)
-    if _quarter_turns(frame.image) % 2:
+    if _display_matrix(frame.image)[0, 0] == 0:
         width, height = height, width
     return reduced_size(width, height, max_width)
 
@@ -203,7 +215,7 @@ def _decoded(
             yield frame
     except av.FFmpegError as error:
         found = f"one that cannot be decoded after {float(last_s):.3f} s ({_reason(error)})"
-        advice = f"copy or export the video again, or use the part before by `video: {{end: {float(last_s):.3f}}}`"
+        advice = f"copy or export the video again, or use the part before by {end_option(float(last_s))}"
         raise InputError(path, "a complete video", found, advice) from error
 
 
@@ -214,9 +226,23 @@ def _time_s(image: av.VideoFrame, header: Header) -> Fraction | None:
     return image.pts * image.time_base - header.start_pts * header.time_base
 
 
-def _quarter_turns(image: av.VideoFrame) -> int:
-    """Counterclockwise quarter turns after which a frame is upright; other angles count as none."""
-    return 0 if image.rotation % 90 else image.rotation // 90
+def _display_matrix(image: av.VideoFrame) -> np.ndarray:
+    """Signs [2, 2] of the metadata's matrix M: a player shows what is coded at (x, y) at (x, y) M, but for a shift.
+
+    Turns by other angles than quarters count as none.
+    """
+    buffer: Any = image.side_data.get("DISPLAYMATRIX")
+    if buffer is None or image.rotation % 90:
+        return np.eye(2, dtype=int)
+    return np.sign(np.frombuffer(buffer, np.int32).reshape(3, 3)[:2, :2])
+
+
+def _turned(pixels: np.ndarray, matrix: np.ndarray) -> np.ndarray:
+    """Pixels [h, w, 3] as a player shows them, by a `_display_matrix`: mirrored pictures too."""
+    if matrix[0, 0] == 0:
+        pixels = pixels.swapaxes(0, 1)
+    across, down = matrix.sum(axis=0)
+    return pixels[:: int(down), :: int(across)]
 
 
 def _deinterlaced(frames: Iterator[av.VideoFrame], stream: av.VideoStream) -> Iterator[tuple[av.VideoFrame, bool]]:

@@ -19,6 +19,7 @@ from stages.shared.bars import BrightestYet
 from stages.shared.dataset_folders import MIN_FRAMES
 from stages.shared.digest import code_digest
 from stages.shared.errors import InputError
+from stages.shared.image_headers import refuse_strip
 from stages.shared.images import reduce, reduced_size
 from stages.shared.log import progress
 from stages.video import decode, findings
@@ -101,6 +102,7 @@ def make_index(video: Path, options: VideoOptions, cuts: bool = True) -> Index:
     _refuse_incomplete(video, header, options, found)
     bars_px = brightest.bars_px()
     width, height = decode.upright_size(first[0], header, bars_px, options.max_width)
+    refuse_strip(video, width, height)
     return Index(
         shots=_named(video.stem, found.shots),
         width=width,
@@ -122,7 +124,7 @@ def _refuse_other_size(video: Path, first: decode.Frame, frame: decode.Frame, be
     """Refuse a frame of another size than the first one, as joined recordings and calls have them."""
     size, other = (f"{one.image.width} x {one.image.height} px" for one in (first, frame))
     if size != other:
-        advice = f"export it at one size, or use the part before by `video: {{end: {before_s:.3f}}}`"
+        advice = f"export it at one size, or use the part before by {decode.end_option(before_s)}"
         raise InputError(video, f"frames of {size} like the first", f"{other} at {frame.time_s:.3f} s", advice)
 
 
@@ -138,7 +140,7 @@ def _refuse_incomplete(video: Path, header: decode.Header, options: VideoOptions
     last_s, interval_s = found.times_s[-1], findings.interval_s(header, found)
     wanted = options.end is None or options.end > last_s + 2 * interval_s
     if wanted and found.complete and decode.is_cut_short(header, last_s, interval_s):
-        advice = f"copy or export the video again, or use what there is by `video: {{end: {last_s:.3f}}}`"
+        advice = f"copy or export the video again, or use what there is by {decode.end_option(last_s)}"
         raise InputError(video, f"{header.length_s:.3f} s, as its header says", f"{last_s + interval_s:.3f} s", advice)
     if not found.shots:
         total = len(found.times_s)

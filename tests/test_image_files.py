@@ -1,0 +1,116 @@
+"""Frames as cameras, phones and tools write them: what is read of them, and what is refused or said."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from conftest import write_frames
+from PIL import Image
+
+from stages.shared.dataset_folders import frame_files, sequence_folders, video_files
+from stages.shared.errors import InputError
+from stages.shared.image_headers import ORIENTATION
+from stages.shared.images import read_rgb
+from stages.shared.sequences import check_sequence
+
+SMOOTH = cv2.resize(np.random.default_rng(2).integers(0, 255, (6, 8, 3), np.uint8), (64, 48))
+
+
+@pytest.mark.parametrize(
+    ("image", "told"),
+    [
+        (np.full((48, 64), 77, np.uint8), "grey frames are used as RGB"),
+        (np.full((48, 64), 77 * 257, np.uint16), "16-bit frames are reduced to 8 bits"),
+        (np.full((48, 64, 3), 77 * 257, np.uint16), "16-bit frames are reduced to 8 bits"),
+        (
+            np.full((48, 64, 4), 77 * 257, np.uint16),
+            "reduced to 8 bits; the alpha channel is dropped",
+        ),
+        (np.full((48, 64, 4), 77, np.uint8), "the alpha channel is dropped"),
+    ],
+)
+def test_stated_conversions_of_odd_images(tmp_path: Path, image: np.ndarray, told: str) -> None:
+    for number in range(1, 4):
+        cv2.imwrite(str(tmp_path / f"frame_{number:04d}.png"), image)
+    sequence = check_sequence("odd", tmp_path)
+    assert any(told in warning for warning in sequence.warnings)
+    rgb = read_rgb(sequence.frames[0])
+    assert rgb.shape == (48, 64, 3)
+    assert np.all(rgb == 77)
+
+
+def test_colours_of_eight_bits_need_no_word(tmp_path: Path) -> None:
+    assert not check_sequence("clip", write_frames(tmp_path, size=(72, 96))).warnings
+
+
+@pytest.mark.parametrize(
+    ("orientation", "shown"),
+    [
+        (1, lambda image: image),
+        (2, lambda image: image[:, ::-1]),
+        (3, lambda image: image[::-1, ::-1]),
+        (6, lambda image: np.rot90(image, -1)),
+        (8, lambda image: np.rot90(image)),
+    ],
+)
+def test_photographs_are_turned_as_their_exif_data_ask(tmp_path: Path, orientation: int, shown: object) -> None:
+    exif = Image.Exif()
+    exif[ORIENTATION] = orientation
+    for number in range(1, 4):
+        Image.fromarray(SMOOTH).save(tmp_path / f"IMG_{number}.jpg", quality=98, exif=exif)
+    sequence = check_sequence("clip", tmp_path)
+    found, wanted = read_rgb(sequence.frames[0]), np.ascontiguousarray(shown(SMOOTH))  # type: ignore[operator]
+    assert (sequence.height, sequence.width) == found.shape[:2] == wanted.shape[:2]
+    assert cv2.PSNR(found, wanted) > 30
+
+
+def write_jpegs(folder: Path) -> Path:
+    """Three frames, each with a thumbnail in its metadata, and the last of them."""
+    _, thumbnail = cv2.imencode(".jpg", SMOOTH[:8, :8])
+    segment = b"Exif\0\0" + thumbnail.tobytes()
+    for number in range(1, 4):
+        _, image = cv2.imencode(".jpg", SMOOTH)
+        whole = image.tobytes()
+        inserted = b"\xff\xe1" + (2 + len(segment)).to_bytes(2, "big") + segment
+        (folder / f"frame_{number:04d}.jpg").write_bytes(whole[:2] + inserted + whole[2:])
+    return folder / "frame_0003.jpg"
+
+
+@pytest.mark.parametrize("share", [0.9, 0.98])
+def test_a_truncated_jpeg_is_refused(tmp_path: Path, share: float) -> None:
+    last = write_jpegs(tmp_path)
+    last.write_bytes(last.read_bytes()[: int(share * last.stat().st_size)])
+    with pytest.raises(InputError, match=r"frame_0003\.jpg: expected a complete image, found one that ends too early"):
+        check_sequence("clip", tmp_path)
+
+
+def test_a_jpeg_with_a_film_behind_it_is_complete(tmp_path: Path) -> None:
+    """As phones write them: a moving picture follows the one that stands still."""
+    last = write_jpegs(tmp_path)
+    last.write_bytes(last.read_bytes() + bytes(5000))
+    assert len(check_sequence("clip", tmp_path).frames) == 3
+    assert np.array_equal(read_rgb(last), read_rgb(tmp_path / "frame_0001.jpg"))
+
+
+def test_the_format_is_that_of_the_content(tmp_path: Path) -> None:
+    write_jpegs(tmp_path)
+    for path in sorted(tmp_path.glob("*.jpg")):
+        path.rename(path.with_suffix(".png"))
+    assert len(check_sequence("clip", tmp_path).frames) == 3
+    Image.fromarray(SMOOTH).save(tmp_path / "frame_0003.png", "WEBP")
+    with pytest.raises(InputError, match=r"frame_0003\.png: expected a PNG or JPEG.*, found one of the format WEBP"):
+        check_sequence("clip", tmp_path)
+
+
+def test_what_is_hidden_is_no_frame_no_video_and_no_sequence(tmp_path: Path) -> None:
+    """macOS writes ._frame_0001.png beside frame_0001.png on a stick; galleries keep .thumbs."""
+    folder = write_frames(tmp_path / "data" / "clip")
+    write_frames(tmp_path / "data" / ".thumbs")
+    (folder / "._frame_0003.png").write_bytes(b"\0" * 200)
+    assert len(frame_files(folder)) == len(check_sequence("clip", folder).frames) == 4
+    assert list(sequence_folders(tmp_path / "data", "final")) == ["clip"]
+    (tmp_path / "videos").mkdir()
+    for name in ("IMG_1.MOV", "._IMG_1.MOV"):
+        (tmp_path / "videos" / name).write_bytes(b"\0" * 200)
+    assert list(video_files(tmp_path / "videos")) == ["IMG_1"]
