@@ -162,7 +162,7 @@ class LogHandler(LogHandlerBase):
     def _tell_disk(self) -> None:
         """What a dry run's jobs would write beside what is free; a run tells it itself before its first job."""
         try:
-            self._print(disk.told(self.planned_mb, self.planned, Path()))
+            self._print(disk.told(self.planned_mb, self.planned))
         except InputError as error:
             self._print(str(error))
 

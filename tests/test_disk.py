@@ -37,6 +37,22 @@ def test_what_a_run_replaces_counts_as_free(tmp_path: Path, monkeypatch: pytest.
     (tmp_path / "masks").mkdir()
     monkeypatch.setattr("shutil.disk_usage", lambda _: SimpleNamespace(free=1.2e9))
     outputs = [tmp_path / "pairs.arrow", tmp_path / "masks", tmp_path / "none"]
-    assert disk.told(1203, outputs, tmp_path) == "This run writes about 1.2 GB; 1.2 GB are free."
+    assert disk.told(1203, outputs) == "This run writes about 1.2 GB; 1.2 GB are free."
     with pytest.raises(InputError, match=r"room for the 1\.2 GB that this run writes, found 1\.2 GB free"):
-        disk.told(1204, outputs, tmp_path)
+        disk.told(1204, outputs)
+
+
+def test_room_is_that_of_the_disk_to_which_a_folder_of_results_leads(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    other = Path("/dev/shm")
+    if not other.is_dir() or other.stat().st_dev == tmp_path.stat().st_dev:
+        pytest.skip("no second disk")
+    monkeypatch.chdir(tmp_path)
+    Path("results").symlink_to(other)
+    free = {tmp_path.stat().st_dev: 9e9, other.stat().st_dev: 2e6}
+    monkeypatch.setattr("shutil.disk_usage", lambda path: SimpleNamespace(free=free[path.stat().st_dev]))
+    results = ["results/clip/none/ba/poses.parquet", "results/clip/none/masks"]
+    assert disk.told(3, ["decoded/clip"]) == "This run writes about 3 MB; 9.0 GB are free."
+    with pytest.raises(InputError, match=r"room for the 3 MB that this run writes, found 2 MB free"):
+        disk.told(3, ["decoded/clip", *results])

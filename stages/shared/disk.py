@@ -9,7 +9,8 @@ distortion, and `export`, whose formats differ widely, are left out.
 """
 
 import shutil
-from collections.abc import Iterable
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -50,15 +51,16 @@ def megabytes_written(stage: str, held: Held) -> int:
     return max(1, round(fill.base_mb + pixels / 1e6))
 
 
-def told(needed_mb: float, outputs: Iterable[str | Path], folder: Path) -> str:
-    """What the jobs of a run write, and what is free, in words.
+def told(needed_mb: float, outputs: Sequence[str | Path]) -> str:
+    """What the jobs of a run write, and what is free where most of it will lie, in words.
 
     Args:
         needed_mb: of all jobs. outputs: their files; those that are there from earlier are removed before.
 
     Raises:
-        InputError: if there is less room on the disk of `folder` than the run takes.
+        InputError: if there is less room than the run takes.
     """
+    folder = _fullest([Path(output) for output in outputs])
     free_mb = shutil.disk_usage(folder).free / 1e6
     removed_mb = sum(path.stat().st_size for path in map(Path, outputs) if path.is_file()) / 1e6
     taken, free = (f"{mb / 1000:.1f} GB" if mb >= 1000 else f"{mb:.0f} MB" for mb in (needed_mb, free_mb))
@@ -66,3 +68,15 @@ def told(needed_mb: float, outputs: Iterable[str | Path], folder: Path) -> str:
         advice = "free some, run elsewhere by --directory, or use fewer or smaller frames (max_frames, max_width)"
         raise InputError(folder.resolve(), f"room for the {taken} that this run writes", f"{free} free", advice)
     return f"This run writes about {taken}; {free} are free."
+
+
+def _fullest(outputs: Sequence[Path]) -> Path:
+    """A folder on the disk on which most of the outputs will lie: a folder of results may be a link to another disk."""
+    on_disk: Counter[int] = Counter()
+    folders: dict[int, Path] = {}
+    for folder, count in Counter(output.parent for output in outputs).items():
+        existing = next((path for path in (folder, *folder.parents) if path.is_dir()), Path())
+        device = existing.stat().st_dev
+        on_disk[device] += count
+        folders.setdefault(device, existing)
+    return folders[on_disk.most_common(1)[0][0]] if folders else Path()

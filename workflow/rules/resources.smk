@@ -25,12 +25,8 @@ def tell_disk(jobs):
     """Log what jobs will write beside what is free, or end the run in one line if there is no room for it."""
     jobs = [job for job in jobs if job.resources.get("disk_mb")]
     needed = sum(job.resources.disk_mb for job in jobs)
-    folders = Path("results", DATASET), Path("results"), Path()
-    folder = next(
-        folder for folder in folders if folder.is_dir()
-    )  # it may be a link to another disk
     try:
-        words = told(needed, [path for job in jobs for path in job.output], folder)
+        words = told(needed, [path for job in jobs for path in job.output])
     except InputError as error:
         sys.stderr.write(f"{error}\n")
         sys.exit(2)
