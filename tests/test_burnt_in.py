@@ -65,6 +65,17 @@ def test_a_camera_at_rest_leaves_all_unknown(scene: list[np.ndarray]) -> None:
     assert not find([scene[0]] * 16).known
 
 
+def test_what_stays_over_more_than_a_logo_takes_is_left_open(scene: list[np.ndarray]) -> None:
+    """A third of the frame: a channel's banner, or what the camera follows. The log asks for a mask of the user's."""
+    still = moving(1, seed=3, size=(scene[0].shape[1], scene[0].shape[0]))[0]
+    frames = [frame.copy() for frame in scene]
+    for frame in frames:
+        frame[60:140, 80:250] = still[60:140, 80:250]
+    found = find(frames)
+    assert not found.mask.any()
+    assert not found.known
+
+
 def followed(scene: list[np.ndarray], shake_px: float, drift_px: float) -> list[np.ndarray]:
     """Frames with an object that the camera follows, which shakes, or drifts away, in the image."""
     rng, object_ = np.random.default_rng(0), moving(1, seed=7, size=(90, 60))[0]

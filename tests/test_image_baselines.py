@@ -8,6 +8,8 @@ import pytest
 
 from stages.evaluate import image_baselines, image_metrics
 from stages.evaluate.image_baselines import BLEND, NEAREST, WARP
+from stages.evaluate.options import EvaluateOptions
+from stages.evaluate.score_images import score_images
 from stages.shared.artifacts import Dense
 from stages.shared.images import write_image
 from stages.shared.sequences import Sequence
@@ -29,6 +31,19 @@ def sequence(tmp_path: Path) -> Sequence:
     for k, path in enumerate(paths):
         write_image(path, _frame(k))
     return Sequence("moving", paths, list(range(1, 6)), W, H)
+
+
+def test_frames_without_matches_are_not_scored(sequence: Sequence, tmp_path: Path) -> None:
+    """Their poses are guesses, and they may show nothing: no method is to be judged by them."""
+    for number in (2, 4):
+        write_image(tmp_path / f"renders/test/frame_{number:04d}.png", _frame(number))
+    options = EvaluateOptions(holdout_every=2, holdout_first=1)
+    arguments = (sequence, tmp_path / "renders", _flow(1.0), ({}, "none"), options)
+    for unobserved, scored in ((frozenset[int](), 2), (frozenset({2}), 1)):
+        rows, of_frames = score_images(*arguments, unobserved)
+        assert {row["method"]: row["frames"] for row in rows}["ours"] == scored
+        assert {row["method"]: row["frames"] for row in rows}[BLEND] == scored
+        assert not unobserved & {row["frame"] for row in of_frames}
 
 
 def _flow(scale: float) -> Dense:

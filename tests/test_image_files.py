@@ -1,5 +1,6 @@
 """Frames as cameras, phones and tools write them: what is read of them, and what is refused or said."""
 
+import shutil
 from pathlib import Path
 
 import cv2
@@ -8,11 +9,13 @@ import pytest
 from conftest import write_frames
 from PIL import Image
 
+from stages.inspect import __main__ as inspect_stage
+from stages.inspect.options import PartOptions
 from stages.shared.dataset_folders import frame_files, sequence_folders, video_files
 from stages.shared.errors import InputError
 from stages.shared.image_headers import ORIENTATION
 from stages.shared.images import read_rgb
-from stages.shared.sequences import check_sequence
+from stages.shared.sequences import check_sequence, read_sequence
 
 SMOOTH = cv2.resize(np.random.default_rng(2).integers(0, 255, (6, 8, 3), np.uint8), (64, 48))
 
@@ -38,6 +41,15 @@ def test_stated_conversions_of_odd_images(tmp_path: Path, image: np.ndarray, tol
     rgb = read_rgb(sequence.frames[0])
     assert rgb.shape == (48, 64, 3)
     assert np.all(rgb == 77)
+
+
+def test_frames_that_repeat_the_one_before_are_named(tmp_path: Path) -> None:
+    folder = write_frames(tmp_path / "clip", count=8, size=(72, 96))
+    for number in (2, 3, 6):
+        shutil.copy(folder / f"frame_{number - 1:04d}.png", folder / f"frame_{number:04d}.png")
+    inspect_stage.main(folder, tmp_path / "sequence.json", tmp_path / "inspect.png", PartOptions(burnt_in="no"))
+    (said,) = [warning for warning in read_sequence(tmp_path / "sequence.json").warnings if "repeat" in warning]
+    assert said.startswith("frames 2-3, 6 repeat the one before")
 
 
 def test_colours_of_eight_bits_need_no_word(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ import re
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -13,6 +14,7 @@ from conftest import REPO, run_snakemake, write_scenes
 from encoded_video import SIZE, encode, moving
 
 from stages.ba import cuts
+from stages.ba.estimate import _observed
 from stages.configuration import config as configuration
 from stages.configuration import datasets, given_inputs, settings
 from stages.inspect import __main__ as inspect_stage
@@ -46,6 +48,19 @@ def write(folder: Path, images: list[np.ndarray], first: int = 1) -> Path:
     for number, image in enumerate(images, start=first):
         cv2.imwrite(str(folder / f"frame_{number:04d}.png"), image)
     return folder
+
+
+@pytest.mark.parametrize(
+    ("blank", "observed"), [((2, 5, 8), True), ((5,), True), ((), True), ((0, 2, 4, 6, 8, 10), False)]
+)
+def test_blank_frames_between_others_do_not_fail_a_clip(blank: tuple[int, ...], observed: bool) -> None:
+    """White frames of a strobe: of its neighbours most share nothing, of the frames that show something all do."""
+    pairs = [(i, i + step) for step in (1, 2) for i in range(11 - step)]
+    source, target = np.array(pairs).T
+    weights = np.ones((len(pairs), 500), np.float32)
+    weights[np.isin(source, blank) | np.isin(target, blank)] = 0
+    graph = SimpleNamespace(source=source, target=target, weights=weights, T=11)
+    assert _observed(graph) is observed  # type: ignore[arg-type]
 
 
 def test_cuts_are_found_to_the_frame() -> None:
@@ -207,8 +222,16 @@ def test_the_plan_has_a_job_per_shot_and_none_more(tmp_path: Path) -> None:
 def test_the_safety_net_names_the_shots_to_state() -> None:
     solved = np.arange(90) < 40
     (said,) = cuts.warnings(solved, list(range(11, 101)))
-    assert "frames 51-100 share too few" in said
+    assert "too few confident matches join frames 51-100 with the others" in said
     assert "`shots: [[11, 50], [51, 100]]`" in said
+
+
+def test_where_no_shot_is_long_enough_none_is_advised() -> None:
+    """As of a strobe, every third frame of which is white: an empty list is refused."""
+    (said,) = cuts.warnings(np.arange(1, 12) % 3 != 0, list(range(1, 12)))
+    assert said.endswith(
+        "join frames 3, 6, 9 with the others; leave out what shows nothing, and number the frames anew"
+    )
 
 
 def test_given_files_of_a_clip_serve_its_shots(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -80,9 +80,11 @@ def warnings(frames: np.ndarray, numbers: list[int]) -> list[str]:
         return []
     parts = [[n for n, kept in zip(numbers, frames, strict=True) if kept == solved] for solved in (True, False)]
     shots = sorted(run for part in parts for run in runs_of(part) if run[1] - run[0] + 1 >= MIN_FRAMES)
-    listed = ", ".join(f"[{first}, {last}]" for first, last in shots)
-    advice = f"if the clip is cut there, give its shots as in `shots: [{listed}]`; else leave out what shows nothing"
-    return [f"unobserved: frames {number_ranges(parts[1])} share too few confident matches with the others; {advice}"]
+    advice = "leave out what shows nothing, and number the frames anew"
+    if shots:
+        listed = ", ".join(f"[{first}, {last}]" for first, last in shots)
+        advice = f"if the clip is cut there, give its shots as in `shots: [{listed}]`; else {advice}"
+    return [f"unobserved: too few confident matches join frames {number_ranges(parts[1])} with the others; {advice}"]
 
 
 def _cut_out_guess(guess: PoseGuess, inside: slice) -> PoseGuess:

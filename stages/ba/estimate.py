@@ -119,6 +119,12 @@ def _share_left(path: Estimate, turning: Estimate, graph: FlowGraph) -> float:
 
 
 def _observed(graph: FlowGraph) -> bool:
-    """Whether most pairs of neighbouring frames share at least MIN_MATCHES sure matches."""
+    """Whether most pairs of neighbouring frames share at least MIN_MATCHES sure matches.
+
+    Frames that share them with none, as the white ones of a strobe, are passed over; most must share them.
+    """
     shared = shared_matches(graph.source, graph.target, graph.weights, graph.T)
-    return bool(np.median(np.diagonal(shared, 1)) >= MIN_MATCHES)
+    matched = np.flatnonzero((shared >= MIN_MATCHES).any(axis=1))
+    if 2 * len(matched) <= graph.T:
+        return False
+    return bool(np.median(shared[matched[:-1], matched[1:]]) >= MIN_MATCHES)

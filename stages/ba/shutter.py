@@ -103,7 +103,8 @@ def _project(points: np.ndarray, focal_px: np.ndarray) -> np.ndarray:
 def judge(gain: float, gain_sigma: float, readout: float, readout_sigma: float) -> tuple[str, str]:
     """Decision and reason from the numbers of `Evidence`."""
     saved = f"it saves {100 * gain:.1f} +- {100 * gain_sigma:.1f} % of the cost of held-out pixels"
-    words = f"{saved}; the readout would take {readout:.2f} +- {readout_sigma:.2f} of the frame interval"
+    took = f"would take {readout:.2f} +- {readout_sigma:.2f}" if readout_sigma < 1 else "could take any share"
+    words = f"{saved}; the readout {took} of the frame interval"
     if readout_sigma > MAX_SIGMA:
         return "not observable", words
     explains = gain >= max(MIN_GAIN, SIGNIFICANT * gain_sigma)

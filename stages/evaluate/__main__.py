@@ -102,12 +102,14 @@ def main(
     own_masks = [read_masks(folder, frames) for folder in masks]
     pairs = read_dense(flow)
     mask_frames = _write_masks(frames, (priors, own_masks), inputs, masks_table)
-    image_frames = _write_images(frames, renders, pairs, (own_masks[-1], inputs), images_table, options)
+    cameras = read_cameras(poses[-1])
+    unobserved = frozenset(cameras.numbers[cameras.status == "unobserved"].tolist())
+    image_frames = _write_images(frames, renders, pairs, (own_masks[-1], inputs), unobserved, images_table, options)
     write_rows(frames_table, [*image_frames, *mask_frames], FRAMES, {})
     checks = _score_geometry(frames, pairs, poses[-1], depth, own_masks[-1])
     checks += score_models.model_rows(frames.name, len(frames.frames), deformation, model, half)
     if lens:
-        checks += score_lens.lens_rows(frames, read_json(lens), read_cameras(poses[-1]))
+        checks += score_lens.lens_rows(frames, read_json(lens), cameras)
     given = given_in_words(frames.name, taken_inputs(flow, masks[-1], poses[-1]))
     _write_checks(checks, inputs, given, checks_table)
     return _result(poses_table, masks_table, images_table)
@@ -159,6 +161,7 @@ def _write_images(
     renders: Path,
     flow: Dense,
     masks: tuple[Mapping[int, np.ndarray], RunInputs],
+    unobserved: frozenset[int],
     table: Path,
     options: EvaluateOptions,
 ) -> list[Row]:
@@ -166,7 +169,7 @@ def _write_images(
     moving, source = true_masks(frames)
     own_masks, inputs = masks
     regions = (moving, source) if moving else (own_masks, f"our own masks ({inputs.masks})")
-    rows, of_frames = score_images.score_images(frames, renders, flow, regions, options)
+    rows, of_frames = score_images.score_images(frames, renders, flow, regions, options, unobserved)
     write_rows(
         table, _with(inputs.taken, rows), IMAGES, {"protocol": f"{image_metrics.PROTOCOL}. {_lpips_protocol(options)}"}
     )

@@ -1,6 +1,6 @@
 """Rows of the image table: renders against frames, whole and on static and dynamic pixels."""
 
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -69,6 +69,7 @@ def score_images(
     flow: Dense,
     regions: tuple[Mapping[int, np.ndarray], str],
     options: EvaluateOptions,
+    unobserved: Container[int] = (),
 ) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """Rows per split and region, and rows per frame.
 
@@ -76,6 +77,7 @@ def score_images(
         renders: folder with train/, test/, right/ (each may be missing), files frame_%04d.png.
         flow: columns of flow/pairs.arrow, for the baselines of held-out frames.
         regions: dynamic pixels [H, W] by frame number, and their source.
+        unobserved: numbers of frames that are not scored: they are not trained on either, and their poses are guesses.
     """
     burnt_in = read_burnt_in(sequence)
     distance = load_lpips(options.lpips_weights) if options.lpips_weights else None
@@ -86,7 +88,8 @@ def score_images(
         # The right eye shows what is burnt in if it is of the frames' own pass with effects; a clean one may not.
         left_out = burnt_in if split != "right" or sequence.right_kind == "final_right" else None
         found, true = numbered_frames(renders / split), true_images(sequence, split)
-        for number in progress(sorted(set(found) & set(true)), f"renders: {split}"):
+        numbers = [number for number in sorted(set(found) & set(true)) if number not in unobserved]
+        for number in progress(numbers, f"renders: {split}"):
             image, truth = read_rgb(found[number]), read_rgb(true[number])
             ours.add(number, image, score_frame(image, truth, masks.get(number), left_out, distance))
         methods.append(ours)
@@ -95,6 +98,8 @@ def score_images(
         for method, protocol in image_baselines.PROTOCOLS.items()
     }
     for made in image_baselines.made_frames(sequence, flow, options):
+        if made.number in unobserved:
+            continue
         for method, image in made.images.items():
             scores = score_frame(image, made.truth, regions[0].get(made.number), burnt_in, distance)
             made_by[method].add(made.number, image, scores)

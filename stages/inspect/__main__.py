@@ -20,6 +20,7 @@ from stages.shared.errors import InputError
 from stages.shared.images import read_mask, read_rgb, write_figure, write_image
 from stages.shared.log import logger, progress
 from stages.shared.masks import read_burnt_in, read_sized_mask
+from stages.shared.number_ranges import number_ranges
 from stages.shared.sequences import Sequence, check_sequence, sequence_to_json
 
 BORDER_PX = 5
@@ -47,7 +48,11 @@ def main(
         sequence = replace(sequence, times_s=about["times_s"], warnings=about["warnings"] + sequence.warnings)
     sequence = first_frames(sequence, options)
     watch = Watch() if options.burnt_in == "auto" else None
-    digest, details = read_all(sequence, watch)
+    digest, details, repeated = read_all(sequence, watch)
+    if repeated:
+        said = f"frames {number_ranges(repeated)} repeat the one before, so that nothing moves in between"
+        warning = f"{said}: leave them out, and number the frames anew, or give the video, of which they are left out"
+        sequence = replace(sequence, warnings=[*sequence.warnings, warning])
     if soft := [sequence.numbers[k] for k in blurred(details)]:
         warning = f"blurred beside their neighbours: frames {', '.join(map(str, soft))}"
         sequence = replace(sequence, warnings=[*sequence.warnings, warning])
@@ -95,8 +100,9 @@ def _of_frames(sequence: Sequence, inside: slice) -> Sequence:
     return replace(sequence, frames=frames, numbers=numbers, truth=truth, times_s=times_s)
 
 
-def read_all(sequence: Sequence, watch: Watch | None = None) -> tuple[str, list[float]]:
-    """SHA-256 over the pixels of all frames, as hexadecimal digits, and the detail [T] of each; decodes every frame.
+def read_all(sequence: Sequence, watch: Watch | None = None) -> tuple[str, list[float], list[int]]:
+    """SHA-256 over the pixels of all frames, as hexadecimal digits; the detail [T] of each; the numbers of those whose
+    pixels are those of the frame before. Every frame is decoded.
 
     Args:
         watch: sees every frame.
@@ -104,17 +110,19 @@ def read_all(sequence: Sequence, watch: Watch | None = None) -> tuple[str, list[
     Raises:
         InputError: for a frame that cannot be decoded or whose size differs from that of the sequence.
     """
-    digest, details = hashlib.sha256(), []
-    for path in progress(sequence.frames, "frames"):
+    digest, details, repeated, before = hashlib.sha256(), [], [], np.empty(0, np.uint8)
+    for path, number in zip(progress(sequence.frames, "frames"), sequence.numbers, strict=True):
         image = read_rgb(path)
         if image.shape != (sequence.height, sequence.width, 3):
             expected = f"{sequence.width} x {sequence.height}"
             raise InputError(path, expected, f"{image.shape[1]} x {image.shape[0]}", "export the frame again")
         digest.update(image.tobytes())
         details.append(detail(image))
+        repeated += [number] if np.array_equal(image, before) else []
+        before = image
         if watch:
             watch.see(image)
-    return digest.hexdigest(), details
+    return digest.hexdigest(), details, repeated
 
 
 def mark_burnt_in(
@@ -137,7 +145,8 @@ def mark_burnt_in(
         "bars_px": found.bars_px,
     }
     if watch and not found.known:
-        logger.info("%s: the image moves too little to tell what is burnt in", sequence.name)
+        said = "the image moves too little, or too much of it stays, to tell what is burnt in; if something is, give"
+        logger.info("%s: %s a mask of it as `inspect: {burnt_in: ...}`", sequence.name, said)
     if not found.mask.any():
         return sequence, facts
     share = float(found.mask.mean())

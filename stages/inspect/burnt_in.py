@@ -65,7 +65,7 @@ class Found(NamedTuple):
 
     Attributes:
         mask: [H, W] bool. bars_px: thickness of black bars: ((left, right), (above, below)).
-        known: false if too little moves to find anything but bars.
+        known: false if too little moves, or too much stays as it is, to find anything but bars.
     """
 
     mask: np.ndarray
@@ -109,6 +109,8 @@ class Watch:
             return Found(mask, bars_px, False)
         chosen = np.linspace(0, len(self.frames) - 1, min(len(self.frames), COMPARED)).round().astype(int)
         marked = find_overlays(np.stack([self.frames[k] for k in chosen]))
+        if marked is None:
+            return Found(mask, bars_px, False)
         return Found(mask | (enlarge(marked.astype(np.float32), (width, height)) > 0.5), bars_px, True)
 
 
@@ -126,12 +128,17 @@ class _Edges(NamedTuple):
     dense: np.ndarray
 
 
-def find_overlays(frames: np.ndarray) -> np.ndarray:
-    """Pixels [h, w] bool of logos and time codes, by frames [K, h, w] uint8 between which the image moves."""
+def find_overlays(frames: np.ndarray) -> np.ndarray | None:
+    """Pixels [h, w] bool of logos and time codes, by frames [K, h, w] uint8 between which the image moves.
+
+    None where more than LARGEST of the frame persists.
+    """
     edges = _edges(frames)
     nothing = np.zeros(frames.shape[1:], bool)
-    if not edges.certain.any() or edges.dense.mean() > LARGEST:
+    if not edges.certain.any():
         return nothing
+    if edges.dense.mean() > LARGEST:
+        return None
     certain = edges.certain & (_informative(frames, edges) >= INFORMATIVE)
     count, labels = cv2.connectedComponents(_widened(edges.dense, 3))
     still = [

@@ -19,6 +19,9 @@ KERNEL = 3.0
 LEAST_NOISE = 1e-3
 TRUST, TRUST_FACTOR = 1e-3, 10.0
 """First damping of the unknowns of fog (Levenberg-Marquardt), and the factor by which it changes."""
+MOST_LOG_GAIN = float(np.log(255))
+"""Of gains, and of vignetting in the corners: eight bits show no more. A handful of points that have nothing in common
+let both grow against each other, until the colours that they would have to explain overflow."""
 MOST_AIRLIGHT = 1.5
 MOST_EXTINCTION = 5.0
 """Per median distance: less than a hundredth of the light is left."""
@@ -125,15 +128,20 @@ def _radiance_step(weight: np.ndarray, slope: np.ndarray, error: np.ndarray) -> 
     return np.asarray((weight * slope * error).sum(axis=2) / np.where(scatter > 0, scatter, 1.0))
 
 
+def _bounded(logarithm: np.ndarray) -> np.ndarray:
+    """Gains or vignetting, as logarithms of any shape, within MOST_LOG_GAIN."""
+    return np.asarray(np.clip(logarithm, -MOST_LOG_GAIN, MOST_LOG_GAIN))
+
+
 def _step(of: Points, model: Model, state: State, error: np.ndarray, noise: float, trust: tuple[float, float]) -> State:
     """One Gauss-Newton step of all parameters, the radiances eliminated; `trust` damps fog, and its extinction more."""
     F, light, slope = of.F, state.light, slopes_of(of, state)
     weight, extras = _weights(of, error, noise), derivatives(of, model, state)
     solution = normal_step(of, (weight, slope, error), extras, model.gains, trust)
     tables, rest = solution[: model.gains * F].reshape(-1, F).T, solution[model.gains * F :]
-    moved = replace(light, vignetting=light.vignetting + float(rest[0]))
+    moved = replace(light, vignetting=float(_bounded(light.vignetting + rest[0])))
     if model.gains:
-        moved = replace(moved, log_gains=light.log_gains + tables)
+        moved = replace(moved, log_gains=_bounded(light.log_gains + tables))
     if model.fog:
         extinction = float(np.clip(light.extinction + rest[1] / of.unit, 0.0, MOST_EXTINCTION / of.unit))
         scattered = light.scattered + rest[2:] / of.unit

@@ -78,9 +78,8 @@ def list_sequence(name: str, folder: Path) -> Sequence:
     """
     files = frame_files(folder)
     if len(files) < MIN_FRAMES:
-        raise InputError(
-            folder, f"at least {MIN_FRAMES} frames", f"{len(files)}", "add frames or choose another folder"
-        )
+        advice = "add frames, choose another folder, or name the others by `sequences: [...]`"
+        raise InputError(folder, f"at least {MIN_FRAMES} frames", f"{len(files)}", advice)
     numbers = [_number(path) for path in files]
     order = sorted(range(len(files)), key=numbers.__getitem__)
     files, numbers = [files[k] for k in order], [numbers[k] for k in order]

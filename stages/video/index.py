@@ -147,7 +147,8 @@ def _refuse_incomplete(video: Path, header: decode.Header, options: VideoOptions
         used = f", one in {options.every} used" if options.every > 1 else ""
         less = f" ({len(found.duplicates_s)} of them repeat others)" if found.duplicates_s else ""
         cut = f" with cuts at {findings.in_words(found.cuts_s)}" if found.cuts_s else ""
-        advice = "give a longer part, or a smaller `video: {every: ...}`"
+        advice = "give a longer part" + (", or a smaller `video: {every: ...}`" if options.every > 1 else "")
+        advice += ", or `shots: no` if nothing is cut there" if found.cuts_s else ""
         expected = f"at least {MIN_FRAMES} frames that differ, without a cut between them"
         raise InputError(video, expected, f"{total} frame{'s' * (total != 1)}{used}{less}{cut}", advice)
 

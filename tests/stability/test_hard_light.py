@@ -11,9 +11,10 @@ from test_scene_light import decided
 from test_view_dependence import smooth_pictures
 
 from stages.scene import rules
-from stages.scene.light_model import no_light
+from stages.scene.light import MOST_LOG_GAIN, fit
+from stages.scene.light_model import Model, no_light
 from stages.scene.photometry import light_evidence, view_evidence
-from stages.scene.sightings import sight
+from stages.scene.sightings import Sightings, sight
 
 
 @pytest.mark.parametrize("level", [0.0, 1.0])
@@ -95,3 +96,19 @@ def test_a_highlight_that_is_seen_from_one_place_is_not_observable() -> None:
         found = rules.decide_view_dependent(view_evidence(seen, no_light(clip.T)), "auto")
         assert found["needed"] == expected
         assert ("not observable" in found["why"]) == (not expected)
+
+
+@pytest.mark.parametrize(("seed", "count"), [(23, 5), (42, 7)])
+def test_gains_of_a_few_points_of_noise_stay_within_what_eight_bits_show(seed: int, count: int) -> None:
+    """Vignetting and gains grow against each other, in pure noise until the colours to explain overflow."""
+    rng, seen = np.random.default_rng(seed), sight(lit_room())
+    assert int(rng.integers(4, 40)) == count
+    chosen, F = np.sort(rng.choice(len(seen.colours), count, replace=False)), seen.colours.shape[1]
+    noise = Sightings(*(of[chosen] if len(of) == len(seen.colours) else of for of in seen))
+    noise = noise._replace(
+        colours=rng.random((count, F, 3)).astype(np.float32) ** 3,
+        usable=noise.usable & (rng.random((count, F, 1)) < 0.5),
+    )
+    for gains in (1, 3):
+        light = fit(noise, Model(gains, fog=False), np.ones(count, bool), no_light(F))
+        assert max(np.abs(light.log_gains).max(), abs(light.vignetting)) <= MOST_LOG_GAIN
