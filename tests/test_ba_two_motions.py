@@ -98,7 +98,7 @@ def test_what_comes_the_other_way_is_told_by_what_lies_along_the_border(
     graph = observe(scene, stride=6, masked=False, noise_px=NOISE_PX)
     moves = graph.resample(scene.dynamic.astype(float), 1) > 0.5
     mixed = cameras(graph, scene)
-    fits = two_motions._fits(graph, mixed)
+    fits = two_motions.fitting(graph, mixed)
     assert (two_motions.share(fits, two_motions.matched_pixels(graph)) > two_motions.EXPLAINED) == enough
     assert fits[moves].mean() > 0.9
     assert trajectory_error(mixed.cam_from_world, scene.cam_from_world) > 0.02
@@ -127,7 +127,7 @@ def test_cameras_of_two_motions_fit_neither_to_the_scale_of_the_noise(
     assert motion.fits[moves].mean() < 0.1
     assert trajectory_error(motion.state.cam_from_world, scene.cam_from_world) < 0.003
     true = initialise.initial_state(graph, scene.cam_from_world, scene.focal_px)
-    right, found = (two_motions.Motion(of, two_motions._fits(graph, of)) for of in (true, mixed))
+    right, found = (two_motions.Motion(of, two_motions.fitting(graph, of)) for of in (true, mixed))
     matched = two_motions.matched_pixels(graph)
     assert two_motions._errors_over(graph, right, found, matched) < 0.8
     assert two_motions._errors_over(graph, found, right, matched) > 1.25
@@ -189,7 +189,7 @@ def test_nothing_fits_closer_than_without_any_error(monkeypatch: pytest.MonkeyPa
     scene = beside(0.0)
     graph = observe(scene, stride=6, masked=False)
     state = initialise.initial_state(graph, scene.cam_from_world, scene.focal_px)
-    motion, matched = two_motions.Motion(state, two_motions._fits(graph, state)), two_motions.matched_pixels(graph)
+    motion, matched = two_motions.Motion(state, two_motions.fitting(graph, state)), two_motions.matched_pixels(graph)
     monkeypatch.setattr(two_motions.dba, "errors_px", lambda graph, _state: np.zeros_like(graph.weights))
     assert two_motions._errors_over(graph, motion, motion, matched) == 1
 
@@ -198,7 +198,7 @@ def test_all_but_the_farthest_of_what_fits_is_left_out() -> None:
     scene = beside(0.0)
     graph = observe(scene, stride=6, masked=False, noise_px=NOISE_PX)
     state = initialise.initial_state(graph, scene.cam_from_world, scene.focal_px)
-    fits = two_motions._fits(graph, state)
+    fits = two_motions.fitting(graph, state)
     kept = two_motions._without_near(graph, state, fits)
     assert kept[~fits].all()
     assert kept[fits].mean() == pytest.approx(0.3, abs=0.01)

@@ -172,7 +172,7 @@ def test_the_next_round_begins_from_the_focal_curve_of_the_one_before(tmp_path: 
     file = tmp_path / "poses.parquet"
     poses = np.tile(np.eye(4), (8, 1, 1))
     write_cameras(file, make_cameras(poses, Ks, np.arange(8)), {})
-    guess = _previous(file, 0.5)
+    guess = _previous(file, 0.5, 96)
     assert guess is not None
     assert guess.zoom is not None
     assert_allclose(guess.focal_px * guess.zoom, focals_px / 2)

@@ -60,7 +60,8 @@ def _best(problem: Problem, options: BAOptions) -> Estimate:
 
 def _estimate(problem: Problem, options: BAOptions) -> Estimate:
     graph, known = problem.graph, problem.known_focal_px
-    prior = FocalPrior(PRIOR_FOCAL * graph.width)
+    moved_px = problem.previous and problem.previous.prior_px
+    prior = FocalPrior(moved_px or PRIOR_FOCAL * graph.width)
     if not _observed(graph):
         return failure(graph, known or prior.focal_px)
     statistics = classify.measure(graph, known, options.seed)

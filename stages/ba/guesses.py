@@ -26,13 +26,15 @@ FAR_BEHIND = 2.0
 class PoseGuess:
     """An initial guess: poses [T, 4, 4] of any scale; focal length, px of the flow grid, and zoom as in `state.State`.
 
-    `alone`: it is the only guess, without those from the matches.
+    `alone`: it is the only guess, without those from the matches. `prior_px`: where the round before has moved the
+    centre of the prior of the focal length to.
     """
 
     cam_from_world: np.ndarray
     focal_px: float
     zoom: np.ndarray | None = None
     alone: bool = False
+    prior_px: float | None = None
 
 
 @dataclass(frozen=True)

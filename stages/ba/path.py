@@ -41,6 +41,7 @@ def estimate_path(
         turning: evidence of a camera that turns and zooms, where it was asked for.
     """
     start = _start(problem, statistics, prior, options)
+    prior = replace(prior, focal_px=start.focal_px or prior.focal_px)
     closed = _closed(problem, start, prior)
     problem = replace(problem, graph=closed.graph, masked=problem.masked or start.static is not None)
     refined = _refined(problem, start, closed, statistics, prior, options)
@@ -54,7 +55,9 @@ def estimate_path(
     against = diagnostics.of_solution(replace(found, state=state), start.others, statistics, residual_px)
     steps = [step for candidate in (*start.others, found) for step in candidate.steps]
     steps += closed.steps + refined.cameras.steps
-    solution = finish(problem, statistics, state, refined.focal, against, steps)
+    moved_px = start.focal_px or (problem.previous and problem.previous.prior_px)
+    focal = replace(refined.focal, prior_widths=moved_px / problem.graph.width) if moved_px else refined.focal
+    solution = finish(problem, statistics, state, focal, against, steps)
     numbers = solution.statistics | {"roughness": found.roughness} | closed.facts
     evidence = refined.zoom
     if turning and turning.decision == "not observable" and state.zoom is None:

@@ -53,7 +53,7 @@ def run(
     everything = with_texture(matches.graph(options.stride_px, known), read_texture(frames, matches.size))
     if frames.times_s is not None:
         everything = replace(everything, times_s=np.array(frames.times_s))
-    previous = _previous(previous_poses, matches.scale)
+    previous = _previous(previous_poses, matches.scale, matches.size[0])
     unmasked = everything if (static < 1).any() else None
     masked = unmasked is not None or previous is not None
     graph = replace(mask_graph(everything, static), masked=rounds.tell_movers(masks))
@@ -167,16 +167,24 @@ def _with_movers(
     return mover_depth.placed(maps, numbers, links, state.focals_px)
 
 
-def _previous(poses: Path | None, scale: float) -> PoseGuess | None:
-    """The poses of the previous round; None if it failed or found no translation."""
-    cameras = read_cameras(poses) if poses else None
-    if cameras is None or set(cameras.status) & {outputs.STATUS["failed"], outputs.STATUS["rotating"]}:
+def _previous(poses: Path | None, scale: float, width: int) -> PoseGuess | None:
+    """The poses of the previous round; None if it failed or found no translation.
+
+    Args:
+        scale: width of the flow grid over that of the frames. width: of the flow grid, px.
+    """
+    if poses is None:
+        return None
+    cameras = read_cameras(poses)
+    if set(cameras.status) & {outputs.STATUS["failed"], outputs.STATUS["rotating"]}:
         return None
     focals_px = cameras.Ks[:, 0, 0] * scale
+    widths = read_metadata(poses).get("focal", {}).get("prior_widths")
+    prior_px = widths and widths * width
     if (focals_px == focals_px[0]).all():
-        return PoseGuess(cameras.cam_from_world, float(focals_px[0]))
+        return PoseGuess(cameras.cam_from_world, float(focals_px[0]), prior_px=prior_px)
     focal_px = float(np.exp(np.log(focals_px).mean()))
-    return PoseGuess(cameras.cam_from_world, focal_px, focals_px / focal_px)
+    return PoseGuess(cameras.cam_from_world, focal_px, focals_px / focal_px, prior_px=prior_px)
 
 
 def _round_warnings(solution: Estimate, static: np.ndarray, ignored: np.ndarray, previous: Path | None) -> list[str]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stages.ba import dba, initialise, two_motions, zoom
+from stages.ba.border_focals import border_path
 from stages.ba.classify import longest_step
 from stages.ba.diagnostics import ROUGH_PATH, of_zoom
 from stages.ba.graph import MIN_WEIGHT, FlowGraph, thin_graph, thinning, without_loops
@@ -42,6 +43,7 @@ class Start:
         static: [T, height, width] 0 or 1, the static area used instead of the input masks; None: the masks were kept.
         flags: warnings about the choice.
         zoom: the decision about a changing focal length, if there was one.
+        focal_px: that of a `border_path`, to which the prior of the focal length is moved.
     """
 
     candidate: Candidate
@@ -50,6 +52,7 @@ class Start:
     static: np.ndarray | None
     flags: list[str]
     zoom: Evidence | None = None
+    focal_px: float | None = None
 
 
 def find_start(observed: Observed) -> Start:
@@ -82,15 +85,19 @@ def _apart(observed: Observed, plain: FlowGraph, coarse: FlowGraph, best: Candid
         return None
     used = plain if observed.unmasked is observed.graph else coarse
     motion = two_motions.background(plain, used, best.state, observed.prior)
+    bordered = None if motion else border_path(observed, plain, used, best)
+    motion = motion or bordered
     if motion is None:
         return None
     static = _areas(plain, motion.fits)
     masked = mask_graph(plain, static)
     candidate = initialise.adjust(
-        masked, motion.state, two_motions.NARROW, Unknowns(focal=True), observed.prior, "apart"
+        masked, motion.state, two_motions.NARROW, Unknowns(focal=bordered is None), observed.prior, "apart"
     )
     reason = "two motions: a mover was left out of the first cameras"
     start = _start_on(observed, candidate, [], static, reason)
+    if bordered:  # what the background alone tells of the focal length may be little
+        start = replace(start, focal_px=bordered.state.focal_px)
     if not observed.tested:
         return start
     without = replace(observed, graph=start.graph, curve=None, masked=True)

@@ -97,7 +97,7 @@ def background(plain: FlowGraph, masked: FlowGraph, found: State, prior: FocalPr
         return None
     start = initialise.initial_state(used, found.cam_from_world, found.focal_px, zoom=found.zoom)
     mixed = _adjusted(used, start, WIDE, prior)
-    single = Motion(mixed, _fits(graph, mixed))
+    single = Motion(mixed, fitting(graph, mixed))
     motion = _of_two(graph, single, replace(start, zoom=None), prior, matched, along)
     if motion is None:
         return None
@@ -105,7 +105,7 @@ def background(plain: FlowGraph, masked: FlowGraph, found: State, prior: FocalPr
     if masked is not plain and (single.fits & world).sum() >= SAME * world.sum():
         return None
     whole = initialise.initial_state(plain, motion.state.cam_from_world, motion.state.focal_px, SHARP_PX)
-    return Motion(whole, _fits(plain, whole) & matched_pixels(plain))
+    return Motion(whole, fitting(plain, whole) & matched_pixels(plain))
 
 
 def _of_two(
@@ -208,11 +208,11 @@ def _motion(graph: FlowGraph, chosen: np.ndarray, start: State, prior: FocalPrio
     part = _of(graph, chosen)
     searched = initialise.initial_state(part, start.cam_from_world, start.focal_px)
     state = _adjusted(part, searched, WIDE, prior)
-    fits = _fits(graph, state)
+    fits = fitting(graph, state)
     for _ in range(STEPS):
         part = _of(graph, fits)
         state = _adjusted(part, initialise.search_depth(part, state, NARROW[0].sigma_px), NARROW, prior)
-        fits = _fits(graph, state)
+        fits = fitting(graph, state)
     return Motion(state, fits)
 
 
@@ -226,7 +226,7 @@ def _adjusted(graph: FlowGraph, state: State, levels: tuple[Level, ...], prior: 
     return initialise.adjust(graph, state, levels, unknowns, prior, "two motions").state
 
 
-def _fits(graph: FlowGraph, state: State) -> np.ndarray:
+def fitting(graph: FlowGraph, state: State) -> np.ndarray:
     """Which pixels [T, P] fit the cameras of a state at some depth, to the scale of the noise."""
     errors = dba.errors_px(graph, initialise.search_depth(graph, state, SHARP_PX))
     return dba.fitting_pixels(graph, errors, SHARP_PX, AGREEING)
