@@ -28,9 +28,8 @@ DATA = REPO.parent / "shared" / "data"
 SOURCES = ("Snakefile", "config.yaml", "profiles", "workflow", "stages")
 
 BEGUN_FIRST = ("test_slurm", "test_workflow")
-"""Files that take minutes, of which the other process would wait for one that began last: Slurm's tests wait most of
-their time, those of plans run no stage and need no kernels, so that none is compiled during a test of a stage's memory.
-"""
+"""Begun first, so that no process waits in the end for one of these, which take minutes. They run no stage: none of its
+kernels is then compiled earlier than before."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

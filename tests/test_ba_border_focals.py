@@ -86,6 +86,26 @@ def test_a_path_that_is_rougher_is_not_taken(monkeypatch: pytest.MonkeyPatch) ->
     )
 
 
+def test_the_focal_length_is_held_at_that_of_the_path(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is not freed on what the background alone tells, and not put back to the usual one."""
+    scene = beside()
+    graph = observe(scene, stride=6, masked=False, noise_px=NOISE_PX)
+
+    def told(_: Observed, plain: FlowGraph, *__: object) -> Motion:
+        state = initialise.initial_state(plain, scene.cam_from_world, scene.focal_px)
+        return Motion(state, border_focals.fitting(plain, state) & matched_pixels(plain))
+
+    monkeypatch.setattr("stages.ba.start.two_motions.background", lambda *_: None)
+    monkeypatch.setattr("stages.ba.start.border_path", told)
+    monkeypatch.setattr("stages.ba.refinement.BLIND_FOCAL", 0.0)
+    found = estimate(Problem(graph, False), BAOptions(start_focals=(1.05,), zoom="no"))
+    assert found.focal["decision"] == "held at prior"
+    assert found.focal["prior_widths"] == pytest.approx(LENS)
+    assert found.state.focal_px == pytest.approx(scene.focal_px)
+    assert found.static is not None
+    assert found.static[scene.dynamic].mean() < 0.2
+
+
 def test_later_rounds_hold_the_focal_length_at_that_of_the_path(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -11,6 +11,7 @@ import pytest
 from test_given_cameras import FRAMES, NAMES
 
 from stages.given.cameras_files import read_intrinsics
+from stages.given.intrinsics_exif import focal_px
 from stages.shared.cameras import centred_intrinsics
 from stages.shared.errors import InputError
 
@@ -51,6 +52,13 @@ def ratio(tag: int, above: int, below: int) -> tuple[int, int, bytes]:
 FILM = [short(0xA405, 28)]
 PLANE = [ratio(0x920A, 63, 10), ratio(0xA20E, 4000, 7), short(0xA210, 4), short(0xA002, 4000)]
 """6.3 mm, 4000 px on 7 mm."""
+
+
+@pytest.mark.parametrize("size", [(96, 64), (64, 96)])
+def test_a_picture_that_is_shown_upright_keeps_its_focal_length(size: tuple[int, int]) -> None:
+    """The tags count pixels as they were taken, 4000 x 2667; the frame may have been turned, and reduced."""
+    tags = {0x920A: 6.3, 0xA20E: 4000 / 7, 0xA210: 4, 0xA002: 4000, 0xA003: 2667}
+    assert focal_px(tags, *size) == pytest.approx(6.3 / 7 * 96)
 
 
 @pytest.mark.parametrize(

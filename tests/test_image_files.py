@@ -9,6 +9,7 @@ import pytest
 from conftest import write_frames
 from PIL import Image
 
+from stages.export.__main__ import _write_frame
 from stages.inspect import __main__ as inspect_stage
 from stages.inspect.options import PartOptions
 from stages.shared.dataset_folders import frame_files, sequence_folders, video_files
@@ -77,29 +78,57 @@ def test_photographs_are_turned_as_their_exif_data_ask(tmp_path: Path, orientati
     assert cv2.PSNR(found, wanted) > 30
 
 
-def write_jpegs(folder: Path) -> Path:
-    """Three frames, each with a thumbnail in its metadata, and the last of them."""
+def test_what_is_exported_needs_no_turn(tmp_path: Path) -> None:
+    """Readers of the export may turn it by its EXIF data or not: it has none."""
+    exif = Image.Exif()
+    exif[ORIENTATION] = 6
+    turned, plain = tmp_path / "turned.jpg", tmp_path / "plain.jpg"
+    Image.fromarray(SMOOTH).save(turned, quality=98, exif=exif)
+    Image.fromarray(SMOOTH).save(plain, quality=98)
+    for path in (turned, plain):
+        _write_frame(path, tmp_path / "exported.jpg")
+        with Image.open(tmp_path / "exported.jpg") as image:
+            assert image.size == read_rgb(path).shape[1::-1]
+            assert image.getexif().get(ORIENTATION, 1) == 1
+    assert (tmp_path / "exported.jpg").read_bytes() == plain.read_bytes()
+
+
+def test_other_metadata_than_exif_turn_nothing(tmp_path: Path) -> None:
+    """The decoder knows nothing of them."""
+    said = b'<x:xmpmeta xmlns:x="adobe:ns:meta/"><r tiff:Orientation="6"/></x:xmpmeta>'
+    segment = b"http://ns.adobe.com/xap/1.0/\0" + said
+    for path in sorted(write_jpegs(tmp_path).parent.glob("*.jpg")):
+        whole = path.read_bytes()
+        path.write_bytes(whole[:2] + b"\xff\xe1" + (2 + len(segment)).to_bytes(2, "big") + segment + whole[2:])
+    sequence = check_sequence("clip", tmp_path)
+    assert (sequence.height, sequence.width) == read_rgb(sequence.frames[0]).shape[:2] == (48, 64)
+
+
+def write_jpegs(folder: Path, before: bytes = b"") -> Path:
+    """Three frames, each with `before` and a thumbnail before its picture, and the last of them."""
     _, thumbnail = cv2.imencode(".jpg", SMOOTH[:8, :8])
     segment = b"Exif\0\0" + thumbnail.tobytes()
     for number in range(1, 4):
         _, image = cv2.imencode(".jpg", SMOOTH)
         whole = image.tobytes()
-        inserted = b"\xff\xe1" + (2 + len(segment)).to_bytes(2, "big") + segment
+        inserted = before + b"\xff\xe1" + (2 + len(segment)).to_bytes(2, "big") + segment
         (folder / f"frame_{number:04d}.jpg").write_bytes(whole[:2] + inserted + whole[2:])
     return folder / "frame_0003.jpg"
 
 
 @pytest.mark.parametrize("share", [0.9, 0.98])
-def test_a_truncated_jpeg_is_refused(tmp_path: Path, share: float) -> None:
-    last = write_jpegs(tmp_path)
+@pytest.mark.parametrize("before", [b"", b"\xff\xff", b"\xff\xfe\0\5ok!"], ids=["plain", "padding", "a comment"])
+def test_a_truncated_jpeg_is_refused(tmp_path: Path, before: bytes, share: float) -> None:
+    last = write_jpegs(tmp_path, before)
     last.write_bytes(last.read_bytes()[: int(share * last.stat().st_size)])
     with pytest.raises(InputError, match=r"frame_0003\.jpg: expected a complete image, found one that ends too early"):
         check_sequence("clip", tmp_path)
 
 
-def test_a_jpeg_with_a_film_behind_it_is_complete(tmp_path: Path) -> None:
+@pytest.mark.parametrize("before", [b"", b"\xff\xff", b"\xff\xfe\0\5ok!"], ids=["plain", "padding", "a comment"])
+def test_a_jpeg_with_a_film_behind_it_is_complete(tmp_path: Path, before: bytes) -> None:
     """As phones write them: a moving picture follows the one that stands still."""
-    last = write_jpegs(tmp_path)
+    last = write_jpegs(tmp_path, before)
     last.write_bytes(last.read_bytes() + bytes(5000))
     assert len(check_sequence("clip", tmp_path).frames) == 3
     assert np.array_equal(read_rgb(last), read_rgb(tmp_path / "frame_0001.jpg"))

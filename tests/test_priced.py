@@ -121,7 +121,7 @@ def test_the_sweep_runs_the_groups_that_are_asked_for() -> None:
         assert [s.name for s in settings.compared({"sweep": sweep | {"groups": groups}})[0]] == names
     with pytest.raises(InputError, match=r"sweep.groups: expected .*presets, knobs, a, b.*'c'"):
         settings.compared({"sweep": sweep | {"groups": ["c"]}})
-    with pytest.raises(InputError, match=r"sweep.groups.*at least 1 item"):
+    with pytest.raises(InputError, match=r"sweep.groups: expected .* a list of at least 1, found \[\]"):
         settings.compared({"sweep": sweep | {"groups": []}})
 
 

@@ -68,7 +68,7 @@ def _reason_to_drop(problem: Problem, ratio: float, sigma: float) -> str:
         return f"its predicted error is {f'{100 * sigma:.0f}' if sigma < 1 else 'more than 100'} %"
     if problem.masked and problem.previous is None and max(ratio, 1 / ratio) > UNUSUAL_FOCAL:
         # Masks from flow alone miss the motion of a large mover along epipolar lines, which biases the focal length.
-        return f"it came out {ratio:.1f} times the usual one, with masks from flow alone"
+        return f"it came out {ratio:.1f} times the prior's, with masks from flow alone"
     return ""
 
 

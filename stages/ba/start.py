@@ -100,7 +100,8 @@ def _apart(observed: Observed, plain: FlowGraph, coarse: FlowGraph, best: Candid
         start = replace(start, focal_px=bordered.state.focal_px)
     if not observed.tested:
         return start
-    without = replace(observed, graph=start.graph, curve=None, masked=True)
+    prior = replace(observed.prior, focal_px=start.focal_px or observed.prior.focal_px)
+    without = replace(observed, graph=start.graph, curve=None, masked=True, prior=prior)
     evidence, changing = _with_zoom(without, masked, candidate)
     return replace(start, candidate=changing or candidate, zoom=evidence)
 

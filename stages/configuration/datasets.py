@@ -47,7 +47,7 @@ def require_folders(config: Config) -> None:
             if (path.is_symlink() or path.exists()) and not path.is_dir():
                 found = "a file" if path.exists() else "a link to nothing"
                 raise InputError(path, "a folder", found, "move it, or run elsewhere by --directory")
-            where = path if path.exists() else Path()
+            where = next((folder for folder in (path, *path.parents) if folder.exists()), Path())
             if not os.access(where, os.W_OK):
                 advice = "make it writable, or run elsewhere by --directory"
                 raise InputError(where.resolve(), "a folder to write to", "one that is read-only", advice)

@@ -9,6 +9,8 @@ from stages.export.options import ExportOptions
 from stages.shared import cli
 from stages.shared.cli import In, Out
 from stages.shared.errors import InputError
+from stages.shared.image_headers import is_shown_as_stored
+from stages.shared.images import read_rgb, write_image
 from stages.shared.log import logger, progress
 
 if TYPE_CHECKING:
@@ -74,7 +76,7 @@ def _write_cameras(folder: Path, clip: "Clip", options: ExportOptions) -> None:
     if options.writes("colmap", "nerfstudio"):
         (folder / "images").mkdir()
         for _, frame in clip.posed_frames():
-            shutil.copyfile(frame, folder / "images" / frame.name)
+            _write_frame(frame, folder / "images" / frame.name)
     if options.writes("colmap"):
         _write_colmap(folder, clip, points)
     if options.writes("nerfstudio"):
@@ -83,6 +85,14 @@ def _write_cameras(folder: Path, clip: "Clip", options: ExportOptions) -> None:
         from stages.export.everything import write_everything
 
         write_everything(folder / "scene.npz", clip, points)
+
+
+def _write_frame(frame: Path, target: Path) -> None:
+    """The frame as the cameras see it: a copy of the file, unless that is one that a reader may turn or not."""
+    if is_shown_as_stored(frame):
+        shutil.copyfile(frame, target)
+    else:
+        write_image(target, read_rgb(frame))
 
 
 def _write_colmap(folder: Path, clip: "Clip", points: "Points") -> None:

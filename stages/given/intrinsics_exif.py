@@ -11,7 +11,7 @@ from stages.shared.errors import InputError
 from stages.shared.sequences import Sequence
 
 EXIF_IFD = 0x8769
-FOCAL_MM, FOCAL_35MM, WIDTH = 0x920A, 0xA405, 0xA002
+FOCAL_MM, FOCAL_35MM, WIDTH, HEIGHT = 0x920A, 0xA405, 0xA002, 0xA003
 PLANE_RESOLUTION, PLANE_UNIT = 0xA20E, 0xA210
 UNITS_MM = {2: 25.4, 3: 10.0, 4: 1.0, 5: 1e-3}
 """Lengths in which FocalPlaneResolutionUnit counts pixels: inch, cm, mm, um."""
@@ -32,9 +32,11 @@ def focal_px(tags: Mapping[int, Any], width: int, height: int) -> float | None:
     focal_mm, resolution = _positive(tags.get(FOCAL_MM)), _positive(tags.get(PLANE_RESOLUTION))
     if not focal_mm or not resolution:
         return None
-    taken_px = _positive(tags.get(WIDTH)) or width  # the frame may have been resized since
+    wide_px, high_px = _positive(tags.get(WIDTH)) or width, _positive(tags.get(HEIGHT))
+    # The picture may have been resized since, and be shown with rows for columns.
+    resized = max(width, height) / max(wide_px, high_px) if high_px else width / wide_px
     unit_mm = UNITS_MM.get(int(tags.get(PLANE_UNIT, 2)), UNITS_MM[2])
-    return focal_mm * resolution / unit_mm * width / taken_px
+    return focal_mm * resolution / unit_mm * resized
 
 
 def focal_of_frames(frames: Sequence) -> float:

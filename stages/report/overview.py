@@ -162,7 +162,7 @@ def summary(rows: Rows) -> str:
     values = {tile.label: f"{tile.value} {tile.unit}".strip() for tile in tiles(rows)}
     names = {row["sequence"] for row in rows["time"]}
     taken = taken_by(row for row in rows["poses"] if row["method"] == "ours")
-    failed = {row["sequence"] for row in rows["poses"] if (row["method"], row["status"]) == ("ours", "failed")}
+    failed = {row["sequence"] for row in rows["poses"] if row["method"] == "ours" and not row["registered"]}
     counted = f"{len(names)} sequence{'s' if len(names) != 1 else ''}" + (f", with {taken}" if taken else "")
     counted += f" ({len(failed)} of them without cameras)" if failed else ""
     return (

@@ -8,13 +8,17 @@ from stages.shared.errors import InputError
 
 WIDEST = 8
 """Frames are at most so many times as wide as high: reduced for the flow, a strip has too few rows to search in."""
-END_OF_PNG, END_OF_JPEG, SCAN_OF_JPEG = b"IEND\xaeB`\x82", b"\xff\xd9", b"\xff\xda"
+JPEGS = ("JPEG", "MPO")
+"""Pillow's names of the format, with one picture and with several."""
+END_OF_PNG, END_OF_JPEG = b"IEND\xaeB`\x82", b"\xff\xd9"
+SCAN_OF_JPEG = 0xDA
+"""Marker of the segment that the data of the picture follow."""
 TAIL = 64
 """Bytes among which a file ends, unless a camera has put something behind the picture."""
 PNG_DEPTH_AT = 24
 """Byte of a PNG file with the bits of a channel, which Pillow does not tell of colours."""
-ORIENTATION = 0x0112
-"""EXIF tag; from 5 on the picture is shown with rows for columns."""
+ORIENTATION, AS_STORED, TRANSPOSED = 0x0112, 1, (5, 6, 7, 8)
+"""EXIF tag: how a picture is shown; its values for one as it is stored, and with rows for columns."""
 
 
 def read_header(path: Path) -> tuple[tuple[int, int], str]:
@@ -25,8 +29,8 @@ def read_header(path: Path) -> tuple[tuple[int, int], str]:
     """
     try:
         with Image.open(path) as image:
-            size, kind, is_png, is_jpeg = image.size, image.mode, image.format == "PNG", image.format in ("JPEG", "MPO")
-            turned = is_jpeg and image.getexif().get(ORIENTATION, 1) >= 5
+            size, kind, is_png, is_jpeg = image.size, image.mode, image.format == "PNG", image.format in JPEGS
+            turned = is_jpeg and _orientation(image) in TRANSPOSED
     except (UnidentifiedImageError, OSError, SyntaxError) as error:
         raise InputError(
             path, "a PNG or JPEG image", "something else or a broken header", "replace the file"
@@ -37,6 +41,12 @@ def read_header(path: Path) -> tuple[tuple[int, int], str]:
         raise InputError(path, "a complete image", "one that ends too early", "copy or export the file again")
     deep = is_png and kind in ("RGB", "RGBA", "LA") and _first_bytes(path, PNG_DEPTH_AT + 1)[PNG_DEPTH_AT] == 16
     return (size[::-1] if turned else size), kind + ";16" * deep
+
+
+def is_shown_as_stored(path: Path) -> bool:
+    """Whether an image file is no JPEG that its EXIF data ask to turn or to mirror."""
+    with Image.open(path) as image:
+        return image.format not in JPEGS or _orientation(image) == AS_STORED
 
 
 def refuse_strip(path: Path, width: int, height: int) -> None:
@@ -75,20 +85,23 @@ def _png_is_complete(path: Path) -> bool:
 def _jpeg_is_complete(path: Path) -> bool:
     """Whether the picture ends: at the end of the file, or before what the camera has put behind it, as phones do.
 
-    Before the picture the end of a thumbnail may stand; in its data the mark of the end is not found.
+    Segments before it are passed over, where the end of a thumbnail may stand; in its data that mark is not found.
     """
     if END_OF_JPEG in _last_bytes(path):
         return True
-    content = path.read_bytes()
-    return content.find(END_OF_JPEG, max(content.find(SCAN_OF_JPEG, _after_thumbnail(content)), 0)) >= 0
+    content, at = path.read_bytes(), 2
+    while at + 4 <= len(content) and content[at] == 0xFF:
+        if content[at + 1] == SCAN_OF_JPEG:
+            return content.find(END_OF_JPEG, at) >= 0
+        is_padding = content[at + 1] == 0xFF
+        at += 1 if is_padding else 2 + int.from_bytes(content[at + 2 : at + 4], "big")
+    return False
 
 
-def _after_thumbnail(content: bytes) -> int:
-    """Where in a JPEG file the segments with metadata (APP0 to APP15) end."""
-    at = 2
-    while content[at : at + 1] == b"\xff" and 0xE0 <= content[at + 1] <= 0xEF:
-        at += 2 + int.from_bytes(content[at + 2 : at + 4], "big")
-    return at
+def _orientation(image: Image.Image) -> int:
+    """How a JPEG is to be shown, 1 to 8; other metadata than EXIF, of which OpenCV knows nothing, do not count."""
+    image.info.pop("xmp", None)
+    return int(image.getexif().get(ORIENTATION, AS_STORED))
 
 
 def _first_bytes(path: Path, count: int) -> bytes:

@@ -8,7 +8,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
 
 import av
 import cv2
@@ -16,6 +15,7 @@ import numpy as np
 
 from stages.shared.errors import InputError
 from stages.shared.images import reduce, reduced_size
+from stages.video.orientation import as_shown, display_matrix, swaps_sides
 
 HDR_TRANSFERS = {16: "PQ", 18: "HLG"}
 """Transfer functions of HDR video by their number in ITU-T H.273."""
@@ -130,9 +130,9 @@ def is_cut_short(header: Header, last_s: float, interval_s: float) -> bool:
 
 
 def end_option(last_s: float) -> str:
-    """The option, as it is written, by which a video is used up to its frame at `last_s`, and none after it is read.
+    """The option, as it is written, by which no frame of a video is read after that at `last_s`.
 
-    Rounded to the next millisecond it would ask for the frame after that one.
+    Rounded to the next millisecond it would ask for the frame after that one; so it may leave that one out.
     """
     return f"`video: {{end: {math.floor(1000 * last_s + 1e-6) / 1000:.3f}}}`"
 
@@ -149,7 +149,7 @@ def upright(frame: Frame, header: Header, bars_px: tuple[int, int], max_width: i
     pixels = coded[y : len(coded) - y, x : coded.shape[1] - x]
     size = _square(pixels.shape[1], pixels.shape[0], header.aspect)
     pixels = pixels if size == pixels.shape[1::-1] else cv2.resize(pixels, size, interpolation=cv2.INTER_CUBIC)
-    shown = np.ascontiguousarray(_turned(pixels, _display_matrix(frame.image)))
+    shown = np.ascontiguousarray(as_shown(pixels, display_matrix(frame.image)))
     return reduce(shown, reduced_size(shown.shape[1], shown.shape[0], max_width))
 
 
@@ -157,7 +157,7 @@ def upright_size(frame: Frame, header: Header, bars_px: tuple[int, int], max_wid
     """Width and height of the `upright` frame, px."""
     x, y = bars_px
     width, height = _square(frame.image.width - 2 * x, frame.image.height - 2 * y, header.aspect)
-    if _display_matrix(frame.image)[0, 0] == 0:
+    if swaps_sides(display_matrix(frame.image)):
         width, height = height, width
     return reduced_size(width, height, max_width)
 
@@ -224,25 +224,6 @@ def _time_s(image: av.VideoFrame, header: Header) -> Fraction | None:
     if image.pts is None or image.time_base is None:
         return None
     return image.pts * image.time_base - header.start_pts * header.time_base
-
-
-def _display_matrix(image: av.VideoFrame) -> np.ndarray:
-    """Signs [2, 2] of the metadata's matrix M: a player shows what is coded at (x, y) at (x, y) M, but for a shift.
-
-    Turns by other angles than quarters count as none.
-    """
-    buffer: Any = image.side_data.get("DISPLAYMATRIX")
-    if buffer is None or image.rotation % 90:
-        return np.eye(2, dtype=int)
-    return np.sign(np.frombuffer(buffer, np.int32).reshape(3, 3)[:2, :2])
-
-
-def _turned(pixels: np.ndarray, matrix: np.ndarray) -> np.ndarray:
-    """Pixels [h, w, 3] as a player shows them, by a `_display_matrix`: mirrored pictures too."""
-    if matrix[0, 0] == 0:
-        pixels = pixels.swapaxes(0, 1)
-    across, down = matrix.sum(axis=0)
-    return pixels[:: int(down), :: int(across)]
 
 
 def _deinterlaced(frames: Iterator[av.VideoFrame], stream: av.VideoStream) -> Iterator[tuple[av.VideoFrame, bool]]:

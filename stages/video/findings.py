@@ -9,6 +9,7 @@ import numpy as np
 from stages.shared.dataset_folders import MIN_FRAMES
 from stages.video import decode
 from stages.video.options import VideoOptions
+from stages.video.orientation import display_matrix
 from stages.video.shots import Found
 
 
@@ -57,7 +58,7 @@ def of_frames(
     if first.image.color_trc in decode.HDR_TRANSFERS:
         kind = decode.HDR_TRANSFERS[first.image.color_trc]
         warnings.append(f"HDR video ({kind}): its colours are used as they are coded, and look flat")
-    if first.image.rotation % 90:
+    if display_matrix(first.image) is None:
         warnings.append(f"its metadata ask for a rotation by {first.image.rotation} degrees, which is left out")
     if _irregular(found.times_s):
         steps = np.diff(found.times_s)
