@@ -39,6 +39,8 @@ def test_a_key_that_is_no_text_is_named(key: object) -> None:
     said = rf"{key}: expected the name of an option, found {key}; correct or quote it"
     with pytest.raises(InputError, match=said):
         configuration.load({key: 3})  # type: ignore[dict-item]
+    with pytest.raises(InputError, match=f"video.*expected the name of an option, found {key}"):
+        configuration.load({"video": {key: 3}})
 
 
 def test_shipped_config_states_every_option_with_its_default() -> None:

@@ -123,6 +123,8 @@ def _within(error: Any, place: tuple[Any, ...]) -> bool:
 def _expected(error: Any) -> str:
     if error["type"] in ("tuple_type", "list_type"):
         return "a list"
+    if error["type"] == "invalid_key":
+        return "the name of an option"
     if error["type"] == "too_short":
         return f"a list of at least {error['ctx']['min_length']}"
     if error["type"] == "string_too_short":
