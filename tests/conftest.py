@@ -27,14 +27,14 @@ REPO = Path(__file__).resolve().parents[1]
 DATA = REPO.parent / "shared" / "data"
 SOURCES = ("Snakefile", "config.yaml", "profiles", "workflow", "stages")
 
-BEGUN_FIRST = ("test_slurm", "test_workflow")
-"""Begun first, so that no process waits in the end for one of these, which take minutes. They run no stage: none of its
-kernels is then compiled earlier than before."""
+BEGUN_FIRST = "test_workflow"
+"""The file of plans takes minutes: begun last, one process would wait for it in the end. It runs no stage, so that no
+kernel is compiled earlier than before."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Tests in the order of their files but for the longest (`make test` has two processes, each with whole files)."""
-    items.sort(key=lambda item: item.path.stem not in BEGUN_FIRST)
+    """Tests in the order of their files but for one (`make test` has two processes, each with whole files)."""
+    items.sort(key=lambda item: item.path.stem != BEGUN_FIRST)
 
 
 def run_snakemake(folder: Path, *arguments: str, env: dict[str, str] | None = None) -> subprocess.CompletedProcess[str]:

@@ -1,6 +1,7 @@
 """Where cameras follow movers and ground together, a path at another focal length that follows the border is right."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from stages.ba.initialise import Candidate
 from stages.ba.options import BAOptions
 from stages.ba.problem import Problem
 from stages.ba.solving import _previous
-from stages.ba.state import FocalPrior, State, Unknowns
+from stages.ba.state import FocalPrior, State
 from stages.ba.two_motions import Motion, border, matched_pixels, share
 from stages.shared import lie
 from stages.shared.cameras import make_cameras, write_cameras
@@ -43,14 +44,14 @@ def asked(
 ) -> tuple[FlowGraph, Motion | None]:
     """The answer where cameras `found` [T, 4, 4], their lens in image widths, stand in a minimum without a way out."""
     graph = observe(scene, stride=6, masked=False, noise_px=NOISE_PX)
-    focal_px, adjusted = lens * graph.width, border_focals._adjusted
+    focal_px, adjusted = lens * graph.width, border_focals.adjusted
 
-    def stuck(observed: Observed, on: FlowGraph, path: np.ndarray, at_px: float, unknowns: Unknowns) -> State:
-        if unknowns.focal:
+    def stuck(observed: Observed, on: FlowGraph, *path: Any) -> State:
+        if path[-1].focal:
             return initialise.initial_state(on, found, focal_px)
-        return adjusted(observed, on, path, at_px, unknowns)
+        return adjusted(observed, on, *path)
 
-    monkeypatch.setattr(border_focals, "_adjusted", stuck)
+    monkeypatch.setattr(border_focals, "adjusted", stuck)
     prior, statistics = FocalPrior(1.1 * graph.width), classify.measure(graph, None, 0)
     observed = Observed(graph, graph, None, [focal_px], statistics, prior, 0)
     best = Candidate("", initialise.initial_state(graph, found, focal_px), 0.0, initialise.roughness(found), [])

@@ -5,14 +5,13 @@ these fit more of the matches than the right ones do, which fit the ground alone
 back. At the right focal length a chain of pairs leads to cameras that fit far more of the image border, and shake less.
 """
 
-import numpy as np
-
 from stages.ba import initialise
 from stages.ba.graph import FlowGraph, thin_graph, thinning
-from stages.ba.guesses import ENOUGH, MAX_PAIR_PX, Observed
-from stages.ba.initialise import Candidate, Hypothesis, roughness
+from stages.ba.guesses import Observed
+from stages.ba.initialise import Candidate, roughness
+from stages.ba.other_focals import adjusted, chained
 from stages.ba.refinement import FINE_PX
-from stages.ba.state import Level, State, Unknowns
+from stages.ba.state import State, Unknowns
 from stages.ba.two_motions import PIXELS, SHARP_PX, Motion, border, fitting, matched_pixels, share
 
 MORE, FOLLOWED = 0.15, 0.8
@@ -21,7 +20,8 @@ cameras found fit this share of them, none is looked for. Three clips of large m
 with right cameras and with wrong ones, none that is no rougher fits more by more than .03."""
 FOCALS = (0.55, 0.62, 0.69, 0.77, 0.86, 0.97, 1.25, 1.5)
 """Focal lengths, in image widths, at which paths are chained."""
-ITERATIONS = 15
+SCALES_PX = (*FINE_PX, SHARP_PX)
+"""Robust scales of their adjustment, down to that of the noise."""
 
 
 def border_path(observed: Observed, plain: FlowGraph, used: FlowGraph, best: Candidate) -> Motion | None:
@@ -40,16 +40,16 @@ def border_path(observed: Observed, plain: FlowGraph, used: FlowGraph, best: Can
     along = matched_pixels(graph) & border(graph)
     if not along.any():
         return None
-    start = _adjusted(observed, thin_graph(used, factor), found.cam_from_world, found.focal_px, Unknowns(focal=True))
+    used, free = thin_graph(used, factor), Unknowns(focal=True)
+    start = adjusted(observed, used, found.cam_from_world, found.focal_px, SCALES_PX, free)
     most_rough, followed = roughness(start.cam_from_world, graph.times_s), share(fitting(graph, start), along)
     if followed > FOLLOWED:
         return None
     least = followed + MORE
     others: list[tuple[float, State]] = []
     for width in FOCALS:
-        hypothesis = Hypothesis(width * graph.width, min(observed.threshold_px / 2, MAX_PAIR_PX))
-        path = initialise.chain(plain, hypothesis, observed.seed)
-        state = _adjusted(observed, graph, path, hypothesis.focal_px, Unknowns())
+        focal_px = width * graph.width
+        state = adjusted(observed, graph, chained(observed, plain, focal_px), focal_px, SCALES_PX, Unknowns())
         followed = share(fitting(graph, state), along)
         if roughness(state.cam_from_world, graph.times_s) <= most_rough and followed >= least:
             others.append((followed, state))
@@ -58,12 +58,3 @@ def border_path(observed: Observed, plain: FlowGraph, used: FlowGraph, best: Can
     state = max(others, key=lambda one: one[0])[1]
     whole = initialise.initial_state(plain, state.cam_from_world, state.focal_px, SHARP_PX)
     return Motion(whole, fitting(plain, whole) & matched_pixels(plain))
-
-
-def _adjusted(
-    observed: Observed, graph: FlowGraph, cam_from_world: np.ndarray, focal_px: float, unknowns: Unknowns
-) -> State:
-    """Cameras adjusted down to the scale of the noise."""
-    state = initialise.initial_state(graph, cam_from_world, focal_px, FINE_PX[0])
-    levels = [Level(sigma_px, ITERATIONS, ENOUGH) for sigma_px in (*FINE_PX, SHARP_PX)]
-    return initialise.adjust(graph, state, levels, unknowns, observed.prior, "border").state

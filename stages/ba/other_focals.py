@@ -5,6 +5,8 @@ pans, one 12 % too long, with near furniture among the outliers of the robust ke
 and focal length leads back, at any scale of the kernel: the path has to be chained anew at another focal length.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from stages.ba import dba, initialise
@@ -40,23 +42,38 @@ def better_focal(observed: Observed, coarse: FlowGraph, best: Candidate) -> floa
         graph, coarse, path = cut_out(graph, inside), cut_out(coarse, inside), path[inside]
     graph = thin_graph(without_loops(graph), thinning(graph, PIXELS))
 
-    def adjusted(cam_from_world: np.ndarray, focal_px: float, name: str) -> State:
-        state = initialise.initial_state(graph, cam_from_world, focal_px, FINE_PX[0])
-        levels = [Level(sigma_px, ITERATIONS, ENOUGH) for sigma_px in FINE_PX]
-        return initialise.adjust(graph, state, levels, Unknowns(focal=True), observed.prior, name).state
-
-    start = adjusted(path, best.state.focal_px, "focal")
+    free = Unknowns(focal=True)
+    start = adjusted(observed, graph, path, best.state.focal_px, FINE_PX, free)
     sharp_px = float(np.clip(SHARP * median_residual(graph, start), *SHARP_PX))
     limits = _costs(graph, start, sharp_px) * ([1 - COST_MARGIN] * len(FINE_PX) + [1])
     found: list[tuple[float, float]] = []
     for ratio in RATIOS:
-        hypothesis = Hypothesis(ratio * start.focal_px, min(observed.threshold_px / 2, MAX_PAIR_PX))
-        path = initialise.chain(coarse, hypothesis, observed.seed)
-        state = adjusted(path, hypothesis.focal_px, f"focal x {ratio}")
+        focal_px = ratio * start.focal_px
+        state = adjusted(observed, graph, chained(observed, coarse, focal_px), focal_px, FINE_PX, free)
         costs = _costs(graph, state, sharp_px)
         if (costs < limits).all() and (observed.masked or consistent_share(graph, state) >= CONSISTENT_SHARE):
             found.append((float(costs[-1]), state.focal_px))
     return min(found)[1] if found else None
+
+
+def chained(observed: Observed, graph: FlowGraph, focal_px: float) -> np.ndarray:
+    """Poses [T, 4, 4] chained from pairs of neighbours of a graph at a focal length."""
+    hypothesis = Hypothesis(focal_px, min(observed.threshold_px / 2, MAX_PAIR_PX))
+    return initialise.chain(graph, hypothesis, observed.seed)
+
+
+def adjusted(
+    observed: Observed,
+    graph: FlowGraph,
+    cam_from_world: np.ndarray,
+    focal_px: float,
+    scales_px: Sequence[float],
+    unknowns: Unknowns,
+) -> State:
+    """Poses [T, 4, 4] adjusted from a focal length on, at one robust scale after the other."""
+    state = initialise.initial_state(graph, cam_from_world, focal_px, scales_px[0])
+    levels = [Level(sigma_px, ITERATIONS, ENOUGH) for sigma_px in scales_px]
+    return initialise.adjust(graph, state, levels, unknowns, observed.prior, "another focal length").state
 
 
 def _costs(graph: FlowGraph, state: State, sharp_px: float) -> np.ndarray:

@@ -19,11 +19,12 @@ from stages.shared.sequences import Sequence
 
 REGIONS = ("whole", "static", "dynamic")
 SPLITS = {
-    "train": "frames that are not held out; used for training, except those without matches",
+    "train": "frames that are not held out, used for training; those without matches are neither trained on nor scored",
     "test": "held-out frames: their images are used neither for training nor for the choice of effects and control "
     "points; flow, masks, depth and poses were estimated from all frames, including these, and each is rendered from "
     "its own estimated pose; frames without matches are not scored",
-    "right": "right-eye views against the right eye of the frames' own pass, or of the clean one if it has none",
+    "right": "right-eye views against the right eye of the frames' own pass, or of the clean one if it has none; "
+    "frames without matches are not scored",
 }
 
 

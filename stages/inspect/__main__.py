@@ -141,7 +141,7 @@ def mark_burnt_in(
         return sequence, {"by": "no"}
     facts: dict[str, Any] = {
         "by": "given" if watch is None else "auto",
-        "motion_enough": found.known,
+        "known": found.known,
         "bars_px": found.bars_px,
     }
     if watch and not found.known:
