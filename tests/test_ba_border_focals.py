@@ -101,7 +101,7 @@ def test_the_focal_length_is_held_at_that_of_the_path(monkeypatch: pytest.Monkey
     monkeypatch.setattr("stages.ba.refinement.BLIND_FOCAL", 0.0)
     found = estimate(Problem(graph, False), BAOptions(start_focals=(1.05,), zoom="no"))
     assert found.focal["decision"] == "held at prior"
-    assert found.focal["prior_widths"] == pytest.approx(LENS)
+    assert found.focal["prior_sides"] == pytest.approx(LENS)
     assert found.state.focal_px == pytest.approx(scene.focal_px)
     assert found.static is not None
     assert found.static[scene.dynamic].mean() < 0.2
@@ -115,10 +115,10 @@ def test_later_rounds_hold_the_focal_length_at_that_of_the_path(
     scene = beside()
     graph = observe(scene, stride=6, masked=False, noise_px=NOISE_PX)
     cameras = make_cameras(scene.cam_from_world, scene.K_of(0), np.arange(8))
-    for prior_widths, held in ((LENS, LENS), (None, 1.1)):
-        write_cameras(tmp_path / "poses.parquet", cameras, {"focal": {"prior_widths": prior_widths}})
+    for prior_sides, held in ((LENS, LENS), (None, 1.1)):
+        write_cameras(tmp_path / "poses.parquet", cameras, {"focal": {"prior_sides": prior_sides}})
         previous = _previous(tmp_path / "poses.parquet", 1.0, graph.width)
         found = estimate(Problem(graph, False, previous=previous), BAOptions(start_focals=(1.05,), zoom="no"))
         assert found.focal["decision"] == "held at prior"
         assert found.state.focal_px / graph.width == pytest.approx(held)
-        assert found.focal["prior_widths"] == (prior_widths and pytest.approx(prior_widths))
+        assert found.focal["prior_sides"] == (prior_sides and pytest.approx(prior_sides))

@@ -175,8 +175,10 @@ def test_a_pan_is_not_taken_for_a_mover_that_it_follows() -> None:
     assert np.median(residuals[200:]) < 0.05
 
 
-def test_a_camera_too_still_to_show_its_focal_length_keeps_that_of_the_prior() -> None:
-    scene = make_scene(motion="still", size=(96, 160))
+@pytest.mark.parametrize("size", [(96, 160), (160, 96)], ids=["landscape", "upright"])
+def test_a_camera_too_still_to_show_its_focal_length_keeps_that_of_the_prior(size: tuple[int, int]) -> None:
+    """The lens of a phone has the same angle along the longer side, however it is held."""
+    scene = make_scene(motion="still", size=size)
     solution = estimate(Problem(observe(scene, noise_px=0.1), masked=True), OPTIONS)
     assert solution.camera == "near-still"
     assert solution.focal["decision"] == "held at prior"

@@ -19,7 +19,7 @@ MORE, FOLLOWED = 0.15, 0.8
 cameras found fit this share of them, none is looked for. Three clips of large movers: .29 to .42 more. In 74 others,
 with right cameras and with wrong ones, none that is no rougher fits more by more than .03."""
 FOCALS = (0.55, 0.62, 0.69, 0.77, 0.86, 0.97, 1.25, 1.5)
-"""Focal lengths, in image widths, at which paths are chained."""
+"""Focal lengths, in longer sides of the image, at which paths are chained."""
 SCALES_PX = (*FINE_PX, SHARP_PX)
 """Robust scales of their adjustment, down to that of the noise."""
 
@@ -47,8 +47,8 @@ def border_path(observed: Observed, plain: FlowGraph, used: FlowGraph, best: Can
         return None
     least = followed + MORE
     others: list[tuple[float, State]] = []
-    for width in FOCALS:
-        focal_px = width * graph.width
+    for sides in FOCALS:
+        focal_px = sides * graph.long_side_px
         state = adjusted(observed, graph, chained(observed, plain, focal_px), focal_px, SCALES_PX, Unknowns())
         followed = share(fitting(graph, state), along)
         if roughness(state.cam_from_world, graph.times_s) <= most_rough and followed >= least:

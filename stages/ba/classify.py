@@ -176,7 +176,7 @@ def _rotation_focal(graph: FlowGraph, pairs: list[tuple[int, int]]) -> float:
     def left(log_focal: float) -> float:
         return _median([_rotation(graph, pair, float(np.exp(log_focal))) for pair in pairs])
 
-    logs = np.log(FOCALS * graph.width)
+    logs = np.log(FOCALS * graph.long_side_px)
     best = int(np.argmin([left(log_focal) for log_focal in logs]))
     if not pairs:
         return float(np.exp(logs[best]))

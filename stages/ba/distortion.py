@@ -33,7 +33,7 @@ SUSPECTED_GAIN, SUSPECTED_SHIFT = 0.01, 0.01
 TRIED = 0.05
 """Shift of a corner, inwards or outwards, from which cameras are searched anew."""
 START_FOCAL = 1.05
-"""Focal length of the search in image widths; another one is found by the adjustment."""
+"""Focal length of the search in longer sides of the image; another one is found by the adjustment."""
 ZOOM_GAIN = 0.04
 """From this gain of a focal length per frame on, the lens is judged among cameras that zoom."""
 FINE_PX = (1.0, 0.5)
@@ -92,7 +92,7 @@ def find_lens(graph: FlowGraph, prior: FocalPrior, seed: int, assumed: bool = Fa
     if statistics.camera == "near-still":
         seconds = time.process_time() - began
         return Lens(None, Evidence("not observable", "the camera hardly moves", seconds=seconds))
-    observed = Observed(coarse, coarse, None, [START_FOCAL * coarse.width], statistics, prior, seed)
+    observed = Observed(coarse, coarse, None, [START_FOCAL * coarse.long_side_px], statistics, prior, seed)
     evidence, best, straight = _weigh(observed, len(coarse.pixels) / len(graph.pixels), assumed)
     if assumed and evidence.decision != "not observable":
         evidence = replace(evidence, decision="distorted", reason=f"as the options say; {evidence.reason}")

@@ -18,7 +18,7 @@ from stages.ba.uncertainty import median_residual
 from stages.ba.weights import mask_graph
 
 PRIOR_FOCAL = 1.1
-"""Centre of the focal length prior, in image widths (a horizontal field of view of 49 degrees)."""
+"""Centre of the focal length prior, in longer sides of the image (a field of view of 49 degrees along it)."""
 
 PARALLAX = 0.7
 """A camera that seems to turn moves if a path leaves less than this share of the residual. Noise, fitted by a depth per
@@ -61,7 +61,7 @@ def _best(problem: Problem, options: BAOptions) -> Estimate:
 def _estimate(problem: Problem, options: BAOptions) -> Estimate:
     graph, known = problem.graph, problem.known_focal_px
     moved_px = problem.previous and problem.previous.prior_px
-    prior = FocalPrior(moved_px or PRIOR_FOCAL * graph.width)
+    prior = FocalPrior(moved_px or PRIOR_FOCAL * graph.long_side_px)
     if not _observed(graph):
         return failure(graph, known or prior.focal_px)
     statistics = classify.measure(graph, known, options.seed)

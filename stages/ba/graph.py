@@ -68,6 +68,11 @@ class FlowGraph:
         return len(self.pointer) - 1
 
     @property
+    def long_side_px(self) -> float:
+        """Longer side of the flow grid: the lens of a phone has one angle along it, however the phone is held."""
+        return float(max(self.width, self.height))
+
+    @property
     def corner_px(self) -> float:
         """Distance of a corner of the flow grid from its middle."""
         return float(np.hypot(self.width, self.height)) / 2

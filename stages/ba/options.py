@@ -37,7 +37,7 @@ class BAOptions(Options):
     start_focals: tuple[Annotated[float, Field(ge=0.3, le=5)], ...] = Field(
         (0.8, 1.05, 1.4),
         min_length=1,
-        description="initial focal lengths of the first round, in image widths",
+        description="initial focal lengths of the first round, in longer sides of the image",
     )
     stride_px: int = Field(
         8, ge=2, le=32, description="one inverse depth per this many pixels of the flow, each way, while solving poses"

@@ -56,7 +56,7 @@ def estimate_path(
     steps = [step for candidate in (*start.others, found) for step in candidate.steps]
     steps += closed.steps + refined.cameras.steps
     moved_px = start.focal_px or (problem.previous and problem.previous.prior_px)
-    focal = replace(refined.focal, prior_widths=moved_px / problem.graph.width) if moved_px else refined.focal
+    focal = replace(refined.focal, prior_sides=moved_px / problem.graph.long_side_px) if moved_px else refined.focal
     solution = finish(problem, statistics, state, focal, against, steps)
     numbers = solution.statistics | {"roughness": found.roughness} | closed.facts
     evidence = refined.zoom
@@ -69,8 +69,8 @@ def estimate_path(
 
 def _start(problem: Problem, statistics: Statistics, prior: FocalPrior, options: BAOptions) -> Start:
     """The best initialisation of the camera path; a zoom is looked for only where the camera moves."""
-    known, width = problem.known_focal_px, problem.graph.width
-    focals = [known] if known else [focal * width for focal in options.start_focals]
+    known, side_px = problem.known_focal_px, problem.graph.long_side_px
+    focals = [known] if known else [focal * side_px for focal in options.start_focals]
     previous = problem.previous
     if previous:
         previous = replace(previous, focal_px=known or previous.focal_px)

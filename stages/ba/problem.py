@@ -37,14 +37,14 @@ class Problem:
 class Focal:
     """The decision about the focal length: "estimated", "weakly observed", "held at prior" or "known".
 
-    `relative_sigma` is the predicted relative error of estimating it; `reason` says why it was held; `prior_widths`, in
-    image widths, is where a `border_path` has moved the centre of its prior to.
+    `relative_sigma` is the predicted relative error of estimating it; `reason` says why it was held; `prior_sides`, in
+    longer sides of the image, is where a `border_path` has moved the centre of its prior to.
     """
 
     decision: str
     relative_sigma: float | None
     reason: str = ""
-    prior_widths: float | None = None
+    prior_sides: float | None = None
 
 
 @dataclass(frozen=True)

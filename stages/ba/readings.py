@@ -83,7 +83,7 @@ def best_focal(graph: FlowGraph, cam_from_world: np.ndarray) -> float:
     def left(focal_px: float) -> float:
         return min(residuals_px(graph, cam_from_world, np.full(graph.T, focal_px)).values())
 
-    focals_px = FOCALS * graph.width
+    focals_px = FOCALS * graph.long_side_px
     best = int(np.argmin([left(focal_px) for focal_px in focals_px.tolist()]))
     if not np.isfinite(left(float(focals_px[best]))):
         return float(focals_px[best])

@@ -9,7 +9,7 @@ from stages.ba.weights import downweight_border
 from stages.shared import lie
 
 FOCALS = np.geomspace(0.6, 2.2, 7)
-"""Focal lengths to start from, in image widths; the cost has one sharp minimum between two of them."""
+"""Focal lengths to start from, in longer sides of the image; the cost has one sharp minimum between two of them."""
 SCHEDULE = (Level(2.0, 10), Level(0.5, 20))
 
 
@@ -21,7 +21,7 @@ def solve_rotations(
     Rotations are chained at each focal length of a list; the chain of lowest cost is adjusted over all edges. With
     `zoom` every frame has a focal length of its own. Pixels at the border of the image count little in the adjustment.
     """
-    focals = [known_focal_px] if known_focal_px else (FOCALS * graph.width).tolist()
+    focals = [known_focal_px] if known_focal_px else (FOCALS * graph.long_side_px).tolist()
     starts = [chain_rotations(graph, focal_px, zoom) for focal_px in focals]
     costs = [dba.robust_cost(graph, dba.errors_px(graph, start), SCHEDULE[0].sigma_px) for start in starts]
     unknowns = Unknowns(focal=known_focal_px is None, translation=False, zoom=zoom)

@@ -53,7 +53,7 @@ def run(
     everything = with_texture(matches.graph(options.stride_px, known), read_texture(frames, matches.size))
     if frames.times_s is not None:
         everything = replace(everything, times_s=np.array(frames.times_s))
-    previous = _previous(previous_poses, matches.scale, matches.size[0])
+    previous = _previous(previous_poses, matches.scale, max(matches.size))
     unmasked = everything if (static < 1).any() else None
     masked = unmasked is not None or previous is not None
     graph = replace(mask_graph(everything, static), masked=rounds.tell_movers(masks))
@@ -167,11 +167,11 @@ def _with_movers(
     return mover_depth.placed(maps, numbers, links, state.focals_px)
 
 
-def _previous(poses: Path | None, scale: float, width: int) -> PoseGuess | None:
+def _previous(poses: Path | None, scale: float, long_side_px: int) -> PoseGuess | None:
     """The poses of the previous round; None if it failed or found no translation.
 
     Args:
-        scale: width of the flow grid over that of the frames. width: of the flow grid, px.
+        scale: width of the flow grid over that of the frames. long_side_px: longer side of the flow grid.
     """
     if poses is None:
         return None
@@ -179,8 +179,8 @@ def _previous(poses: Path | None, scale: float, width: int) -> PoseGuess | None:
     if set(cameras.status) & {outputs.STATUS["failed"], outputs.STATUS["rotating"]}:
         return None
     focals_px = cameras.Ks[:, 0, 0] * scale
-    widths = read_metadata(poses).get("focal", {}).get("prior_widths")
-    prior_px = widths and widths * width
+    sides = read_metadata(poses).get("focal", {}).get("prior_sides")
+    prior_px = sides and sides * long_side_px
     if (focals_px == focals_px[0]).all():
         return PoseGuess(cameras.cam_from_world, float(focals_px[0]), prior_px=prior_px)
     focal_px = float(np.exp(np.log(focals_px).mean()))

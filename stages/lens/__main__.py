@@ -71,7 +71,7 @@ def _decide(frames: Sequence, flow: Path, options: LensOptions) -> Lens:
         return Lens(None, NOT_TESTED)
     about = read_metadata(flow)
     graph = _graph(frames, read_dense(flow), float(about["scale"]), float(about.get("border_px", 0)))
-    prior = FocalPrior(PRIOR_FOCAL * graph.width)
+    prior = FocalPrior(PRIOR_FOCAL * graph.long_side_px)
     return find_lens(graph, prior, options.seed, assumed=options.distortion == "yes")
 
 
