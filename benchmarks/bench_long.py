@@ -43,7 +43,7 @@ GOAL_MB, GOAL_EXPONENT = 6000.0, 1.1
 WIDTH_PX, HEIGHT_PX = 512, 218
 SAMPLES = "resident.json"
 UNMEASURED: dict[str, Any] = {
-    "pixels": {"flow.max_width_px": []},
+    "pixels": {"flow.max_side_px": []},
     "gaussians": {"gaussians.stride_px": []},
     "control points": {"control.control_points": []},
 }

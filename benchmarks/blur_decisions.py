@@ -29,7 +29,7 @@ from stages.simulate.scene import Scene, load_scene
 SCENES = Path(__file__).parents[1] / "stages/simulate/scenes"
 SHUTTERS = (0.0, 0.2, 0.5, 0.9)
 WIDTH, HEIGHT, SAMPLES = 320, 136, 8
-FLOW = FlowOptions(max_width_px=WIDTH, offsets=(1, 2, 4), long_edges=1)
+FLOW = FlowOptions(max_side_px=WIDTH, offsets=(1, 2, 4), long_edges=1)
 """That of the preset fast."""
 
 

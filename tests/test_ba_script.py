@@ -184,7 +184,7 @@ def test_true_intrinsics_are_those_of_the_camera_files(rendered: Path, tmp_path:
             shutil.copy(path, training / kind / "mountain_static" / path.name)
     frames = check_sequence("mountain_static", training / "final" / "mountain_static")
     write_json(sequence := tmp_path / "sequence.json", sequence_to_json(frames))
-    options = FlowOptions(offsets=(1, 2), max_width_px=256)
+    options = FlowOptions(offsets=(1, 2), max_side_px=256)
     estimate_flow(sequence, flow := tmp_path / "pairs.arrow", tmp_path / "flow.png", options)
     for number in frames.numbers:
         write_image(tmp_path / "masks" / f"frame_{number:04d}.png", np.zeros((frames.height, frames.width), bool))

@@ -49,7 +49,7 @@ def refuse(folder: Path, options: str, *phrases: str) -> None:
         ("flow: {offsets: [2, 4]}", ("flow.offsets", "1 among the frame distances")),
         ("flow: {ofsets: [1]}", ("flow.ofsets", "did you mean 'offsets'?")),
         ("flow: {finest_scale: many}", ("flow.finest_scale", "integer", "'many'")),
-        ("flow: {max_width_px: -3}", ("flow.max_width_px", "greater than or equal to 64", "-3")),
+        ("flow: {max_side_px: -3}", ("flow.max_side_px", "greater than or equal to 64", "-3")),
         ("flow: {finest_scale: true}", ("flow.finest_scale", "a number", "True")),
         ("holdout_every: eight", ("holdout_every", "integer", "'eight'")),
         ("pass: finale", ("pass", "'clean' or 'final'", "'finale'")),

@@ -161,7 +161,7 @@ def test_script_writes_edges_on_the_reduced_grid(tmp_path: Path) -> None:
     """Wider frames are matched at --max-width-px; the metadata tells the scale."""
     folder = write_frames(tmp_path / "clip", count=3, size=(60, 160))
     write_json(tmp_path / "sequence.json", sequence_to_json(check_sequence("clip", folder)))
-    options = FlowOptions(offsets=(1,), max_width_px=80)
+    options = FlowOptions(offsets=(1,), max_side_px=80)
     flow_stage.main(tmp_path / "sequence.json", tmp_path / "pairs.arrow", tmp_path / "flow.png", options)
     pairs, metadata = read_dense(tmp_path / "pairs.arrow"), read_metadata(tmp_path / "pairs.arrow")
     assert pairs["flow"].shape == (4, 30, 80, 2)

@@ -134,7 +134,7 @@ def test_other_words_for_intrinsics_are_refused(wrong: object) -> None:
     [
         ("3", "focal length of 19 to 1920 px, found 3 px"),
         ("5000", "focal length of 19 to 1920 px, found 5000 px; numbers are in px of the frames as they are used"),
-        ("950, 900, 450, 330", r"principal point within the frames, 96 x 64 px, found \(450, 330\).*max_width"),
+        ("950, 900, 450, 330", r"principal point within the frames, 96 x 64 px, found \(450, 330\).*max_side"),
     ],
 )
 def test_numbers_of_other_frames_are_refused(text: str, said: str) -> None:

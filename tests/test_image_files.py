@@ -15,7 +15,7 @@ from stages.inspect.options import PartOptions
 from stages.shared.dataset_folders import frame_files, sequence_folders, video_files
 from stages.shared.errors import InputError
 from stages.shared.image_headers import ORIENTATION
-from stages.shared.images import read_rgb
+from stages.shared.images import read_rgb, reduced_size, relative_size
 from stages.shared.sequences import check_sequence, read_sequence
 
 SMOOTH = cv2.resize(np.random.default_rng(2).integers(0, 255, (6, 8, 3), np.uint8), (64, 48))
@@ -155,3 +155,15 @@ def test_what_is_hidden_is_no_frame_no_video_and_no_sequence(tmp_path: Path) -> 
     for name in ("IMG_1.MOV", "._IMG_1.MOV"):
         (tmp_path / "videos" / name).write_bytes(b"\0" * 200)
     assert list(video_files(tmp_path / "videos")) == ["IMG_1"]
+
+
+@pytest.mark.parametrize(
+    ("size", "reduced"),
+    [((854, 480), (512, 287)), ((480, 854), (287, 510)), ((1080, 1920), (288, 512)), ((300, 160), (300, 160))],
+)
+def test_frames_are_reduced_by_their_longer_side(size: tuple[int, int], reduced: tuple[int, int]) -> None:
+    """An upright frame keeps as many pixels as the same one held across, and square ones."""
+    assert reduced_size(*size, 512) == reduced
+    w, h = reduced
+    assert 0 <= size[1] * w / size[0] - h < 1
+    assert relative_size(np.zeros((h, w, 3))) == relative_size(np.zeros((w, h))) == max(reduced) / 512

@@ -20,7 +20,7 @@ assert all(path.exists() for path in reads)
 
 AXES = {
     "frames": {"inspect.max_frames": []},
-    "pixels": {"flow.max_width_px": [512]},
+    "pixels": {"flow.max_side_px": [512]},
     "gaussians": {"gaussians.stride_px": []},
     "control points": {"control.control_points": []},
 }

@@ -125,7 +125,7 @@ def test_a_preset_in_the_sweep_keeps_the_users_own_values() -> None:
     raw = {"gaussians": {"steps": 1000}, "sweep": {"presets": ["fast"]}}
     (with_default,), _ = settings.compared(raw, {"gaussians": {"steps": 1000}})
     assert with_default.config.gaussians.steps == 1000
-    assert with_default.config.flow.max_width_px == PRESETS["fast"]["flow.max_width_px"]
+    assert with_default.config.flow.max_side_px == PRESETS["fast"]["flow.max_side_px"]
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from stages.shared.sequences import Sequence
 
 CLIP = Sequence("clip", [Path(f"{n}.png") for n in range(1, 81)], list(range(1, 81)), 320, 240)
 NO_AXES = (
-    "{frames: {inspect.max_frames: []}, pixels: {flow.max_width_px: []}, gaussians: {gaussians.stride_px: []}, "
+    "{frames: {inspect.max_frames: []}, pixels: {flow.max_side_px: []}, gaussians: {gaussians.stride_px: []}, "
     "control points: {control.control_points: []}}"
 )
 
@@ -37,10 +37,10 @@ def test_all_frames_are_measured_once_where_the_configured_run_uses_fewer() -> N
     assert told == ["scaling: clip has 80 frames: inspect.max_frames 200 would measure the same again; left out"]
 
 
-def test_widths_beyond_that_of_the_frames_are_left_out() -> None:
-    values, told = measured({"pixels": {"flow.max_width_px": [128, 256, 384]}})
+def test_sides_beyond_that_of_the_frames_are_left_out() -> None:
+    values, told = measured({"pixels": {"flow.max_side_px": [128, 256, 384]}})
     assert values == [128, 256, 512]
-    assert told == ["scaling: clip is 320 px wide: flow.max_width_px 384 would measure the same again; left out"]
+    assert told == ["scaling: clip is of 320 x 240 px: flow.max_side_px 384 would measure the same again; left out"]
 
 
 def test_what_fits_is_measured_without_a_word() -> None:
@@ -50,7 +50,7 @@ def test_what_fits_is_measured_without_a_word() -> None:
 
 def test_a_plan_of_the_scaling_says_what_it_leaves_out(tmp_path: Path) -> None:
     write_frames(tmp_path / "clips/clip", 6)
-    axes = "{frames: {inspect.max_frames: [3, 4, 20]}, pixels: {flow.max_width_px: []}}"
+    axes = "{frames: {inspect.max_frames: [3, 4, 20]}, pixels: {flow.max_side_px: []}}"
     (tmp_path / "mine.yaml").write_text(f"dataset: clips\nscaling: {{axes: {axes}}}")
     for target, said in (("scaling", True), ("poses", False)):
         arguments = ("-s", str(REPO / "Snakefile"), "-n", target, "--configfile", "mine.yaml")

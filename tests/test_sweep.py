@@ -133,7 +133,7 @@ def test_rows_of_growth_add_rounds_up(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("axis", "size"), [("pixels", 96 * 64), ("gaussians", 7), ("control points", 5)])
 def test_sizes_come_from_the_artifacts(tmp_path: Path, axis: str, size: int) -> None:
-    write_json(tmp_path / "flow.json", {"options": {"max_width_px": 96}})
+    write_json(tmp_path / "flow.json", {"options": {"max_side_px": 96}})
     write_json(tmp_path / "sequence.json", {"width": 192, "height": 129})
     write_model(tmp_path / "model.safetensors", {"means": np.zeros((7, 3)), "other": np.zeros(2)})
     write_table(tmp_path / "points.parquet", {"x": np.zeros(5)})

@@ -152,7 +152,7 @@ def test_repeated_frames_are_left_out_with_their_times(tmp_path: Path) -> None:
 def test_options_choose_frames_and_size(tmp_path: Path) -> None:
     images = moving(20)
     video = encode(tmp_path / "clip.mp4", images, g="6")
-    index = indexed(video, start=0.2, end=0.6, every=2, max_width=64)
+    index = indexed(video, start=0.2, end=0.6, every=2, max_side=64)
     assert index.shots["clip"].times_s == [k / 25 for k in range(5, 16, 2)]
     assert (index.width, index.height) == (64, 42)
     written = decoded(video, tmp_path, start=0.2, end=0.6, every=2)

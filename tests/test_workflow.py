@@ -93,7 +93,7 @@ def test_an_export_runs_what_its_formats_need(repo_copy: Path, formats: str, bes
 @pytest.mark.parametrize(
     ("override", "rerun"),
     [
-        ("flow: {max_width_px: 300}", AFTER_FLOW | {"flow"}),
+        ("flow: {max_side_px: 300}", AFTER_FLOW | {"flow"}),
         ("control: {control_points: 77}", AFTER_SCENE),
         ("gaussians: {steps: 33}", AFTER_SCENE - {"control"}),
         ("holdout_every: 7", AFTER_SCENE | {"scene"}),

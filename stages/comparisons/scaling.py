@@ -55,7 +55,7 @@ def measure_size(axis: str, path: Path, sequence: Path) -> int:
         return len(read_json(path)["numbers"])
     if axis == "pixels":
         frames = read_json(sequence)
-        return math.prod(reduced_size(frames["width"], frames["height"], read_json(path)["options"]["max_width_px"]))
+        return math.prod(reduced_size(frames["width"], frames["height"], read_json(path)["options"]["max_side_px"]))
     if axis == "gaussians":
         return len(read_model(path)["means"])
     return len(read_table(path)["x"])

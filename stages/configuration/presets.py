@@ -5,12 +5,12 @@ from typing import Any, Literal
 
 Preset = Literal["fast", "balanced", "accurate"]
 Overrides = dict[str, Any]
-"""Option values by dotted name, as in {"flow.max_width_px": 384, "rounds": 3}."""
+"""Option values by dotted name, as in {"flow.max_side_px": 384, "rounds": 3}."""
 
 PRESETS: dict[Preset, Overrides] = {
     "fast": {
         "first_masks": "none",
-        "flow.max_width_px": 320,
+        "flow.max_side_px": 320,
         "flow.offsets": (1, 2, 4),
         "flow.long_edges": 1,
         "ba.start_focals": (1.05,),

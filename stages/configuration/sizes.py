@@ -13,12 +13,12 @@ def _frames(config: Config, sequence: Sequence) -> int:
     return there if limit == "all" else min(limit, there)
 
 
-def _width(config: Config, sequence: Sequence) -> int:
-    """The width of the flow in px."""
-    return min(config.flow.max_width_px, sequence.width)
+def _side(config: Config, sequence: Sequence) -> int:
+    """The longer side of the flow in px."""
+    return min(config.flow.max_side_px, max(sequence.width, sequence.height))
 
 
-KNOWN: Mapping[str, Callable[[Config, Sequence], int]] = {"inspect.max_frames": _frames, "flow.max_width_px": _width}
+KNOWN: Mapping[str, Callable[[Config, Sequence], int]] = {"inspect.max_frames": _frames, "flow.max_side_px": _side}
 """Options whose effect on a sequence is known before any job, and the size that they give it."""
 
 
@@ -45,5 +45,6 @@ def distinct(configured: Setting, listed: Iterable[Setting], sequence: Sequence)
 
 
 def _told(sequence: Sequence, option: str, values: list[str]) -> str:
-    there = f"has {len(sequence.frames)} frames" if KNOWN[option] is _frames else f"is {sequence.width} px wide"
+    size = f"{sequence.width} x {sequence.height} px"
+    there = f"has {len(sequence.frames)} frames" if KNOWN[option] is _frames else f"is of {size}"
     return f"scaling: {sequence.name} {there}: {option} {', '.join(values)} would measure the same again; left out"

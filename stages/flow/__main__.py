@@ -46,7 +46,7 @@ def main(
     view. Flow is in pixels of the flow grid: the frames, reduced to at most --max-width-px.
     """
     frames = read_sequence(sequence)
-    size = reduced_size(frames.width, frames.height, options.max_width_px)
+    size = reduced_size(frames.width, frames.height, options.max_side_px)
     rgb = Images(len(frames.frames), lambda k: reduce(read_rgb(frames.frames[k]), size))
     given = _given(options.given, frames, rgb, size)
     parts = Parts(output, origin("stages.flow", _inputs(sequence, frames, options), options))

@@ -31,7 +31,7 @@ class FlowOptions(Options):
         description="frames more than 64 apart that show the same place again: auto: found, checked and joined, at most"
         " two edges each, but not with true flow; no: none",
     )
-    max_width_px: int = Field(512, ge=64, description="wider frames are reduced to this width before matching")
+    max_side_px: int = Field(512, ge=64, description="larger frames are reduced to this longer side before matching")
     finest_scale: int = Field(
         0,
         ge=0,

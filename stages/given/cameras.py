@@ -90,7 +90,7 @@ def check_range(source: Path | str, Ks: np.ndarray, frames: Sequence) -> None:
     Raises:
         InputError: for a focal length that is far too short or long, or a principal point beyond the frame.
     """
-    advice = "numbers are in px of the frames as they are used: `video: {max_width: ...}` reduces wide videos"
+    advice = "numbers are in px of the frames as they are used: `video: {max_side: ...}` reduces large videos"
     focals = np.stack([Ks[..., 0, 0], Ks[..., 1, 1]]).ravel()
     low, high = (limit * frames.width for limit in FOCALS)
     if not ((focals >= low) & (focals <= high)).all():

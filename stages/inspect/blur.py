@@ -7,8 +7,8 @@ import numpy as np
 
 from stages.shared.images import reduce, reduced_size
 
-WIDTH_PX = 512
-"""Width at which detail is measured: about that of the flow, which finer blur does not harm."""
+SIDE_PX = 512
+"""Longer side at which detail is measured: about that of the flow, which finer blur does not harm."""
 NEIGHBOURS = 4
 LEAST_DETAIL = 0.7
 """A frame is blurred if it has less than this share of the detail of its neighbours.
@@ -21,7 +21,7 @@ the median and less than 0.64 for 95 in 100.
 def detail(image: np.ndarray) -> float:
     """Mean absolute Laplacian of the brightness of a frame [H, W, 3] uint8, grey levels per px^2."""
     grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
-    small = reduce(grey, reduced_size(grey.shape[1], grey.shape[0], WIDTH_PX))
+    small = reduce(grey, reduced_size(grey.shape[1], grey.shape[0], SIDE_PX))
     return float(np.abs(cv2.Laplacian(small, cv2.CV_32F)).mean())
 
 

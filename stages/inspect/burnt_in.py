@@ -18,12 +18,12 @@ from stages.shared.images import enlarge, reduce, reduced_size
 from stages.shared.quick_flow import quick_flow
 from stages.shared.warp import warp
 
-WIDTH_PX = 512
-FLOW_WIDTH_PX = 256
+SIDE_PX = 512
+FLOW_SIDE_PX = 256
 STEP_PX = 2.0
-"""Motion of the image from one compared frame to the next, at FLOW_WIDTH_PX: as long as an edge is wide."""
+"""Motion of the image from one compared frame to the next, at FLOW_SIDE_PX: as long as an edge is wide."""
 REST_PX = 0.2
-"""Median motion between frames that counts as none, at FLOW_WIDTH_PX: DIS finds less than this in noise."""
+"""Median motion between frames that counts as none, at FLOW_SIDE_PX: DIS finds less than this in noise."""
 COMPARED = 32
 """At most so many frames are compared, spread over the clip; and at least MIN_COMPARED."""
 MIN_COMPARED = 6
@@ -44,7 +44,7 @@ DENSE = 0.5
 FILLED = 0.08
 """Least share of persistent pixels within a window."""
 AROUND_PX = 61
-"""Window of the motion of the surroundings, at FLOW_WIDTH_PX; CORRUPTED_PX about a persistent edge do not count."""
+"""Window of the motion of the surroundings, at FLOW_SIDE_PX; CORRUPTED_PX about a persistent edge do not count."""
 CORRUPTED_PX = 9
 PIXELS = 40
 """Least number of certain edge pixels of a logo: those of text 5 px high."""
@@ -86,7 +86,7 @@ class Watch:
         grey = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)
         self.brightest.see(grey)
         self.shape = grey.shape
-        grey = reduce(grey, reduced_size(grey.shape[1], grey.shape[0], WIDTH_PX))
+        grey = reduce(grey, reduced_size(grey.shape[1], grey.shape[0], SIDE_PX))
         small = _small(grey)
         if self.before is not None:
             motion_px = float(np.median(np.linalg.norm(_flow(self.before, small), axis=-1)))
@@ -163,7 +163,7 @@ def wander_px(frames: np.ndarray, pixels: np.ndarray) -> tuple[float, float]:
     values, middle = frames[:, v, u].astype(np.float64), np.median(frames, axis=0)
     changes = values - middle[v, u]
     changes -= changes.mean(axis=1, keepdims=True)  # of exposure
-    at = np.stack([np.ones(len(u)), (u - u.mean()) / WIDTH_PX, (v - v.mean()) / WIDTH_PX], axis=-1)
+    at = np.stack([np.ones(len(u)), (u - u.mean()) / SIDE_PX, (v - v.mean()) / SIDE_PX], axis=-1)
     slope = gradients(middle)[v, u].astype(np.float64)
     motions = np.linalg.lstsq((slope[:, :, None] * at[:, None, :]).reshape(len(u), 6), changes.T, rcond=None)[0]
     shifts = np.einsum("nb,cbk->knc", at, motions.reshape(2, 3, len(frames)))
@@ -235,7 +235,7 @@ def _widened(pixels: np.ndarray, size_px: int) -> np.ndarray:
 
 
 def _small(grey: np.ndarray) -> np.ndarray:
-    return reduce(grey, reduced_size(grey.shape[1], grey.shape[0], FLOW_WIDTH_PX))
+    return reduce(grey, reduced_size(grey.shape[1], grey.shape[0], FLOW_SIDE_PX))
 
 
 def _flow(before: np.ndarray, after: np.ndarray) -> np.ndarray:

@@ -70,4 +70,5 @@ def largest_pinhole(coefficients: np.ndarray, frames: Sequence) -> Pinhole:
 
 def reduced(pinhole: Pinhole, scale: float) -> tuple[int, int]:
     """Size (w, h) of the flow grid of the image, whose pixels are about those of a grid of this scale."""
-    return reduced_size(pinhole.width, pinhole.height, max(1, round(pinhole.width * scale)))
+    long_side = max(pinhole.width, pinhole.height)
+    return reduced_size(pinhole.width, pinhole.height, max(1, round(long_side * scale)))

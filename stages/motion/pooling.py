@@ -5,15 +5,15 @@ import numpy as np
 
 from stages.motion.epipolar import Evidence
 from stages.shared.flow_pairs import FlowPairs
+from stages.shared.images import relative_size
 from stages.shared.threads import threaded
 from stages.shared.warp import warp
 
 POOLED_OFFSETS = (1, 2)
 PRIOR_WEIGHT = 0.3
 """Weight of the prior that a pixel is static (residual 0): a pixel without evidence counts as static."""
-REFERENCE_WIDTH = 512
 SMOOTHNESS = 100.0
-"""Weight of edge-aware smoothing for frames of REFERENCE_WIDTH: evidence spreads over some ten pixels."""
+"""Weight of edge-aware smoothing for frames of REFERENCE_PX: evidence spreads over some ten pixels."""
 COLOUR_SIGMA = 4.0
 """Colour step (0..255) that stops the smoothing."""
 
@@ -53,8 +53,8 @@ def spread(residual: np.ndarray, weight: np.ndarray, rgb: np.ndarray) -> np.ndar
     """Weighted residual and weight of a frame, [2, h, w], both smoothed up to its colour edges.
 
     Their ratio is a normalised convolution (Knutsson and Westin, CVPR 1993) by the fast global smoother (Min et al.,
-    TIP 2014), whose reach in pixels grows with the root of its weight: hence the squared width.
+    TIP 2014), whose reach in pixels grows with the root of its weight: hence the squared size.
     """
-    smoothness = SMOOTHNESS * (rgb.shape[1] / REFERENCE_WIDTH) ** 2
+    smoothness = SMOOTHNESS * relative_size(rgb) ** 2
     smoother = cv2.ximgproc.createFastGlobalSmootherFilter(rgb, smoothness, COLOUR_SIGMA)
     return np.stack([smoother.filter(image.astype(np.float32)) for image in (residual * weight, weight)])

@@ -3,8 +3,6 @@
 import cv2
 import numpy as np
 
-from stages.segment.refinement import REFERENCE_WIDTH
-
 
 def weigh(values: np.ndarray, weight: np.ndarray) -> np.ndarray:
     """Values [h, w, c] times their weight [h, w], and behind them the weight: [h, w, c + 1]."""
@@ -22,8 +20,3 @@ def extend(weighted: np.ndarray, sigma_px: float) -> tuple[np.ndarray, np.ndarra
     blurred = cv2.GaussianBlur(coarse, (0, 0), sigma_px / step, borderType=cv2.BORDER_CONSTANT)
     blurred = cv2.resize(blurred, (w, h), interpolation=cv2.INTER_LINEAR)
     return blurred[..., :-1] / np.maximum(blurred[..., -1:], 1e-6), blurred[..., -1]
-
-
-def on_grid(px: float, image: np.ndarray) -> float:
-    """Pixels of frames of REFERENCE_WIDTH as pixels of an image [h, w]."""
-    return px * image.shape[1] / REFERENCE_WIDTH

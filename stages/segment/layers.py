@@ -14,12 +14,13 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from stages.segment.extension import extend, on_grid, weigh
+from stages.segment.extension import extend, weigh
 from stages.segment.permanence import DYNAMIC
 from stages.segment.static_world import StaticWorld
 from stages.segment.superpixels import Superpixels
 from stages.segment.uncovered import DISTANCES, seen_again
 from stages.shared.flow_pairs import FlowPairs
+from stages.shared.images import relative_size
 from stages.shared.masks import within
 from stages.shared.picture_difference import EVERY_PX, difference, exposed, noise_of, tolerance
 from stages.shared.static_flow import dense_static_flow
@@ -29,12 +30,12 @@ from stages.shared.warp import is_inside, warp
 REACH = 5
 """Largest distance in frames between compared pictures: farther ones show other sides of a mover."""
 MOTION_PX = 4.0, 10.0, 22.0
-"""Standard deviations, in frames of REFERENCE_WIDTH, over which the flow of a mover is averaged and extended: near its
+"""Standard deviations, in frames of REFERENCE_PX, over which the flow of a mover is averaged and extended: near its
 parts move apart, far its whole moves on."""
 DEPTH_PX = 6.0, 19.0
 """The same for the depth of what is behind it."""
 AROUND_PX = 24.0
-"""Width of the square, in frames of REFERENCE_WIDTH, whose nearest and farthest depth a static pixel may have too."""
+"""Width of the square, in frames of REFERENCE_PX, whose nearest and farthest depth a static pixel may have too."""
 MEDIAN_PX, PATCH_PX = 5, 3
 UNSURE_FLOW = 0.02
 """Weight of the flow of a mover where it has no confidence."""
@@ -189,7 +190,7 @@ def _compared(
     static, moved = np.take_along_axis(both, side[None, None], axis=0)[0] / allowed
     known = np.isfinite(static) & np.isfinite(moved)
     static, moved = np.where(known, static, 0), np.where(known, moved, 0)
-    around = extend(weigh(mover[..., None], mover), on_grid(MOTION_PX[-1], sure))[1]
+    around = extend(weigh(mover[..., None], mover), MOTION_PX[-1] * relative_size(sure))[1]
     return np.stack([static, moved, around, known])
 
 
@@ -217,7 +218,7 @@ def _residuals(
         weight = mover * (pairs.confidence[e].astype(np.float32) + UNSURE_FLOW)
         ways = [dense_static_flow(A, b, depth) for depth in depths]
         weighted = weigh(flow, weight)
-        extended = [extend(weighted, on_grid(px, mover)) for px in MOTION_PX]
+        extended = [extend(weighted, px * relative_size(mover)) for px in MOTION_PX]
         ways += [motion for motion, _ in extended]
         known = [True] * len(depths) + [share > LEAST_SHARE for _, share in extended]
         expected = exposed(frames[i], warp(frames[j], flow, EVERY_PX))
@@ -239,9 +240,9 @@ def _static_depths(world: StaticWorld, k: int, static: np.ndarray) -> list[np.nd
     """
     inverse_depth, (fitted, fits) = world.inverse_depth(k), world.as_static(k)
     own = cv2.medianBlur(inverse_depth, MEDIAN_PX)
-    square = np.ones((round(on_grid(AROUND_PX, own)),) * 2, np.uint8)
+    square = np.ones((round(AROUND_PX * relative_size(own)),) * 2, np.uint8)
     weighted = weigh(inverse_depth[..., None], static)
-    behind = [extend(weighted, on_grid(px, own)) for px in DEPTH_PX]
+    behind = [extend(weighted, px * relative_size(own)) for px in DEPTH_PX]
     known = [np.where(share > LEAST_SHARE, depth[..., 0], own) for depth, share in behind]
     around = [cv2.erode(own, square), cv2.dilate(own, square), *known]
     return [np.where(fits, cv2.medianBlur(fitted, MEDIAN_PX), own), *around]

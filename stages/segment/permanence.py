@@ -19,8 +19,8 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import cg
 
-from stages.segment.refinement import REFERENCE_WIDTH
 from stages.segment.superpixels import Superpixels, borders, matches
+from stages.shared.images import relative_size
 from stages.shared.log import logger
 
 DYNAMIC = 0.5
@@ -35,7 +35,7 @@ By masks of every other frame that of three scenes rises from 0.88, 0.56 and 0.6
 HALF_WEIGHT = 1.0
 """Summed weight of the flow at which evidence counts half."""
 BORDER_WEIGHT = 2.4
-"""Of a pixel of shared border in frames of REFERENCE_WIDTH; a pixel of evidence weighs 1."""
+"""Of a pixel of shared border in frames of REFERENCE_PX; a pixel of evidence weighs 1."""
 MATCH_COLOUR, BORDER_COLOUR = 20.0, 8.0
 """Standard deviation of colour differences (CIELAB, 0..255) along the flow and across borders."""
 WINDOW, OVERLAP = 100, 25
@@ -69,10 +69,10 @@ def link_weights(
 ) -> sparse.csr_matrix:
     """W [N, N] of the superpixels of the frames from `start` on; `permanence` weighs links along the flow.
 
-    With the width of the frames, areas grow with its square and borders with itself: hence the factor.
+    With the size of the frames, areas grow with its square and borders with itself: hence the factor.
     """
     along = permanence * _alike(matches(pixels, pairs, start), pixels.colours, MATCH_COLOUR)
-    border = BORDER_WEIGHT * pixels.labels.shape[2] / REFERENCE_WIDTH
+    border = BORDER_WEIGHT * relative_size(pixels.labels[0])
     return along + border * _alike(borders(pixels), pixels.colours, BORDER_COLOUR)
 
 

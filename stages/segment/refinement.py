@@ -3,9 +3,8 @@
 import cv2
 import numpy as np
 
-from stages.shared.images import enlarge
+from stages.shared.images import enlarge, relative_size
 
-REFERENCE_WIDTH = 512
 SHOWN_WEIGHT = 0.8
 """Weight of what pictures show of a pixel, relative to that of its sureness: what is surest is not lost by it alone."""
 
@@ -17,7 +16,7 @@ def smooth_along_edges(
 
     Weighted least squares: min_u sum (u - p)^2 + smoothness * sum exp(-|colour step| / colour_sigma) |grad u|^2, by the
     fast global smoother (Min et al., TIP 2014). The reach in pixels grows with the root of the weight, hence the
-    scaling by the squared frame width.
+    scaling by the squared size of the frame.
 
     Args:
         shown: [h, w] in -1..1, what pictures show of each pixel: with a weight of SHOWN_WEIGHT |shown| it is averaged
@@ -25,7 +24,7 @@ def smooth_along_edges(
             Westin, CVPR 1993).
     """
     H, W = rgb.shape[:2]
-    weight = smoothness * (W / REFERENCE_WIDTH) ** 2
+    weight = smoothness * relative_size(rgb) ** 2
     smoother = cv2.ximgproc.createFastGlobalSmootherFilter(rgb, weight, colour_sigma)
     full = enlarge(image.astype(np.float32), (W, H))
     if shown is None or not shown.any():

@@ -7,13 +7,13 @@ import cv2
 import numpy as np
 from scipy import sparse
 
-from stages.segment.refinement import REFERENCE_WIDTH
 from stages.shared.artifacts import Dense
+from stages.shared.images import relative_size
 from stages.shared.log import progress
 from stages.shared.threads import threaded
 
 SIZE_PX = 8.0
-"""Size of a superpixel, each way, in frames of REFERENCE_WIDTH: small against movers, large against noise."""
+"""Size of a superpixel, each way, in frames of REFERENCE_PX: small against movers, large against noise."""
 MIN_SIZE_PX = 4
 RULER = 15.0
 ITERATIONS = 5
@@ -79,7 +79,7 @@ def superpixels(T: int, picture: Callable[[int], np.ndarray]) -> Superpixels:
 def _of_frame(rgb: np.ndarray) -> tuple[np.ndarray, int, np.ndarray]:
     """Labels [h, w], their number n, and mean colours [n, 3] of a frame."""
     lab = cv2.cvtColor(rgb, cv2.COLOR_RGB2LAB)
-    size_px = max(MIN_SIZE_PX, round(SIZE_PX * rgb.shape[1] / REFERENCE_WIDTH))
+    size_px = max(MIN_SIZE_PX, round(SIZE_PX * relative_size(rgb)))
     if min(lab.shape[:2]) < size_px:  # OpenCV crashes on less than half of one
         return np.zeros(lab.shape[:2], np.uint16), 1, lab.reshape(1, -1, 3).mean(axis=1)
     slic = cv2.ximgproc.createSuperpixelSLIC(lab, cv2.ximgproc.SLIC, size_px, RULER)

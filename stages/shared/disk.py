@@ -65,7 +65,7 @@ def told(needed_mb: float, outputs: Sequence[str | Path]) -> str:
     removed_mb = sum(path.stat().st_size for path in map(Path, outputs) if path.is_file()) / 1e6
     taken, free = (f"{mb / 1000:.1f} GB" if mb >= 1000 else f"{mb:.0f} MB" for mb in (needed_mb, free_mb))
     if needed_mb > free_mb + removed_mb:
-        advice = "free some, run elsewhere by --directory, or use fewer or smaller frames (max_frames, max_width)"
+        advice = "free some, run elsewhere by --directory, or use fewer or smaller frames (max_frames, max_side)"
         raise InputError(folder.resolve(), f"room for the {taken} that this run writes", f"{free} free", advice)
     return f"This run writes about {taken}; {free} are free."
 

@@ -16,6 +16,8 @@ cv2.setNumThreads(int(os.environ["OMP_NUM_THREADS"]))
 START_OF_JPEG = b"\xff\xd8"
 DISPLAY_GAMMA = 2.2
 """Power that stands for the curve of the display where fog is fitted and drawn, which must agree."""
+REFERENCE_PX = 512
+"""Longer side of frames for which lengths in pixels are stated."""
 
 
 def read_rgb(path: Path) -> np.ndarray:
@@ -44,9 +46,16 @@ def read_reduced(paths: Sequence[Path], size: tuple[int, int]) -> np.ndarray:
     return np.stack(threaded(lambda path: reduce(read_rgb(path), size), paths))
 
 
-def reduced_size(width: int, height: int, max_width: int) -> tuple[int, int]:
-    """Size (w, h) of a frame reduced to at most `max_width`, without a last row that it fills only in part."""
-    w = min(width, max_width)
+def relative_size(image: np.ndarray) -> float:
+    """Longer side of an image [h, w, ...] over that of frames for which lengths in pixels are stated."""
+    return max(image.shape[:2]) / REFERENCE_PX
+
+
+def reduced_size(width: int, height: int, max_side: int) -> tuple[int, int]:
+    """Size (w, h) of a frame whose longer side is reduced to at most `max_side`, without a last row that it fills only
+    in part.
+    """
+    w = min(width, max(1, width * max_side // max(width, height)))
     return w, max(1, height * w // width)
 
 

@@ -45,7 +45,7 @@ def main(
         shot = cut_out(shot, options.first, options.last)
     for warning in index.warnings:
         logger.info("%s: %s", video, warning)  # `inspect` warns of them
-    _write_frames(video, shot, index.bars_px, options.max_width, output)
+    _write_frames(video, shot, index.bars_px, options.max_side, output)
     write_json(
         findings,
         {
@@ -61,7 +61,7 @@ def main(
     return f"{len(set(shot.pts))} frames of {size}, {first_s:.2f} to {last_s:.2f} s"
 
 
-def _write_frames(video: Path, shot: "Shot", bars_px: tuple[int, int], max_width: int, output: Path) -> None:
+def _write_frames(video: Path, shot: "Shot", bars_px: tuple[int, int], max_side: int, output: Path) -> None:
     """Write the frames of a shot, cut to the picture inside of its bars, into the folder `output`, all or none."""
     from stages.shared.atomic import atomic_folder
     from stages.shared.errors import InputError
@@ -75,7 +75,7 @@ def _write_frames(video: Path, shot: "Shot", bars_px: tuple[int, int], max_width
         used = (frame for frame in frames if frame.pts in wanted)
         for number, frame in enumerate(progress(used, output.name, len(wanted)), start=1):
             path = folder / f"frame_{shot.first + number - 1:04d}.png"
-            write_image(path, decode.upright(frame, header, bars_px, max_width))
+            write_image(path, decode.upright(frame, header, bars_px, max_side))
         if number != len(wanted):
             advice = "the file has changed since it was indexed: run again"
             raise InputError(video, f"{len(wanted)} frames", f"{number}", advice)

@@ -137,8 +137,8 @@ def end_option(last_s: float) -> str:
     return f"`video: {{end: {math.floor(1000 * last_s + 1e-6) / 1000:.3f}}}`"
 
 
-def upright(frame: Frame, header: Header, bars_px: tuple[int, int], max_width: int) -> np.ndarray:
-    """A frame [H, W, 3] uint8 RGB with square pixels, as a player shows it, at most `max_width` px wide.
+def upright(frame: Frame, header: Header, bars_px: tuple[int, int], max_side: int) -> np.ndarray:
+    """A frame [H, W, 3] uint8 RGB with square pixels, as a player shows it, its longer side at most `max_side` px.
 
     10-bit values are rounded. Colours of HDR videos stay as they are coded.
 
@@ -150,16 +150,16 @@ def upright(frame: Frame, header: Header, bars_px: tuple[int, int], max_width: i
     size = _square(pixels.shape[1], pixels.shape[0], header.aspect)
     pixels = pixels if size == pixels.shape[1::-1] else cv2.resize(pixels, size, interpolation=cv2.INTER_CUBIC)
     shown = np.ascontiguousarray(as_shown(pixels, display_matrix(frame.image)))
-    return reduce(shown, reduced_size(shown.shape[1], shown.shape[0], max_width))
+    return reduce(shown, reduced_size(shown.shape[1], shown.shape[0], max_side))
 
 
-def upright_size(frame: Frame, header: Header, bars_px: tuple[int, int], max_width: int) -> tuple[int, int]:
+def upright_size(frame: Frame, header: Header, bars_px: tuple[int, int], max_side: int) -> tuple[int, int]:
     """Width and height of the `upright` frame, px."""
     x, y = bars_px
     width, height = _square(frame.image.width - 2 * x, frame.image.height - 2 * y, header.aspect)
     if swaps_sides(display_matrix(frame.image)):
         width, height = height, width
-    return reduced_size(width, height, max_width)
+    return reduced_size(width, height, max_side)
 
 
 def grey(frame: Frame) -> np.ndarray:

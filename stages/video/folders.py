@@ -12,7 +12,7 @@ from stages.shared.images import reduce, reduced_size
 from stages.shared.log import progress
 from stages.shared.sequences import Sequence, frames_digest
 from stages.shared.threads import threaded
-from stages.video.shots import CUT_WIDTH_PX, Look, find_shots
+from stages.video.shots import CUT_SIDE_PX, Look, find_shots
 
 AT_ONCE = 64
 """So many frames are read between two steps of the progress bar."""
@@ -53,6 +53,6 @@ def find_ranges(images: list[np.ndarray], numbers: list[int]) -> list[tuple[int,
 
 
 def _look(path: Path) -> np.ndarray | None:
-    """The brightness of a frame [h, w] uint8, CUT_WIDTH_PX wide; None if it cannot be read."""
+    """The brightness of a frame [h, w] uint8, its longer side CUT_SIDE_PX; None if it cannot be read."""
     image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
-    return None if image is None else reduce(image, reduced_size(image.shape[1], image.shape[0], CUT_WIDTH_PX))
+    return None if image is None else reduce(image, reduced_size(image.shape[1], image.shape[0], CUT_SIDE_PX))

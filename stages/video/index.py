@@ -26,7 +26,7 @@ from stages.video import decode, findings
 from stages.video.options import VideoOptions
 from stages.video.shots import Found, Look, Shot, find_shots
 
-LOOK_WIDTH_PX = 512
+LOOK_SIDE_PX = 512
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ def make_index(video: Path, options: VideoOptions, cuts: bool = True) -> Index:
             coded = decode.grey(frame)
             brightest.see(coded)
             yield Look(
-                frame.pts, frame.time_s, reduce(coded, reduced_size(coded.shape[1], coded.shape[0], LOOK_WIDTH_PX))
+                frame.pts, frame.time_s, reduce(coded, reduced_size(coded.shape[1], coded.shape[0], LOOK_SIDE_PX))
             )
 
     expected = _expected_frames(header, options)
@@ -101,7 +101,7 @@ def make_index(video: Path, options: VideoOptions, cuts: bool = True) -> Index:
     found = find_shots(progress(looks(), f"reading {video.name}", expected), options.every, limit, cuts)
     _refuse_incomplete(video, header, options, found)
     bars_px = brightest.bars_px()
-    width, height = decode.upright_size(first[0], header, bars_px, options.max_width)
+    width, height = decode.upright_size(first[0], header, bars_px, options.max_side)
     refuse_strip(video, width, height)
     return Index(
         shots=_named(video.stem, found.shots),

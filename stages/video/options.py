@@ -16,7 +16,7 @@ class VideoOptions(Options):
         None, description="time in the video at which to stop, s; its end if not given"
     )
     every: int = Field(1, ge=1, description="one frame in this many is used")
-    max_width: int = Field(1024, ge=64, description="wider frames are reduced to this width, px")
+    max_side: int = Field(1024, ge=64, description="larger frames are reduced to this longer side, px")
     max_frames: Literal["all"] | Annotated[int, Field(ge=MIN_FRAMES)] = Field(
         200, description="largest number of frames to use of a video, from `start` on; or all"
     )

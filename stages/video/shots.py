@@ -10,14 +10,14 @@ from stages.shared.dataset_folders import MIN_FRAMES
 from stages.shared.images import reduce, reduced_size
 from stages.video.likeness import continues, continues_coarsely, repeats, shows_nothing
 
-CUT_WIDTH_PX = 128
+CUT_SIDE_PX = 128
 FOREIGN = 5
 """Up to so many frames between frames that continue each other are no shot: flashes, broken frames, a mover that fills
 the view."""
 
 
 class Look(NamedTuple):
-    """A frame in brightness, [h, w] uint8 and at most 512 px wide, and its time stamp in the file."""
+    """A frame in brightness, [h, w] uint8 its longer side at most 512 px, and its time stamp in the file."""
 
     pts: int
     time_s: float
@@ -80,7 +80,7 @@ class Cutter:
     def part_of(self, look: Look) -> Shot:
         """The part to which the next frame belongs; a new one after a cut."""
         grey = look.grey
-        small = reduce(grey, reduced_size(grey.shape[1], grey.shape[0], CUT_WIDTH_PX))
+        small = reduce(grey, reduced_size(grey.shape[1], grey.shape[0], CUT_SIDE_PX))
         before, self._before = self._before, small
         blank = shows_nothing(small)
         if not blank and self._returns(small):

@@ -45,7 +45,7 @@ def held(setting, name):
     extra = given_inputs.added_edges(config, sequence)
     window = most_edges(min(frames, WINDOW), *per_frame) + extra
     extra += most_loops(frames) if config.flow.loops == "auto" else 0
-    grid = math.prod(reduced_size(*size, config.flow.max_width_px))
+    grid = math.prod(reduced_size(*size, config.flow.max_side_px))
     return Held(
         edges=(most_edges(frames, *per_frame) + extra) * grid,
         frames=frames * math.prod(size),
