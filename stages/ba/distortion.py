@@ -34,6 +34,10 @@ TRIED = 0.05
 """Shift of a corner, inwards or outwards, from which cameras are searched anew."""
 START_FOCAL = 1.05
 """Focal length of the search in longer sides of the image; another one is found by the adjustment."""
+LONG_FOCAL = 2.0
+"""From this focal length on, in longer sides of the image, no distortion is taken without being asked for. Cameras that
+follow movers seem to have a lens several times too long, and what bends their paths looks like one; real lenses of 28
+degrees and less hardly distort."""
 ZOOM_GAIN = 0.04
 """From this gain of a focal length per frame on, the lens is judged among cameras that zoom."""
 FINE_PX = (1.0, 0.5)
@@ -96,6 +100,8 @@ def find_lens(graph: FlowGraph, prior: FocalPrior, seed: int, assumed: bool = Fa
     evidence, best, straight = _weigh(observed, len(coarse.pixels) / len(graph.pixels), assumed)
     if assumed and evidence.decision != "not observable":
         evidence = replace(evidence, decision="distorted", reason=f"as the options say; {evidence.reason}")
+    elif evidence.decision == "distorted":
+        evidence = _unless_long(evidence, best.state.focal_px / graph.long_side_px)
     coefficients = None
     if evidence.decision == "distorted":
         two = replace(straight, lens=2)
@@ -105,6 +111,14 @@ def find_lens(graph: FlowGraph, prior: FocalPrior, seed: int, assumed: bool = Fa
         free = two if saved >= max(MIN_GAIN, SIGNIFICANT * sigma) else replace(two, lens=1)
         coefficients = _refine(graph, richer.state if free is two else best.state, free, prior).lens
     return Lens(coefficients, replace(evidence, seconds=time.process_time() - began))
+
+
+def _unless_long(evidence: Evidence, sides: float) -> Evidence:
+    """Evidence for a distortion, unless its cameras have a focal length, in longer sides, beyond LONG_FOCAL."""
+    if sides <= LONG_FOCAL:
+        return evidence
+    reason = f"{evidence.reason}, but the focal length is {sides:.1f} longer sides, as of cameras that follow movers"
+    return replace(evidence, decision="not observable", reason=reason)
 
 
 def undistorted_graph(graph: FlowGraph, lens: np.ndarray) -> FlowGraph:
