@@ -69,7 +69,7 @@ def mask_sheet(images: list[np.ndarray], instances: list[np.ndarray], truths: li
 
 
 def comparison_sheet(pairs: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
-    """One row per pair (truth, render), both [H, W, 3] uint8: truth, render, absolute difference times 4."""
+    """Truth, render and absolute difference times 4 of pairs (truth, render), both [H, W, 3] uint8, side by side."""
     cells = []
     for truth, render in pairs:
         if truth.shape != render.shape:
@@ -80,7 +80,7 @@ def comparison_sheet(pairs: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
 
 
 def depth_sheet(inverse_depths: np.ndarray, true_depths: list[np.ndarray | None]) -> np.ndarray:
-    """One row per frame: our inverse depth [n, h, w] and, if known, the true one [H, W] in the same colours."""
+    """Our inverse depth [n, h, w] of frames and, if known, the true one [H, W] in the same colours, side by side."""
     low, high = np.percentile(inverse_depths, [2, 98])
     cells = []
     for ours, truth in zip(inverse_depths, true_depths, strict=True):
