@@ -21,6 +21,15 @@ def test_rotation_in_the_metadata_is_carried_out(tmp_path: Path, turn_deg: int) 
     assert (index.width, index.height) == upright[0].shape[1::-1]
 
 
+def test_a_video_held_upright_is_reduced_by_its_height(tmp_path: Path) -> None:
+    """It has as many pixels then as one held across, and both have square ones."""
+    images = moving(4)
+    across = indexed(encode(tmp_path / "across.mp4", images), max_side=64)
+    upright = indexed(encode(tmp_path / "upright.mp4", images, rotation_deg=90), max_side=64)
+    assert (across.width, across.height) == (64, 42)
+    assert (upright.width, upright.height) == (42, 63)
+
+
 def with_matrix(video: Path, *matrix: float) -> Path:
     """The MP4 file with this display matrix a, b, c, d.
 
