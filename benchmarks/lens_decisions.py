@@ -3,7 +3,8 @@
     python -m benchmarks.lens_decisions results/simulated/demo results/simulated/orbit_two
 
 A lens about the principal point moves every pixel by a known amount, so the flow of a pinhole becomes that of the same
-scene behind a lens, with the errors that real flow has. Coefficients are those at a focal length of 1.05 image widths.
+scene behind a lens, with the errors that real flow has. Coefficients are those at a focal length of 1.05 longer sides
+of the image.
 Prints a line per scene and lens, and the table of decisions.
 """
 
@@ -34,7 +35,7 @@ def bent(columns: dict[str, np.ndarray], k1: float, border_px: float) -> FlowGra
     graph = build_graph(source, target, columns["flow"], columns["confidence"], T, STRIDE_PX, border_px=border_px)
     if not k1:
         return graph
-    k, focal_px, centre = np.array([k1, 0.0]), FOCAL * graph.width, graph.centre
+    k, focal_px, centre = np.array([k1, 0.0]), FOCAL * graph.long_side_px, graph.centre
     before = centre + focal_px * undistort((graph.pixels - centre) / focal_px, k)
     shown = ((before >= 0) & (before <= [graph.width - 1, graph.height - 1])).all(axis=-1)
     matches, weights = graph.matches.copy(), graph.weights.copy()
@@ -52,10 +53,10 @@ def main(folders: list[Path]) -> None:
         columns, about = read_dense(folder / "flow/pairs.arrow"), read_metadata(folder / "flow/pairs.arrow")
         for strength in STRENGTHS:
             graph = bent(columns, strength, about.get("border_px", 0))
-            found = find_lens(graph, FocalPrior(PRIOR_FOCAL * graph.width), 0)
+            found = find_lens(graph, FocalPrior(PRIOR_FOCAL * graph.long_side_px), 0)
             words = f"{found.evidence.reason}, {found.evidence.seconds:.1f} s"
             if found.coefficients is not None:
-                k = found.coefficients * (FOCAL * graph.width / graph.corner_px) ** np.array([2, 4])
+                k = found.coefficients * (FOCAL * graph.long_side_px / graph.corner_px) ** np.array([2, 4])
                 words += f", k1 {k[0]:+.3f}, k2 {k[1]:+.3f}"
             table[strength][found.evidence.decision] += 1
             print(f"{folder.name}, k1 {strength:+g}: {found.evidence.decision}, {words}", flush=True)

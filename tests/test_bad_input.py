@@ -155,10 +155,12 @@ def test_too_few_frames(tmp_path: Path, count: int) -> None:
     refuse(tmp_path, "dataset: data", "clip", "at least 3 frames", f"found {count}")
 
 
-def test_a_strip_is_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("w", "h"), [(328, 40), (40, 328)])
+def test_a_strip_is_refused(tmp_path: Path, w: int, h: int) -> None:
     for path in write_frames(tmp_path / "data" / "clip").iterdir():
-        cv2.imwrite(str(path), np.full((40, 328, 3), 99, np.uint8))
-    refuse(tmp_path, "dataset: data", "at most 8 times as wide as high", "328 x 40", "crop their sides")
+        cv2.imwrite(str(path), np.full((h, w, 3), 99, np.uint8))
+    expected = "longer side is at most 8 times the shorter one"
+    refuse(tmp_path, "dataset: data", expected, f"{w} x {h}", "crop their longer side")
 
 
 def test_no_frames(tmp_path: Path) -> None:

@@ -158,7 +158,7 @@ def test_confident_flow_is_right_to_a_pixel(rendered: Path, name: str) -> None:
 
 
 def test_script_writes_edges_on_the_reduced_grid(tmp_path: Path) -> None:
-    """Wider frames are matched at --max-width-px; the metadata tells the scale."""
+    """Wider frames are matched at --max-side-px; the metadata tells the scale."""
     folder = write_frames(tmp_path / "clip", count=3, size=(60, 160))
     write_json(tmp_path / "sequence.json", sequence_to_json(check_sequence("clip", folder)))
     options = FlowOptions(offsets=(1,), max_side_px=80)

@@ -12,11 +12,11 @@ from stages.evaluate.score_lens import lens_rows
 from stages.lens.__main__ import _share, main
 from stages.lens.carry import carried_grid, carried_sequence, carry_flow, carry_images
 from stages.lens.options import LensOptions
-from stages.lens.pinhole import Pinhole, largest_pinhole
+from stages.lens.pinhole import Pinhole, largest_pinhole, reduced
 from stages.shared import sintel
 from stages.shared.artifacts import Dense, read_dense, read_json, read_metadata, write_dense, write_json
 from stages.shared.cameras import make_cameras, pixel_grid
-from stages.shared.images import read_mask, read_rgb, write_image
+from stages.shared.images import read_mask, read_rgb, reduced_size, write_image
 from stages.shared.masks import read_burnt_in
 from stages.shared.sequences import Sequence, read_sequence, sequence_to_json
 
@@ -154,6 +154,12 @@ def test_no_pixel_of_the_new_image_lies_outside_of_the_old_one_and_the_maps_are_
         assert shown.min() >= -0.5
         assert (shown.max(axis=(0, 1)) <= [319.5, 136.5]).all()
         assert_allclose(pinhole.from_original(shown), pixel_grid(pinhole.height, pinhole.width), atol=1e-6)
+
+
+@pytest.mark.parametrize("size", [(158, 399), (399, 158), (101, 255)])
+def test_a_whole_image_keeps_the_grid_of_its_flow(size: tuple[int, int]) -> None:
+    grid = reduced_size(*size, 256)
+    assert reduced(Pinhole(np.zeros(2), size, 0, 0), grid[0] / size[0]) == grid
 
 
 def test_matches_that_leave_the_new_image_are_not_confident() -> None:

@@ -11,7 +11,7 @@ from stages.shared.memory import KEPT_FLOW_MB, WINDOW, Held, megabytes
 from stages.shared.rows import OFTEN_READ_BYTES
 
 OFFSETS = {512: ((1, 2, 3, 5), 2), 320: ((1, 2, 4), 1), 256: ((1, 2, 3), 0)}
-"""Offsets and long edges of the measured runs, by the width of their flow."""
+"""Offsets and long edges of the measured runs, by the longer side of their flow."""
 LONG_WALK = {"flow": 609, "motion": 1603, "segment": 1061, "scene": 1610, "control": 1047, "gaussians": 3004}
 LONG_WALK |= {"render": 673, "viewer": 647, "evaluate": 638}
 MEASURED = [
@@ -32,13 +32,13 @@ MEASURED = [
     *[("colmap", 24, (854, 480), 512, 424), ("inspect", 300, (1920, 1080), 512, 144)],
     *[("video", 90, (1920, 1080), 512, 219), ("video", 40, (3840, 2160), 512, 395)],
 ]
-"""Stage, frames, their size, width of the flow, and the peak of the job in MiB."""
+"""Stage, frames, their size, longer side of the flow, and the peak of the job in MiB."""
 
 
-@pytest.mark.parametrize(("stage", "T", "size", "width", "peak_mib"), MEASURED)
-def test_jobs_ask_for_what_they_use(stage: str, T: int, size: tuple[int, int], width: int, peak_mib: int) -> None:
-    grid = math.prod(reduced_size(*size, width))
-    edges, window = (most_edges(n, *OFFSETS[width]) * grid for n in (T, min(T, WINDOW)))
+@pytest.mark.parametrize(("stage", "T", "size", "side", "peak_mib"), MEASURED)
+def test_jobs_ask_for_what_they_use(stage: str, T: int, size: tuple[int, int], side: int, peak_mib: int) -> None:
+    grid = math.prod(reduced_size(*size, side))
+    edges, window = (most_edges(n, *OFFSETS[side]) * grid for n in (T, min(T, WINDOW)))
     asked = megabytes(stage, Held(edges, T * math.prod(size), math.prod(size), T * grid, window))
     assert 1.0 <= asked / (peak_mib * 1.048576) <= 1.3
 

@@ -1,5 +1,6 @@
 """What comparisons leave out: sizes that a clip does not have, each named; and those that have nothing left."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -41,6 +42,13 @@ def test_sides_beyond_that_of_the_frames_are_left_out() -> None:
     values, told = measured({"pixels": {"flow.max_side_px": [128, 256, 384]}})
     assert values == [128, 256, 512]
     assert told == ["scaling: clip is of 320 x 240 px: flow.max_side_px 384 would measure the same again; left out"]
+
+
+def test_of_upright_frames_the_height_counts() -> None:
+    raw = {"scaling": {"axes": {"pixels": {"flow.max_side_px": [128, 256, 384]}}}}
+    upright = replace(CLIP, width=240, height=320)
+    kept, _ = sizes.distinct(settings.configured(raw), settings.compared(raw)[1], upright)
+    assert [setting.value for setting in kept] == [128, 256, 512]
 
 
 def test_what_fits_is_measured_without_a_word() -> None:

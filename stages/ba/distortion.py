@@ -35,7 +35,7 @@ TRIED = 0.05
 START_FOCAL = 1.05
 """Focal length of the search in longer sides of the image; another one is found by the adjustment."""
 LONG_FOCAL = 2.0
-"""From this focal length on, in longer sides of the image, no distortion is taken without being asked for. Cameras that
+"""Beyond this focal length, in longer sides of the image, no distortion is taken without being asked for. Cameras that
 follow movers seem to have a lens several times too long, and what bends their paths looks like one; real lenses of 28
 degrees and less hardly distort."""
 ZOOM_GAIN = 0.04
@@ -117,7 +117,7 @@ def _unless_long(evidence: Evidence, sides: float) -> Evidence:
     """Evidence for a distortion, unless its cameras have a focal length, in longer sides, beyond LONG_FOCAL."""
     if sides <= LONG_FOCAL:
         return evidence
-    reason = f"{evidence.reason}, but the focal length is {sides:.1f} longer sides, as of cameras that follow movers"
+    reason = f"{evidence.reason}, but the focal length is {sides:.1f} longer sides, as cameras have that follow movers"
     return replace(evidence, decision="not observable", reason=reason)
 
 

@@ -90,7 +90,7 @@ def _from_matches(observed: Observed, graph: FlowGraph) -> dict[str, tuple[np.nd
     steps = sorted({1, longest_step(graph)})
     planes = planar.homographies(graph) if observed.statistics.dominant_plane else None
     for focal_px in observed.focals_px:
-        at = f"at {focal_px / graph.long_side_px:.2f} long sides"
+        at = f"at {focal_px / graph.long_side_px:.2f} longer sides"
         for step in steps:
             hypothesis = Hypothesis(focal_px, min(threshold_px / 2, MAX_PAIR_PX), step, curve)
             poses = initialise.chain(graph, hypothesis, observed.seed)

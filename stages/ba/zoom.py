@@ -130,7 +130,7 @@ def of_turning(graph: FlowGraph, state: State, noise_px: float) -> Evidence:
     rotations = state.cam_from_world[_seen(graph), :3, :3]
     turned = float(np.linalg.norm(lie.log_so3(rotations @ rotations[0].T), axis=1).max())
     change = _change(graph, state)
-    seen_px = turned * change * graph.width / 2
+    seen_px = turned * change * graph.long_side_px / 2
     said = f"turns by {np.rad2deg(turned):.1f} degrees and a change by {100 * np.expm1(change):.1f} % explain the flow"
     apart = f"a dolly before a plane differs from it by {seen_px:.2f} px, at a noise of {noise_px:.2f} px"
     decision = "changing" if seen_px > SIGNIFICANT * noise_px else "not observable"

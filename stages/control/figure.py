@@ -23,19 +23,20 @@ def trajectories(sequence: Sequence, cameras: Cameras, deformation: Deformation 
     the point without that of the camera. Without a deformation only the frames are shown.
     """
     panels = []
+    columns = 3 if sequence.height > sequence.width else 1
     for frame in drawing.spread(len(sequence.frames), 3):
-        panel = _dim(images.read_rgb(sequence.frames[frame]))
+        panel = _dim(images.read_rgb(sequence.frames[frame]), PANEL_PX // columns)
         if deformation is not None:
             _draw_trails(panel, sequence.width, int(frame), cameras, deformation)
         panels.append(panel)
-    return drawing.contact_sheet(panels, columns=1, width_px=PANEL_PX)
+    return drawing.contact_sheet(panels, columns, width_px=PANEL_PX)
 
 
-def _dim(rgb: np.ndarray) -> np.ndarray:
-    """A dark grey copy [h, PANEL_PX, 3] in few levels."""
+def _dim(rgb: np.ndarray, width_px: int) -> np.ndarray:
+    """A dark grey copy [h, width_px, 3] in few levels."""
     grey = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)
-    zoom = PANEL_PX / grey.shape[1]
-    resized = cv2.resize(grey, (PANEL_PX, round(zoom * grey.shape[0])), interpolation=cv2.INTER_CUBIC)
+    zoom = width_px / grey.shape[1]
+    resized = cv2.resize(grey, (width_px, round(zoom * grey.shape[0])), interpolation=cv2.INTER_CUBIC)
     levels = np.round(cv2.GaussianBlur(resized, (0, 0), 1) / 255 * GREY_LEVELS) * (170 / GREY_LEVELS)
     return np.repeat(levels.astype(np.uint8)[..., None], 3, axis=2)
 

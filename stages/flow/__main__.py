@@ -43,7 +43,7 @@ def main(
     The search for a longer edge starts from the chained flow of shorter ones. Neighbours with large motion are searched
     again from sparse matches, and that flow is taken where its photometric residual is lower; what the pictures say is
     lost, small and fast, is searched again by patches. Distant frames are matched where both show enough of the same
-    view. Flow is in pixels of the flow grid: the frames, reduced to at most --max-width-px.
+    view. Flow is in pixels of the flow grid: the frames, reduced to at most --max-side-px.
     """
     frames = read_sequence(sequence)
     size = reduced_size(frames.width, frames.height, options.max_side_px)
@@ -120,7 +120,7 @@ def _given(path: str | None, frames: Sequence, rgb: Images, grid: tuple[int, int
 
 
 def _picture(rgb: Images, pairs: Dense) -> np.ndarray:
-    """One row per shown frame: the frame, its flow to the next frame, and the confidence of that flow."""
+    """Some frames, each beside its flow to the next frame and the confidence of that flow."""
     steps = pairs["target"] - pairs["source"]
     onward = np.flatnonzero(steps == steps[steps > 0].min())
     shown = onward[drawing.spread(len(onward), 4)]

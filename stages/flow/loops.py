@@ -26,8 +26,8 @@ from stages.shared.warp import bilinear
 FAR = REACH
 """Frames up to this distance are joined by long edges, as long as what they show can be tracked."""
 MOVED, LOST, CUT = 0.08, 0.25, 0.05
-"""A new station: the median point has moved by MOVED of the frame's width since the last one, or LOST of the points are
-all that is left of it. Where one step leaves fewer than CUT of them, another shot begins."""
+"""A new station: the median point has moved by MOVED of the frame's longer side since the last one, or LOST of the
+points are all that is left of it. Where one step leaves fewer than CUT of them, another shot begins."""
 CANDIDATES = 4
 """Stations that are compared with each one, the most similar first."""
 MOVING_PX = 2.0
@@ -105,7 +105,7 @@ def stations(flow: Mapping[Edge, np.ndarray], T: int) -> tuple[list[int], list[i
     """
     at, shots, net, total = [0], [0], [np.zeros(2)], np.zeros(2)
     start = points = track_points(*flow[0, 1].shape[:2])
-    width, all_points = flow[0, 1].shape[1], len(points)
+    far_px, all_points = MOVED * max(flow[0, 1].shape[:2]), len(points)
     for i in range(T - 1):
         moved, kept = tracked(points, flow[i, i + 1], flow[i + 1, i])
         cut = kept.sum() < CUT * len(points)
@@ -113,7 +113,7 @@ def stations(flow: Mapping[Edge, np.ndarray], T: int) -> tuple[list[int], list[i
             total = total + np.median(moved[kept] - points[kept], axis=0)
         start, points = start[kept], moved[kept]
         lost = len(points) < LOST * all_points
-        if cut or lost or np.median(np.linalg.norm(points - start, axis=1)) > MOVED * width:
+        if cut or lost or np.median(np.linalg.norm(points - start, axis=1)) > far_px:
             at.append(i + 1)
             shots.append(shots[-1] + int(cut))
             net.append(total)

@@ -16,8 +16,8 @@ from stages.shared.frame_store import Computed, PackedMasks
 from stages.splatting.cloud import Cloud
 
 OUTLINE = 0.006
-"""Width of the uncertain band along a mask's outline, as a share of the frame's width: 3 of 512 px. With a narrower one
-static Gaussians keep the colours of the movers' rim, which lowers held-out PSNR."""
+"""Width of the uncertain band along a mask's outline, as a share of the frame's longer side: 3 of 512 px. With a
+narrower one static Gaussians keep the colours of the movers' rim, which lowers held-out PSNR."""
 
 MOST_CLAIMED = 2
 """Static points are lifted up to this many times `max_gaussians`: some are left out again, as movers claim them."""
@@ -105,7 +105,7 @@ def initial_cloud(
 
 def _widened(seen: TrainingFrames) -> PackedMasks:
     """The masks with their outline, where colours mix and masks and depth are inexact: no static point starts there."""
-    size = 2 * max(1, round(OUTLINE * seen.size[1])) + 1
+    size = 2 * max(1, round(OUTLINE * max(seen.size))) + 1
     kernel = np.ones((size, size), np.uint8)
     return PackedMasks((f, cv2.dilate(seen.masks[f].astype(np.uint8), kernel) > 0) for f in range(len(seen.images)))
 

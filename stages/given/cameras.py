@@ -12,7 +12,7 @@ from stages.shared.errors import InputError
 from stages.shared.sequences import Sequence
 
 FOCALS = (0.2, 20.0)
-"""Accepted focal lengths, in image widths (fields of view of 136 and 3 degrees): others are in another unit."""
+"""Accepted focal lengths, in longer sides of the frame (views of 136 and 3 degrees): others are in another unit."""
 SAME_SHAPE = 0.01
 """Relative difference of aspect ratios up to which pictures count as the same, at another size."""
 SAME_LENS = 1e-3
@@ -92,7 +92,7 @@ def check_range(source: Path | str, Ks: np.ndarray, frames: Sequence) -> None:
     """
     advice = "numbers are in px of the frames as they are used: `video: {max_side: ...}` reduces large videos"
     focals = np.stack([Ks[..., 0, 0], Ks[..., 1, 1]]).ravel()
-    low, high = (limit * frames.width for limit in FOCALS)
+    low, high = (limit * max(frames.width, frames.height) for limit in FOCALS)
     if not ((focals >= low) & (focals <= high)).all():
         wrong = focals[(focals < low) | (focals > high)][0]
         raise InputError(source, f"a focal length of {low:.0f} to {high:.0f} px", f"{wrong:.6g} px", advice)

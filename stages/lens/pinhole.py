@@ -5,7 +5,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from stages.shared.cameras import pixel_grid
-from stages.shared.images import reduced_size
 from stages.shared.lens import distort, undistort
 from stages.shared.sequences import Sequence
 
@@ -70,5 +69,5 @@ def largest_pinhole(coefficients: np.ndarray, frames: Sequence) -> Pinhole:
 
 def reduced(pinhole: Pinhole, scale: float) -> tuple[int, int]:
     """Size (w, h) of the flow grid of the image, whose pixels are about those of a grid of this scale."""
-    long_side = max(pinhole.width, pinhole.height)
-    return reduced_size(pinhole.width, pinhole.height, max(1, round(long_side * scale)))
+    w = max(1, round(pinhole.width * scale))
+    return w, max(1, pinhole.height * w // pinhole.width)

@@ -152,7 +152,7 @@ def _from_cameras(
 
 
 def _picture(rgb: np.ndarray, probability: np.ndarray) -> np.ndarray:
-    """A few frames, each above its probability of motion."""
+    """A few frames, each beside its probability of motion."""
     shown = drawing.spread(len(probability), 4)
     cells = [image for k in shown for image in (rgb[k], drawing.scalar_to_rgb(probability[k], 0, 1))]
     return drawing.contact_sheet(cells, columns=4)

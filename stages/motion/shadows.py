@@ -30,7 +30,7 @@ LEAST, RANGE = 0.3, 0.2
 fully. The share along the flow counts as the first where it is larger."""
 TINY = 1e-9
 SURROUNDINGS = 0.19
-"""Window of the plane around a pixel, as a share of the width of the frame."""
+"""Window of the plane around a pixel, as a share of the longer side of the frame."""
 COARSE_PX, STEADY = 4, 1 / 16
 """Planes are fitted to means over squares of pixels, small beside the window; STEADY is added to the variances of the
 coordinates, so that few of them give a level plane."""
@@ -58,7 +58,7 @@ def surrounding_plane(inverse_depth: np.ndarray, trust: np.ndarray) -> np.ndarra
     """
     h, w = inverse_depth.shape
     size = max(w // COARSE_PX, 1), max(h // COARSE_PX, 1)
-    window = 2 * round(SURROUNDINGS * size[0] / 2) + 1
+    window = 2 * round(SURROUNDINGS * max(size) / 2) + 1
     v, u = np.mgrid[: size[1], : size[0]] - np.array([size[1] / 2, size[0] / 2])[:, None, None]
     weighed = np.dstack([trust, trust * inverse_depth]).astype(np.float64)
     trust, d = np.moveaxis(cv2.resize(weighed, size, interpolation=cv2.INTER_AREA), -1, 0)

@@ -147,7 +147,7 @@ def depth_figures(folder: Path, sequence: sequences.Sequence) -> list[Figure]:
     files = [sequence.truth["depth"][sequence.numbers[k]] if has_truth else None for k in shown]
     truths = [sintel.read_dpt(file) if file else None for file in files]
     sheet = embedding.depth_sheet(depth["inverse_depth"][shown], truths)
-    beside = " (left: ours, right: truth)" if has_truth else ""
+    beside = " (ours, then the truth)" if has_truth else ""
     numbers = ", ".join(str(sequence.numbers[k]) for k in shown)
     title = f"Inverse depth of frames {numbers}{beside}, near is yellow"
     return [Figure(title, embedding.webp(sheet), f"Inverse depth maps of frames {numbers}{beside}", True)]

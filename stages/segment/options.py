@@ -33,7 +33,10 @@ class SegmentOptions(Options):
         description="weight of links along the flow against evidence; 0: each frame alone",
     )
     smoothness: float = Field(
-        1000.0, ge=0, le=1e5, description="weight of edge-aware smoothing of the mask's borders, for frames 512 px long"
+        1000.0,
+        ge=0,
+        le=1e5,
+        description="weight of edge-aware smoothing of the masks' borders, for 512 px along the longer side",
     )
     colour_sigma: float = Field(
         3.0, gt=0, le=100, description="colour step (0..255) that stops the smoothing; smaller follows finer edges"

@@ -61,10 +61,10 @@ def overlay_instances(rgb: np.ndarray, instances: np.ndarray) -> np.ndarray:
 def contact_sheet(images: Sequence[np.ndarray], columns: int, width_px: int = 1200) -> np.ndarray:
     """Images [H, W, 3] in rows of `columns` on white, scaled so that the sheet is `width_px` wide.
 
-    Two rows of upright images are put side by side, which would be several screens high one above the other.
+    Rows of upright images are put side by side in pairs: one above the other they would be several screens high.
     """
-    if images[0].shape[0] > images[0].shape[1] and len(images) > columns:
-        columns *= 2
+    if images[0].shape[0] > images[0].shape[1]:
+        columns = min(2 * columns, max(columns, len(images)))
     cell = (width_px - GAP_PX * (columns - 1)) // columns
     height = round(images[0].shape[0] * cell / images[0].shape[1])
     rows = -(-len(images) // columns)

@@ -6,8 +6,8 @@ from PIL import Image, UnidentifiedImageError
 
 from stages.shared.errors import InputError
 
-WIDEST = 8
-"""Frames are at most so many times as wide as high: reduced for the flow, a strip has too few rows to search in."""
+LONGEST = 8
+"""One side of a frame is at most so many times the other: reduced for the flow, a strip is too narrow to search in."""
 JPEGS = ("JPEG", "MPO")
 """Pillow's names of the format, with one picture and with several."""
 END_OF_PNG, END_OF_JPEG = b"IEND\xaeB`\x82", b"\xff\xd9"
@@ -50,14 +50,14 @@ def is_shown_as_stored(path: Path) -> bool:
 
 
 def refuse_strip(path: Path, width: int, height: int) -> None:
-    """Refuse frames, or a video, more than WIDEST times as wide as high.
+    """Refuse frames, or a video, of which one side is more than LONGEST times as long as the other.
 
     Raises:
         InputError: names the file.
     """
-    if width > WIDEST * height:
-        expected = f"frames at most {WIDEST} times as wide as high"
-        raise InputError(path, expected, f"{width} x {height}", "crop their sides")
+    if max(width, height) > LONGEST * min(width, height):
+        expected = f"frames whose longer side is at most {LONGEST} times the shorter one"
+        raise InputError(path, expected, f"{width} x {height}", "crop their longer side")
 
 
 def conversions(kinds: set[str]) -> list[str]:

@@ -12,7 +12,7 @@ from stages.shared.errors import InputError
 from stages.shared.image_headers import conversions, read_header, refuse_strip
 
 SMALL_PX = 64
-"""Frames whose longer side is less are warned of: it is the least width that the flow can be asked for."""
+"""Frames whose longer side is less are warned of: it is the least that the flow can be asked for."""
 TRUTH_KINDS = {
     "camdata_left": ".cam",
     "depth": ".dpt",

@@ -53,6 +53,6 @@ def find_ranges(images: list[np.ndarray], numbers: list[int]) -> list[tuple[int,
 
 
 def _look(path: Path) -> np.ndarray | None:
-    """The brightness of a frame [h, w] uint8, its longer side CUT_SIDE_PX; None if it cannot be read."""
+    """The brightness of a frame [h, w] uint8, CUT_SIDE_PX along its longer side; None if it cannot be read."""
     image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
     return None if image is None else reduce(image, reduced_size(image.shape[1], image.shape[0], CUT_SIDE_PX))

@@ -20,9 +20,10 @@ BLANK = 2 * NOISE
 least of the tuned scenes is 28, in fog."""
 DUPLICATE_LEVELS = 4.0
 BLOCK_PX = 16
-"""A frame repeats the last one used if no block of this size, of a frame 512 px wide, changes by more than these grey
-levels on average. H.264 at crf 20 changed repeated frames by at most 3.1 (at crf 28 by 3.7 in the median); the slowest
-motion of the clips above changed frames by 10.4. Slower motion is thinned out: compared is the last frame used."""
+"""A frame repeats the last one used if no block of this size, at 512 px along the longer side, changes by more than
+these grey levels on average. H.264 at crf 20 changed repeated frames by at most 3.1 (at crf 28 by 3.7 in the median);
+the slowest motion of the clips above changed frames by 10.4. Slower motion is thinned out: compared is the last frame
+used."""
 
 
 def continues(before: np.ndarray, after: np.ndarray) -> bool:

@@ -17,7 +17,7 @@ the view."""
 
 
 class Look(NamedTuple):
-    """A frame in brightness, [h, w] uint8 its longer side at most 512 px, and its time stamp in the file."""
+    """A frame in brightness, [h, w] uint8, with a longer side of at most 512 px, and its time stamp in the file."""
 
     pts: int
     time_s: float
