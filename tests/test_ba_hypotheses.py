@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 from synthetic import PLANE, make_scene, observe, trajectory_error
 
-from stages.ba import dba, planar, start
+from stages.ba import dba, path, planar, start
 from stages.ba.classify import longest_step, measure
 from stages.ba.estimate import estimate
 from stages.ba.graph import MIN_WEIGHT, build_graph, thin_graph
@@ -16,10 +16,26 @@ from stages.ba.initialise import Candidate, adjust, initial_state, pair_chain
 from stages.ba.options import BAOptions
 from stages.ba.problem import Problem
 from stages.ba.refinement import FINE_PX, _adjust_twice
+from stages.ba.start import Start
 from stages.ba.state import FocalPrior, Level, State, Unknowns
 from stages.ba.weights import favour_distance, mask_graph
 
 OPTIONS = BAOptions()
+
+
+def test_an_upright_frame_begins_with_the_focal_lengths_of_one_held_across(monkeypatch: pytest.MonkeyPatch) -> None:
+    begun, find_start = [], path.find_start
+
+    def told(observed: Observed) -> Start:
+        begun.append((observed.focals_px, observed.prior.focal_px))
+        return find_start(observed)
+
+    monkeypatch.setattr(path, "find_start", told)
+    for size in ((96, 160), (160, 96)):
+        scene = make_scene(size=size, focal=0.9 * 160 / size[1])
+        found = estimate(Problem(observe(scene), masked=True), OPTIONS)
+        assert found.state.focal_px == pytest.approx(scene.focal_px, rel=0.02)
+    assert begun[0] == begun[1] == ([focal * 160 for focal in OPTIONS.start_focals], pytest.approx(1.1 * 160))
 
 
 @pytest.mark.parametrize(("focal_error", "limit"), [(0.0, 0.01), (0.3, 0.05)])

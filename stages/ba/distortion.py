@@ -36,8 +36,7 @@ START_FOCAL = 1.05
 """Focal length of the search in longer sides of the image; another one is found by the adjustment."""
 LONG_FOCAL = 2.0
 """Beyond this focal length, in longer sides of the image, no distortion is taken without being asked for. Cameras that
-follow movers seem to have a lens several times too long, and what bends their paths looks like one; real lenses of 28
-degrees and less hardly distort."""
+follow movers seem to have a lens several times too long, and what bends their paths looks like a distortion."""
 ZOOM_GAIN = 0.04
 """From this gain of a focal length per frame on, the lens is judged among cameras that zoom."""
 FINE_PX = (1.0, 0.5)

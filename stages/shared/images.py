@@ -52,9 +52,7 @@ def relative_size(image: np.ndarray) -> float:
 
 
 def reduced_size(width: int, height: int, max_side: int) -> tuple[int, int]:
-    """Size (w, h) of a frame whose longer side is reduced to at most `max_side`, without a last row that it fills only
-    in part.
-    """
+    """Size (w, h) of a frame with a longer side of at most `max_side` px, without a last row that it fills in part."""
     w = min(width, max(1, width * max_side // max(width, height)))
     return w, max(1, height * w // width)
 
