@@ -3,6 +3,7 @@
 Paths are relative to the folder of the dataset under results/.
 """
 
+import functools
 from collections.abc import Sequence
 from typing import Any
 
@@ -28,7 +29,6 @@ def swept_run(settings: Sequence[Setting], setting: Setting, sequence: str) -> d
     `shared` are the stages that all settings of its group share.
     """
     scores = _path(settings, setting, sequence, "evaluate", "eval")
-    group = [other for other in settings if other.group == setting.group]
     return {
         "sequence": sequence,
         "group": setting.group,
@@ -43,7 +43,7 @@ def swept_run(settings: Sequence[Setting], setting: Setting, sequence: str) -> d
         "convergence": _path(settings, setting, sequence, "gaussians", CONVERGENCE),
         "configured_convergence": f"{sequence}/{CONVERGENCE}",
         "stages": _stages(settings),
-        "shared": [stage for stage in MEASURED if len({_home(settings, other, stage) for other in group}) == 1],
+        "shared": _shared(tuple(settings), setting.group),
     }
 
 
@@ -88,6 +88,13 @@ def _stages(settings: Sequence[Setting]) -> dict[str, int]:
     """Number of rounds of each stage that the configured run has, which is the first of the settings."""
     rounds = {stage: len(rounds_of(settings[0], stage)) for stage in MEASURED}
     return {stage: number for stage, number in rounds.items() if number}
+
+
+@functools.cache
+def _shared(settings: tuple[Setting, ...], group: str) -> list[str]:
+    """The stages that all settings of a group share; cached, since each of them asks for each sequence."""
+    members = [setting for setting in settings if setting.group == group]
+    return [stage for stage in MEASURED if len({_home(settings, member, stage) for member in members}) == 1]
 
 
 def _home(settings: Sequence[Setting], setting: Setting, stage: str) -> str | None:

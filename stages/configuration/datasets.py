@@ -14,6 +14,7 @@ from stages.shared.errors import InputError
 from stages.shared.sequences import Sequence, check_headers, list_sequence
 
 if TYPE_CHECKING:
+    from stages.simulate.scene import Scene
     from stages.video.index import Index
     from stages.video.shots import Shot
 
@@ -200,7 +201,7 @@ def scene_files(config: Config) -> dict[str, Path]:
     if config.scenes == "all":
         return library
     if isinstance(config.scenes, str):
-        return {name: path for name, path in library.items() if _split(path) == config.scenes}
+        return {name: path for name, path in library.items() if _scene(path).split == config.scenes}
     own = {Path(name).stem: Path(name) for name in config.scenes if name.endswith((".yaml", ".yml"))}
     for path in own.values():
         if not path.is_file():
@@ -212,11 +213,11 @@ def scene_files(config: Config) -> dict[str, Path]:
 
 
 @functools.cache
-def _split(scene: Path) -> str | None:
-    """The split of the library that a scene belongs to; cached, since every job asks."""
+def _scene(path: Path) -> "Scene":
+    """The scene in a file; cached, since every job asks for its split, lens and size."""
     from stages.simulate.scene import load_scene
 
-    return load_scene(scene).split
+    return load_scene(path)
 
 
 def used(config: Config, sequence: Sequence) -> Sequence:
@@ -228,16 +229,12 @@ def used(config: Config, sequence: Sequence) -> Sequence:
 
 def zooms(config: Config, name: str) -> bool:
     """Whether the camera of a simulated sequence changes its focal length."""
-    from stages.simulate.scene import load_scene
-
-    return len({key.zoom for key in load_scene(scene_files(config)[name]).camera.keys}) > 1
+    return len({key.zoom for key in _scene(scene_files(config)[name]).camera.keys}) > 1
 
 
 def distorts(config: Config, name: str) -> bool:
     """Whether the lens of a simulated sequence distorts."""
-    from stages.simulate.scene import load_scene
-
-    return load_scene(scene_files(config)[name]).camera.distortion is not None
+    return _scene(scene_files(config)[name]).camera.distortion is not None
 
 
 def decoded_folder(config: Config) -> Path:
@@ -253,8 +250,6 @@ def _decoded(name: str, folder: Path, of: VideoShot) -> Sequence:
 
 
 def _promised(name: str, scene: Path) -> Sequence:
-    from stages.simulate.scene import load_scene
-
-    promise = load_scene(scene)
+    promise = _scene(scene)
     numbers = list(range(1, promise.frames + 1))
     return Sequence(name, [Path(f"frame_{n:04d}.png") for n in numbers], numbers, promise.width, promise.height)

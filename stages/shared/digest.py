@@ -7,6 +7,9 @@ the stages that use it, while a change of comments, docstrings or layout reruns 
 import ast
 import functools
 import hashlib
+import importlib.util
+import marshal
+import py_compile
 import re
 from collections.abc import Iterable
 from pathlib import Path
@@ -26,8 +29,8 @@ def code_digest(module: str) -> str:
         module: a stage such as "stages.flow", whose script is its `__main__`, or a module such as "stages.render.view".
     """
     digest, script = hashlib.sha256(), f"{module}.__main__"
-    for name in sorted(imported_modules(script if _path(script).exists() else module)):
-        digest.update(name.encode() + _instructions(_path(name)).encode())
+    for name in sorted(imported_modules(script if _file(script) else module)):
+        digest.update(name.encode() + _instructions(name).encode())
     return digest.hexdigest()[:12]
 
 
@@ -46,28 +49,32 @@ def imported_modules(module: str) -> set[str]:
     queue = [module]
     while queue:
         name = queue.pop()
-        if name in found or not _path(name).exists():
+        if name in found or not _file(name):
             continue
         found.add(name)
-        queue += _imports(_path(name))
+        queue += _imports(name)
         queue += [name.rpartition(".")[0]] if "." in name else []
     return found
 
 
-def _path(module: str) -> Path:
+@functools.cache
+def _file(module: str) -> Path | None:
+    """The file of a module of this repository; None if there is none."""
     base = ROOT.joinpath(*module.split("."))
-    return base / "__init__.py" if base.is_dir() else base.with_suffix(".py")
+    return next((file for file in (base / "__init__.py", base.with_suffix(".py")) if file.is_file()), None)
 
 
 @functools.cache
-def _source(path: Path) -> str:
-    return path.read_text(encoding="utf-8")
+def _source(module: str) -> bytes:
+    file = _file(module)
+    assert file is not None
+    return file.read_bytes()
 
 
 @functools.cache
-def _imports(path: Path) -> list[str]:
+def _imports(module: str) -> list[str]:
     names: list[str] = []
-    for node in ast.parse("\n".join(IMPORT.findall(_source(path)))).body:
+    for node in ast.parse("\n".join(IMPORT.findall(_source(module).decode()))).body:
         if isinstance(node, ast.Import):
             names += [alias.name for alias in node.names if alias.name.startswith("stages")]
         elif isinstance(node, ast.ImportFrom):
@@ -76,9 +83,30 @@ def _imports(path: Path) -> list[str]:
 
 
 @functools.cache
-def _instructions(path: Path) -> str:
-    """The compiled form of a file as text, without line numbers, docstrings and assertions."""
-    return repr(_content(compile(_source(path), "", "exec", optimize=2)))
+def _instructions(module: str) -> str:
+    """The compiled form of a module as text, without line numbers, docstrings and assertions."""
+    return repr(_content(_compiled(module)))
+
+
+def _compiled(module: str) -> CodeType:
+    """The code of a module, kept beside Python's own compiled files: all modules take a second to compile.
+
+    The kept file begins with the hash of its source (PEP 552). A folder that cannot be written keeps none.
+    """
+    source, file = _source(module), _file(module)
+    kept = Path(importlib.util.cache_from_source(str(file), optimization=2))
+    header = importlib.util.MAGIC_NUMBER + b"\3\0\0\0" + importlib.util.source_hash(source)
+    try:
+        if not (kept.is_file() and kept.read_bytes().startswith(header)):
+            checked = py_compile.PycInvalidationMode.CHECKED_HASH
+            py_compile.compile(str(file), str(kept), doraise=True, optimize=2, invalidation_mode=checked)
+        content = kept.read_bytes()
+    except OSError:
+        content = b""
+    if not content.startswith(header):  # not kept, or by another process from another source
+        return compile(source, "", "exec", optimize=2, dont_inherit=True)
+    code: CodeType = marshal.loads(content[len(header) :])
+    return code
 
 
 def _content(code: CodeType) -> tuple[object, ...]:

@@ -118,7 +118,7 @@ def load_scene(path: Path) -> Scene:
         InputError: one line that names the wrong key and its valid values.
     """
     try:
-        raw: Any = yaml.safe_load(path.read_text(encoding="utf-8"))
+        raw: Any = yaml.load(path.read_text(encoding="utf-8"), yaml.CSafeLoader)  # ten times as fast as in Python
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
         raise InputError(path, "a YAML scene file", " ".join(str(error).split()), "correct the file") from error
     if not isinstance(raw, dict):
