@@ -102,11 +102,10 @@ def frames(tmp_path: Path) -> Path:
 
 
 def copy_sources(folder: Path) -> Path:
-    """The sources of the workflow in `folder`, to edit freely."""
+    """The sources of the workflow in `folder`, to edit freely, with the compiled files beside them."""
     for name in SOURCES:
         if (REPO / name).is_dir():
-            skip = shutil.ignore_patterns("__pycache__")
-            shutil.copytree(REPO / name, folder / name, ignore=skip, dirs_exist_ok=True)
+            shutil.copytree(REPO / name, folder / name, dirs_exist_ok=True)
         else:
             shutil.copy2(REPO / name, folder / name)
     return folder

@@ -89,9 +89,10 @@ def _instructions(module: str) -> str:
 
 
 def _compiled(module: str) -> CodeType:
-    """The code of a module, kept beside Python's own compiled files: all modules take a second to compile.
+    """The code of a module, kept where Python keeps compiled files: all modules take a second to compile.
 
-    The kept file begins with the hash of its source (PEP 552). A folder that cannot be written keeps none.
+    A kept file begins with the hash of its source (PEP 552). PYTHONDONTWRITEBYTECODE, which is about imports, changes
+    nothing here; a folder that cannot be written keeps none.
     """
     source, file = _source(module), _file(module)
     kept = Path(importlib.util.cache_from_source(str(file), optimization=2))
