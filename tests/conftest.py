@@ -105,7 +105,8 @@ def copy_sources(folder: Path) -> Path:
     """The sources of the workflow in `folder`, to edit freely, with the compiled files beside them."""
     for name in SOURCES:
         if (REPO / name).is_dir():
-            shutil.copytree(REPO / name, folder / name, dirs_exist_ok=True)
+            unfinished = shutil.ignore_patterns("*.pyc.*")  # another process is about to rename these
+            shutil.copytree(REPO / name, folder / name, ignore=unfinished, dirs_exist_ok=True)
         else:
             shutil.copy2(REPO / name, folder / name)
     return folder

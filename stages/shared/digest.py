@@ -97,11 +97,12 @@ def _compiled(module: str) -> CodeType:
     source, file = _source(module), _file(module)
     kept = Path(importlib.util.cache_from_source(str(file), optimization=2))
     header = importlib.util.MAGIC_NUMBER + b"\3\0\0\0" + importlib.util.source_hash(source)
+    checked = py_compile.PycInvalidationMode.CHECKED_HASH
     try:
-        if not (kept.is_file() and kept.read_bytes().startswith(header)):
-            checked = py_compile.PycInvalidationMode.CHECKED_HASH
+        content = kept.read_bytes() if kept.is_file() else b""
+        if not content.startswith(header):
             py_compile.compile(str(file), str(kept), doraise=True, optimize=2, invalidation_mode=checked)
-        content = kept.read_bytes()
+            content = kept.read_bytes()
     except OSError:
         content = b""
     if not content.startswith(header):  # not kept, or by another process from another source
