@@ -1,7 +1,7 @@
 """A digest of the code that a stage runs: the compiled form of every module that it imports from this repository.
 
 Snakemake sees a stage only as a shell command. This digest is one of the rule's params, so a changed function reruns
-the stages that use it, while a change of comments, docstrings or layout reruns nothing.
+the stages that use it, while a change of comments, layout or the words of a docstring reruns nothing.
 """
 
 import ast
@@ -103,12 +103,12 @@ def _compiled(module: str) -> CodeType:
         if not content.startswith(header):
             py_compile.compile(str(file), str(kept), doraise=True, optimize=2, invalidation_mode=checked)
             content = kept.read_bytes()
-    except OSError:
-        content = b""
-    if not content.startswith(header):  # not kept, or by another process from another source
-        return compile(source, "", "exec", optimize=2, dont_inherit=True)
-    code: CodeType = marshal.loads(content[len(header) :])
-    return code
+        if content.startswith(header):  # not if another process has just kept another source
+            code: CodeType = marshal.loads(content[len(header) :])
+            return code
+    except (OSError, EOFError, ValueError, TypeError):  # it cannot be written, or the machine stopped while it was
+        pass
+    return compile(source, "", "exec", optimize=2, dont_inherit=True)
 
 
 def _content(code: CodeType) -> tuple[object, ...]:
