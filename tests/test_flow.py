@@ -139,6 +139,22 @@ def test_confidence_survives_a_change_of_exposure_but_not_a_mismatch() -> None:
     assert flow_confidence(flow, -flow, source, painted)[35:55, 45:70].mean() < 0.5
 
 
+def test_near_ground_is_confident_and_a_motion_boundary_is_not() -> None:
+    """Of ground that a camera passes, flow grows by as much from row to row as elsewhere at a boundary."""
+    target = texture(96, 160)
+    sheared = np.maximum(np.arange(96) - 40, 0) * np.float32(0.4)  # ground below the horizon
+    stepped = np.where(np.arange(96) < 48, 0, 4).astype(np.float32)
+    confidence = {}
+    for name, across in (("ground", sheared), ("boundary", stepped)):
+        flow = np.zeros((96, 160, 2), np.float32)
+        flow[..., 0] = across[:, None]
+        source = warp(target.astype(np.float32), flow)
+        confidence[name] = flow_confidence(flow, -flow, source.round().astype(np.uint8), target)[:, 20:120]
+    assert np.median(confidence["ground"][50:85]) > 0.9
+    assert confidence["boundary"][46:50].max() < 0.1
+    assert np.median(confidence["boundary"][:42]) > 0.9
+
+
 @pytest.mark.parametrize("name", ["alley_walk", "temple_orbit", "mountain_static"])
 def test_confident_flow_is_right_to_a_pixel(rendered: Path, name: str) -> None:
     """Where confidence exceeds 0.5, more than nine pixels in ten err by less than 1 px; and many are confident."""

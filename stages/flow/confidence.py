@@ -10,8 +10,13 @@ NOISE_PX = 0.3
 NOISE_PER_PX = 0.02
 FAST_PX = 30.0
 """Expected forward-backward error: NOISE_PX, plus NOISE_PER_PX for each px of motion up to FAST_PX."""
-ROUGH_PX = 0.35
-"""Standard deviation of flow within 7 x 7 px at a motion boundary, where the flow of one side leaks to the other."""
+ROUGH = 0.4
+"""Standard deviation of flow about its affine fit within WINDOW x WINDOW px, as a share of that expected error, at a
+motion boundary, where the flow of one side leaks to the other.
+
+Affine flow is smooth: on near ground before a moving camera it changes by .4 px in one, and that varies by .8 px.
+"""
+WINDOW = 7
 PHOTOMETRIC_LIMIT = 2.0
 """A photometric residual of this multiple of the frame's median halves the confidence."""
 
@@ -39,7 +44,7 @@ def flow_confidence(
     disagreement = cv2.magnitude(*cv2.split(flow + warp(back, flow)))
     expected = NOISE_PX + NOISE_PER_PX * np.minimum(cv2.magnitude(*cv2.split(flow)), FAST_PX)
     consistent = 1 / (1 + (disagreement / expected) ** 2) ** 2
-    smooth = 1 / (1 + _local_variance(flow) / ROUGH_PX**2)
+    smooth = 1 / (1 + _variance_about_plane(flow) / (ROUGH * expected) ** 2)
     similar = 1 / (1 + (photometric_ratio(flow, source, target) / PHOTOMETRIC_LIMIT) ** 4)
     textured = texture_confidence(flow_variance(source)) if textured is None else textured
     return np.asarray(consistent * smooth * similar * textured * is_inside(flow), np.float32)
@@ -50,11 +55,21 @@ def texture_confidence(variance: np.ndarray) -> np.ndarray:
     return np.asarray(TEXTURELESS + (1 - TEXTURELESS) / (1 + variance))
 
 
-def _local_variance(flow: np.ndarray) -> np.ndarray:
-    """Variance of flow within 7 x 7 px, [h, w] px^2; subtracting the mean flow first avoids cancellation in float32."""
-    u, v = (channel - np.float32(channel.mean()) for channel in cv2.split(flow))
-    mean_u, mean_v, mean_square = (cv2.blur(values, (7, 7)) for values in (u, v, u * u + v * v))
-    return np.asarray(np.maximum(mean_square - mean_u**2 - mean_v**2, 0))
+def _variance_about_plane(flow: np.ndarray) -> np.ndarray:
+    """Variance of flow within WINDOW x WINDOW px about its affine fit, [h, w] px^2.
+
+    Offsets have no mean in the window and are uncorrelated, so each explains its slope squared times their variance.
+    Subtracting the mean flow first avoids cancellation in float32.
+    """
+    offsets = np.arange(WINDOW, dtype=np.float32) - WINDOW // 2
+    slope, mean = offsets / np.square(offsets).sum(), np.full(WINDOW, 1 / WINDOW, np.float32)
+    left = np.zeros(flow.shape[:2], np.float32)
+    for channel in cv2.split(flow):
+        values = channel - np.float32(channel.mean())
+        left += cv2.blur(values * values, (WINDOW, WINDOW)) - cv2.blur(values, (WINDOW, WINDOW)) ** 2
+        for across, along in ((slope, mean), (mean, slope)):
+            left -= cv2.sepFilter2D(values, -1, across, along) ** 2 * np.square(offsets).mean()
+    return np.maximum(left, 0)
 
 
 def photometric_ratio(flow: np.ndarray, source: np.ndarray, target: np.ndarray) -> np.ndarray:
