@@ -78,6 +78,22 @@ def test_the_background_is_what_lies_along_the_border() -> None:
     assert motion.fits[moves].mean() < 0.1
 
 
+@pytest.mark.parametrize(("shaken", "told"), [(0.0, True), (0.6, False)])
+def test_two_motions_that_explain_little_tell_nothing(
+    shaken: float, told: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where most of the view fits no rigid motion, as in a crowd, some part of it still fits one better than before."""
+    scene, rng = beside(), np.random.default_rng(0)
+    graph = observe(scene, stride=6, masked=False, noise_px=NOISE_PX)
+    fits_nothing = rng.random(len(graph.pixels)) < shaken
+    errors = rng.normal(0, 1, graph.matches.shape) * fits_nothing[:, None]
+    graph = replace(graph, matches=graph.matches + errors.astype(np.float32))
+    arguments = graph, graph, cameras(graph, scene), FocalPrior(1.1 * graph.width)
+    assert (two_motions.background(*arguments) is not None) == told
+    monkeypatch.setattr(two_motions, "MOST", 0.0)
+    assert two_motions.background(*arguments) is not None
+
+
 def against(radius: float, shake: float) -> Scene:
     """A disc that comes at twice the speed of a camera whose hand shakes up and down."""
     twists = np.zeros((8, 6))
