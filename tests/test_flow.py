@@ -8,7 +8,7 @@ import pytest
 from conftest import write_frames
 
 from stages.flow import __main__ as flow_stage
-from stages.flow.confidence import flow_confidence
+from stages.flow.confidence import flow_confidence, variance_about_plane
 from stages.flow.dis import chained, estimate_flow
 from stages.flow.edges import edge_list, long_edges, path
 from stages.flow.options import FlowOptions
@@ -139,6 +139,12 @@ def test_confidence_survives_a_change_of_exposure_but_not_a_mismatch() -> None:
     assert flow_confidence(flow, -flow, source, painted)[35:55, 45:70].mean() < 0.5
 
 
+def both_ways(flow: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """Confidence of flow to a grey frame that leads back, where the source shows what it leads to."""
+    source = warp(target.astype(np.float32), flow).round().astype(np.uint8)
+    return flow_confidence(flow, -flow, source, target)
+
+
 def test_near_ground_is_confident_and_a_motion_boundary_is_not() -> None:
     """Of ground that a camera passes, flow grows by as much from row to row as elsewhere at a boundary."""
     target = texture(96, 160)
@@ -148,11 +154,25 @@ def test_near_ground_is_confident_and_a_motion_boundary_is_not() -> None:
     for name, across in (("ground", sheared), ("boundary", stepped)):
         flow = np.zeros((96, 160, 2), np.float32)
         flow[..., 0] = across[:, None]
-        source = warp(target.astype(np.float32), flow)
-        confidence[name] = flow_confidence(flow, -flow, source.round().astype(np.uint8), target)[:, 20:120]
+        confidence[name] = both_ways(flow, target)[:, 20:120]
     assert np.median(confidence["ground"][50:85]) > 0.9
     assert confidence["boundary"][46:50].max() < 0.1
     assert np.median(confidence["boundary"][:42]) > 0.9
+
+
+def test_roughness_is_what_an_affine_fit_leaves() -> None:
+    """Against least squares, for flow that shears along and across by up to 100 px; and fast flow may be rougher."""
+    rng, (v, u) = np.random.default_rng(0), np.mgrid[:24, :30].astype(np.float32)
+    flow = np.stack([100 + 3 * v - 2 * u, 1.5 * u - v], axis=-1) + rng.normal(0, 0.3, (24, 30, 2)).astype(np.float32)
+    found = variance_about_plane(flow)
+    fit = np.stack([np.ones(49), *(axis[:7, :7].ravel() for axis in (v, u))], axis=1)
+    for row, column in ((3, 3), (9, 20), (20, 26)):
+        window = flow[row - 3 : row + 4, column - 3 : column + 4].reshape(49, 2).astype(float)
+        left = window - fit @ np.linalg.lstsq(fit, window, rcond=None)[0]
+        assert found[row, column] == pytest.approx(np.square(left).sum() / 49, rel=0.02)
+    grey, rough = texture(96, 160), rng.normal(0, 0.1, (96, 160, 2)).astype(np.float32)
+    slow, fast = (float(np.median(both_ways(rough + np.float32(speed), grey)[:60, :120])) for speed in (0, 30))
+    assert fast > 1.5 * slow
 
 
 @pytest.mark.parametrize("name", ["alley_walk", "temple_orbit", "mountain_static"])

@@ -33,8 +33,8 @@ EXPLAINED = 0.85
 GAIN = 0.1
 """Two motions explain, each for itself, so much more of the pixels than the cameras found; where the image border tells
 a pair, one of them explains so much more of that."""
-MOST = 0.5
-"""Two motions explain at least this share of the pixels, each for itself: of a smeared crowd no two explain .4."""
+TOGETHER = 0.4
+"""Two motions explain at least this share of the pixels, each for itself: wrong pairs of smeared crowds do .1 to .36."""
 OVERLAP = 0.5
 """Largest share of the pixels of either motion that the other one fits too."""
 LEFT = 0.5
@@ -119,7 +119,7 @@ def _of_two(
     found = [_pair(graph, part, start, prior, matched, single.fits) for part in looked_at]
     pairs = [pair for pair in found if pair]
     best = max(pairs, key=lambda pair: pair.share, default=None)
-    if best and best.share >= max(alone + GAIN, MOST) and _overlap(best, matched) <= OVERLAP:
+    if best and best.share >= max(alone + GAIN, TOGETHER) and _overlap(best, matched) <= OVERLAP:
         return _of_border(best, matched & along)
     far = _without_near(graph, single.state, single.fits & matched)
     near = _pair(graph, far, start, prior, matched, single.fits)

@@ -11,10 +11,11 @@ NOISE_PER_PX = 0.02
 FAST_PX = 30.0
 """Expected forward-backward error: NOISE_PX, plus NOISE_PER_PX for each px of motion up to FAST_PX."""
 ROUGH = 0.4
-"""Standard deviation of flow about its affine fit within WINDOW x WINDOW px, as a share of that expected error, at a
-motion boundary, where the flow of one side leaks to the other.
+"""Standard deviation of flow about its affine fit within WINDOW x WINDOW px, as a share of that expected error, that
+halves the confidence: at a motion boundary the flow of one side leaks to the other.
 
-Affine flow is smooth: on near ground before a moving camera it changes by .4 px in one, and that varies by .8 px.
+Affine flow is smooth: that of near ground before a moving camera changes by .4 px from row to row, which is a standard
+deviation of .8 px. So is flow that leaks evenly over more than WINDOW px: the other terms tell that.
 """
 WINDOW = 7
 PHOTOMETRIC_LIMIT = 2.0
@@ -44,7 +45,7 @@ def flow_confidence(
     disagreement = cv2.magnitude(*cv2.split(flow + warp(back, flow)))
     expected = NOISE_PX + NOISE_PER_PX * np.minimum(cv2.magnitude(*cv2.split(flow)), FAST_PX)
     consistent = 1 / (1 + (disagreement / expected) ** 2) ** 2
-    smooth = 1 / (1 + _variance_about_plane(flow) / (ROUGH * expected) ** 2)
+    smooth = 1 / (1 + variance_about_plane(flow) / (ROUGH * expected) ** 2)
     similar = 1 / (1 + (photometric_ratio(flow, source, target) / PHOTOMETRIC_LIMIT) ** 4)
     textured = texture_confidence(flow_variance(source)) if textured is None else textured
     return np.asarray(consistent * smooth * similar * textured * is_inside(flow), np.float32)
@@ -55,11 +56,12 @@ def texture_confidence(variance: np.ndarray) -> np.ndarray:
     return np.asarray(TEXTURELESS + (1 - TEXTURELESS) / (1 + variance))
 
 
-def _variance_about_plane(flow: np.ndarray) -> np.ndarray:
+def variance_about_plane(flow: np.ndarray) -> np.ndarray:
     """Variance of flow within WINDOW x WINDOW px about its affine fit, [h, w] px^2.
 
     Offsets have no mean in the window and are uncorrelated, so each explains its slope squared times their variance.
-    Subtracting the mean flow first avoids cancellation in float32.
+    Subtracting the mean flow first keeps cancellation in float32 small, but where flow differs by 100 px and more. At
+    the image border the window is reflected, and affine flow with it is not.
     """
     offsets = np.arange(WINDOW, dtype=np.float32) - WINDOW // 2
     slope, mean = offsets / np.square(offsets).sum(), np.full(WINDOW, 1 / WINDOW, np.float32)

@@ -24,8 +24,8 @@ FRAMES, REGIONS = 12, 4
 MARGIN_PX = 2
 """At the border of a mover the flow is in part that of what is behind."""
 BACK_PX = 0.5
-"""Flow is trusted that leads back to within this distance. Its confidence is not asked: that of flow which varies
-within a few pixels is low, as at motion boundaries, but so varies the flow of what rolls or bends."""
+"""Flow is trusted that leads back to within this distance. Its confidence is not asked: that of flow which is not
+affine within a few pixels is low, as at motion boundaries, but so may be the flow of what bends."""
 POINTS, MIN_POINTS, MIN_FITTED = 400, 60, 30
 """Pixels of a patch: at most, at least, and at least of those fitted to a frame."""
 STATIC_SHARE = 0.9
