@@ -34,7 +34,7 @@ GAIN = 0.1
 """Two motions explain, each for itself, so much more of the pixels than the cameras found; where the image border tells
 a pair, one of them explains so much more of that."""
 TOGETHER = 0.4
-"""Two motions explain at least this share of the pixels, each for itself: wrong pairs of smeared crowds do .1 to .36."""
+"""Two motions explain at least this share of the pixels, each for itself: wrong pairs of smeared crowds .1 to .36."""
 OVERLAP = 0.5
 """Largest share of the pixels of either motion that the other one fits too."""
 LEFT = 0.5
