@@ -15,7 +15,7 @@ ROUGH = 0.4
 halves the confidence: at a motion boundary the flow of one side leaks to the other.
 
 Affine flow is smooth: that of near ground before a moving camera changes by .4 px from row to row, which is a standard
-deviation of .8 px. So is flow that leaks evenly over more than WINDOW px: the other terms tell that.
+deviation of .8 px. So is flow that leaks evenly over more than WINDOW px, which is left to the other terms.
 """
 WINDOW = 7
 PHOTOMETRIC_LIMIT = 2.0
