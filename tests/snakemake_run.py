@@ -1,0 +1,54 @@
+"""Snakemake in a process forked from one that has its modules loaded: they take longer to load than a plan to make.
+
+It differs from a new process in what is read at a start: PYTHONPATH, the seed of hashes. Give `env` for those.
+"""
+
+import multiprocessing
+import os
+import runpy
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+TESTS = Path(__file__).resolve().parent
+_LOADED = multiprocessing.get_context("forkserver")
+_LOADED.set_forkserver_preload(["snakemake.cli"])
+
+
+def run(folder: Path, arguments: tuple[str, ...], timeout_s: float) -> subprocess.CompletedProcess[str]:
+    """`python -m snakemake ARGUMENTS` in `folder` and in this environment, with its output as text.
+
+    Raises subprocess.TimeoutExpired after `timeout_s` seconds, in which it has been stopped.
+    """
+    with tempfile.TemporaryDirectory() as name:
+        said = [Path(name) / "stdout", Path(name) / "stderr"]
+        process = _LOADED.Process(target=_snakemake, args=(folder, arguments, dict(os.environ), said))
+        process.start()
+        try:
+            process.join(timeout_s)
+            if process.exitcode is None:
+                raise subprocess.TimeoutExpired(["snakemake", *arguments], timeout_s)
+        finally:
+            process.kill()  # else the end of the tests would wait for it
+            process.join()
+        stdout, stderr = (path.read_text() if path.exists() else "" for path in said)
+    return subprocess.CompletedProcess(["snakemake", *arguments], process.exitcode, stdout, stderr)
+
+
+def _snakemake(folder: Path, arguments: tuple[str, ...], environment: dict[str, str], said: list[Path]) -> None:
+    """The process itself: its streams are files, and it finds no modules that only tests see."""
+    for path, stream in zip(said, (sys.stdout, sys.stderr), strict=True):
+        os.dup2(os.open(path, os.O_WRONLY | os.O_CREAT), stream.fileno())
+    os.environ.clear()
+    os.environ.update(environment)
+    os.chdir(folder)
+    given = environment.get("PYTHONPATH", "").split(os.pathsep)
+    sys.path[:] = [str(folder), *(path for path in sys.path if path in given or not _of_tests(path))]
+    sys.argv = ["snakemake", *arguments]
+    runpy.run_module("snakemake", run_name="__main__", alter_sys=True)
+
+
+def _of_tests(path: str) -> bool:
+    """Whether pytest has put a folder where modules are found."""
+    return path in ("", str(TESTS.parent)) or Path(path).is_relative_to(TESTS)
