@@ -214,3 +214,25 @@ def test_pictures_are_not_asked_in_frames_that_movers_fill() -> None:
     everywhere = np.ones(len(pixels.areas))
     filled = belonging(pixels, FlowPairs(Dense(flow_columns())), lambda k: frames[k], static_world(), everywhere)
     assert (filled.asked == 0).all()
+
+
+@pytest.mark.parametrize("hole", [30, 55])
+def test_ground_behind_a_wide_mover_has_the_depth_of_its_plane(hole: int) -> None:
+    """The adjustment gives what was masked the depth of a mover, and a mean of the ground around it is too near."""
+    v = np.mgrid[:H, :W][0]
+    plane = (0.1 + 0.01 * np.maximum(v - 20, 0)).astype(np.float32)
+    masked = np.zeros((H, W), bool)
+    masked[24:80, 80 : 80 + hole] = True
+    solved = np.where(masked, np.float32(1.5), plane)
+    world = static_world()._replace(inverse_depth=lambda _: solved, as_static=lambda _: (solved, ~masked))
+    depths = layers._static_depths(world, 0, 1.0 - masked)
+    nearest = np.min([np.abs(depth / plane - 1) for depth in depths], axis=0)
+    assert np.mean(nearest[masked & (v > 40)] < 0.02) > 0.9
+    np.testing.assert_array_equal(depths[0][masked], depths[3][masked], err_msg="its own: that of the narrowest plane")
+    fitted = np.where(masked, np.float32(np.inf), plane)  # an overflow of float16, where nothing fits
+    lost = world._replace(as_static=lambda _: (fitted, ~masked))
+    np.testing.assert_array_equal(layers._static_depths(lost, 0, np.ones((H, W)))[-1], depths[-1])
+    moves = world._replace(as_static=lambda _: (solved, np.ones((H, W), bool)))
+    np.testing.assert_array_equal(
+        layers._static_depths(moves, 0, 1.0 - masked)[-1], depths[-1], err_msg="of what rests"
+    )

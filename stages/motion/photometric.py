@@ -16,12 +16,13 @@ from stages.motion.depth_sweep import Other, hardly_moves
 from stages.motion.epipolar import Evidence
 from stages.motion.pooling import PRIOR_WEIGHT
 from stages.motion.shading import View, changes, in_shadow, log_colours, shadows_of_clip
-from stages.motion.shadows import at_rest, log_detail, surrounding_plane
+from stages.motion.shadows import at_rest, log_detail
 from stages.motion.swept import FRAMES, explained, run_one_way
 from stages.motion.transients import Others
 from stages.shared import flow_pairs
 from stages.shared.flow_pairs import FlowPairs
 from stages.shared.picture_difference import EVERY_PX, difference, exposed, tolerance
+from stages.shared.planes import surrounding_plane
 from stages.shared.static_flow import dense_static_flow
 from stages.shared.threads import threaded
 from stages.shared.warp import is_inside, warp
@@ -40,6 +41,8 @@ EXPLAINED = 0.35
 STATIC_POWER = 4
 """The larger, the less the depth of a pixel with a residual counts for the plane around it."""
 WINDOW_PX, NEIGHBOURS_PX = 5, 15
+SURROUNDINGS = 0.19
+"""Width of the square whose plane is taken, as a share of the longer side of the frame."""
 SUSPECT = 0.25
 """Evidence from which on a static depth is searched for by the pictures."""
 NEVER = np.float32(1e30)
@@ -117,10 +120,13 @@ def _edges(pairs: FlowPairs, i: int, reach: int) -> np.ndarray:
 def _view(
     i: int, evidence: Evidence, pairs: FlowPairs, projections: tuple[np.ndarray, np.ndarray], inverse_depth: np.ndarray
 ) -> View:
-    """Frame i in those at most REACH away, at the depth [h, w] of the planes around its pixels."""
+    """Frame i in those at most REACH away, at the depth [h, w] of the planes around its pixels.
+
+    Depth found from flow is wrong where the flow is: in a shadow that moves.
+    """
     near = _edges(pairs, i, REACH)
     trust = (1 - evidence.residual[i]) ** STATIC_POWER * evidence.weight[i]
-    plane = surrounding_plane(inverse_depth, trust)
+    plane, _ = surrounding_plane(inverse_depth, trust, SURROUNDINGS)
     return View(pairs.target[near], projections[0][near], projections[1][near], plane)
 
 

@@ -23,6 +23,7 @@ from stages.shared.flow_pairs import FlowPairs
 from stages.shared.images import relative_size
 from stages.shared.masks import within
 from stages.shared.picture_difference import EVERY_PX, difference, exposed, noise_of, tolerance
+from stages.shared.planes import surrounding_plane
 from stages.shared.static_flow import dense_static_flow
 from stages.shared.threads import threaded
 from stages.shared.warp import is_inside, warp
@@ -32,8 +33,8 @@ REACH = 5
 MOTION_PX = 4.0, 10.0, 22.0
 """Standard deviations, in frames of REFERENCE_PX, over which the flow of a mover is averaged and extended: near its
 parts move apart, far its whole moves on."""
-DEPTH_PX = 6.0, 19.0
-"""The same for the depth of what is behind it."""
+BEHIND = 0.1, 0.2, 0.4
+"""Widths, as a share of the longer side of the frame, of the squares whose planes may be behind a mover."""
 AROUND_PX = 24.0
 """Width of the square, in frames of REFERENCE_PX, whose nearest and farthest depth a static pixel may have too."""
 MEDIAN_PX, PATCH_PX = 5, 3
@@ -232,17 +233,18 @@ def _residuals(
 def _static_depths(world: StaticWorld, k: int, static: np.ndarray) -> list[np.ndarray]:
     """Inverse depths [h, w] that a static pixel may have: its own, the farthest and nearest around, and behind movers.
 
-    Its own is that at which its flow fits a static scene, if it does: in the adjustment, what was masked by mistake has
-    the depth of a mover, at which it does not match, and would be masked for good.
+    Its own is that at which its flow fits a static scene, if it does, else that of the narrowest plane. Planes are of
+    what fits and does not move. In the adjustment, what was masked by mistake has the depth of a mover, at which it
+    would match nowhere, and be masked for good: that counts where nothing fits near by.
 
     Args:
         static: [h, w] weight of a pixel for what is behind a mover.
     """
-    inverse_depth, (fitted, fits) = world.inverse_depth(k), world.as_static(k)
-    own = cv2.medianBlur(inverse_depth, MEDIAN_PX)
-    square = np.ones((round(AROUND_PX * relative_size(own)),) * 2, np.uint8)
-    weighted = weigh(inverse_depth[..., None], static)
-    behind = [extend(weighted, px * relative_size(own)) for px in DEPTH_PX]
-    known = [np.where(share > LEAST_SHARE, depth[..., 0], own) for depth, share in behind]
-    around = [cv2.erode(own, square), cv2.dilate(own, square), *known]
-    return [np.where(fits, cv2.medianBlur(fitted, MEDIAN_PX), own), *around]
+    fitted, fits = world.as_static(k)
+    solved = cv2.medianBlur(world.inverse_depth(k), MEDIAN_PX)
+    square = np.ones((round(AROUND_PX * relative_size(solved)),) * 2, np.uint8)
+    around = [cv2.erode(solved, square), cv2.dilate(solved, square)]
+    known = np.where(fits, static, 0).astype(np.float32)
+    planes = [surrounding_plane(np.where(known > 0, fitted, 0), known, share) for share in BEHIND]  # it may be infinite
+    behind = [np.where(trust > LEAST_SHARE, plane, solved) for plane, trust in planes]
+    return [np.where(fits, cv2.medianBlur(fitted, MEDIAN_PX), behind[0]), *around, *behind]

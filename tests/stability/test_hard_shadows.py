@@ -5,9 +5,10 @@ import pytest
 
 from stages.motion import photometric
 from stages.motion.epipolar import Evidence
-from stages.motion.shadows import surrounding_plane
+from stages.motion.photometric import SURROUNDINGS
 from stages.shared.artifacts import Dense
 from stages.shared.flow_pairs import FlowPairs
+from stages.shared.planes import surrounding_plane
 
 T, HEIGHT, WIDTH, STEP = 5, 96, 160, 2
 PLACE = np.s_[36:60, 68:92]
@@ -77,4 +78,6 @@ def test_the_plane_around_a_hole_is_that_of_the_ground() -> None:
     plane, hole = 0.2 + 0.003 * v + 0.001 * u, np.s_[25:35, 40:60]
     broken, trust = plane.copy(), np.ones_like(plane)
     broken[hole], trust[hole] = 5, 0
-    np.testing.assert_allclose(surrounding_plane(broken, trust), plane, rtol=0.02)
+    found, known = surrounding_plane(broken, trust, SURROUNDINGS)
+    np.testing.assert_allclose(found, plane, rtol=0.02)
+    np.testing.assert_allclose(known[30, 50], 1 - 200 / 19**2, atol=0.1, err_msg="mean trust within 19 px")
