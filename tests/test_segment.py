@@ -10,6 +10,7 @@ import pytest
 from conftest import write_frames
 
 from stages.segment import __main__ as segment_stage
+from stages.segment import colours
 from stages.segment.options import SegmentOptions
 from stages.segment.refinement import guarded_threshold, smooth_along_edges, to_instances, to_mask
 from stages.shared.artifacts import read_dense, read_json, write_dense, write_json
@@ -162,6 +163,27 @@ def test_each_frame_has_its_own_mask(passing_disc: tuple[Any, ...], tmp_path: Pa
         assert overlap(read_mask(tmp_path / f"masks/frame_{number:04d}.png"), disc) > 0.9
         numbers = cv2.imread(str(tmp_path / f"masks/instances/frame_{number:04d}.png"), cv2.IMREAD_UNCHANGED)
         assert overlap(numbers == 1, disc) > 0.9
+
+
+def test_colours_decide_on_the_borders_of_each_frame(
+    passing_disc: tuple[Any, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Here they deny the upper half of the disc."""
+    *inputs, discs = passing_disc
+    asked = []
+
+    def denied(sureness: np.ndarray, rgb: np.ndarray) -> np.ndarray:
+        asked.append((sureness > 0.5, rgb))
+        return np.where(np.arange(80)[:, None] < 40, -1, 0) * np.ones(sureness.shape)
+
+    monkeypatch.setattr(colours, "colour_evidence", denied)
+    run(inputs, tmp_path / "masks", tmp_path / "segment.png", OPTIONS)
+    for number, disc, (before, rgb) in zip((7, 8, 9), discs, asked, strict=True):
+        mask = read_mask(tmp_path / f"masks/frame_{number:04d}.png")
+        assert overlap(before, disc) > 0.9
+        assert overlap(rgb[..., 0] > 100, disc) > 0.9, "each frame's own colours"
+        assert not mask[:36].any()
+        assert overlap(mask[44:], disc[44:]) > 0.8
 
 
 @pytest.mark.parametrize(("permanence", "found"), [(0, False), (3, True)])

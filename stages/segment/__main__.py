@@ -152,6 +152,8 @@ def _given(handed: GivenMasks) -> Masks:
 
 
 def _refined(options: SegmentOptions, frames: Sequence, flow: Path, prior: Path, previous: Solved) -> Masks:
+    from stages.segment.colours import colour_evidence  # compiled code, which masks from elsewhere spare
+
     evidence = read_dense(prior)
     if "weight" not in evidence or len(evidence["weight"]) != len(frames.frames):
         expected = f"columns 'probability' and 'weight' of {len(frames.frames)} frames"
@@ -191,8 +193,11 @@ def _refined(options: SegmentOptions, frames: Sequence, flow: Path, prior: Path,
     def mask(k: int, rgb: np.ndarray) -> Mask:
         of_pixels = None if shown is None else shown.of_frame(k)
         edges = options.smoothness, options.colour_sigma
-        sureness = smooth_along_edges(pixels.paint(sure, k), rgb, *edges, of_pixels)
+        parts = pixels.paint(sure, k), rgb, *edges, of_pixels
+        sureness = smooth_along_edges(*parts)
         threshold = guarded_threshold(sureness, DYNAMIC, options.max_share)
+        if threshold == DYNAMIC:  # else its surest part is wanted, and not that of the clearest colours
+            sureness = smooth_along_edges(*parts, colour_evidence(sureness, rgb))
         dynamic = to_mask(sureness, threshold, options.min_area)
         return Mask(dynamic, to_instances(dynamic, pixels.paint(instance, k)), threshold > DYNAMIC)
 

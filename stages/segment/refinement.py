@@ -7,10 +7,17 @@ from stages.shared.images import enlarge, relative_size
 
 SHOWN_WEIGHT = 0.8
 """Weight of what pictures show of a pixel, relative to that of its sureness: what is surest is not lost by it alone."""
+COLOUR_WEIGHT = 2.0
+"""Weight of what colours say, which are asked near borders alone: there they may outvote all else."""
 
 
 def smooth_along_edges(
-    image: np.ndarray, rgb: np.ndarray, smoothness: float, colour_sigma: float, shown: np.ndarray | None = None
+    image: np.ndarray,
+    rgb: np.ndarray,
+    smoothness: float,
+    colour_sigma: float,
+    shown: np.ndarray | None = None,
+    colours: np.ndarray | None = None,
 ) -> np.ndarray:
     """An image [h, w] in 0..1 spread over the frame rgb [H, W, 3] uint8 up to its colour edges, [H, W] float32 in 0..1.
 
@@ -27,9 +34,13 @@ def smooth_along_edges(
     weight = smoothness * relative_size(rgb) ** 2
     smoother = cv2.ximgproc.createFastGlobalSmootherFilter(rgb, weight, colour_sigma)
     full = enlarge(image.astype(np.float32), (W, H))
-    if shown is None or not shown.any():
+    says = np.zeros((H, W), np.float32)
+    if shown is not None:
+        says += SHOWN_WEIGHT * enlarge(shown.astype(np.float32), (W, H))
+    if colours is not None:
+        says += COLOUR_WEIGHT * colours
+    if not says.any():
         return np.asarray(np.clip(smoother.filter(full), 0, 1))
-    says = SHOWN_WEIGHT * enlarge(shown.astype(np.float32), (W, H))
     smoothed = smoother.filter(full + np.maximum(says, 0)) / smoother.filter(1 + np.abs(says))
     return np.asarray(np.clip(smoothed, 0, 1))
 

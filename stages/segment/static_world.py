@@ -60,7 +60,7 @@ def static_world(
         return None
     if "static_depth" not in evidence:
         raise InputError(prior, "column 'static_depth' beside cameras", f"columns {sorted(evidence)}", MOTION_AGAIN)
-    from stages.shared.static_flow import resample  # compiled code, which the first round spares
+    from stages.shared.static_flow import resample  # compiled code, which masks from elsewhere spare
 
     h, w = evidence["probability"].shape[1:]
     scale = float(read_metadata(flow)["scale"])

@@ -1,0 +1,163 @@
+"""Colours at the borders of masks: they tell where those within and those around differ, and nothing else."""
+
+import cv2
+import numpy as np
+import pytest
+from scipy.interpolate import RegularGridInterpolator
+
+from stages.segment import colours
+from stages.segment.colours import ASKED_PX, BIN, CELL_PX, RARE, colour_evidence
+from stages.segment.refinement import smooth_along_edges
+from stages.shared.images import REFERENCE_PX
+
+H, W = 160, REFERENCE_PX
+
+
+def ground(seed: int, colour: tuple[int, int, int], h: int = H, w: int = W) -> np.ndarray:
+    """Texture [h, w, 3] uint8 of spots around a colour, without edges that only borders have."""
+    noise = np.random.default_rng(seed).normal(0, 60, (h, w, 3))
+    return np.clip(cv2.GaussianBlur(noise, (0, 0), 1.2) * 2 + colour, 0, 255).astype(np.uint8)
+
+
+def thing() -> np.ndarray:
+    """An ellipse [H, W] bool."""
+    v, u = np.mgrid[:H, :W]
+    return np.asarray(((u - 250) / 90) ** 2 + ((v - 80) / 45) ** 2 < 1)
+
+
+def scene(colour: tuple[int, int, int] = (190, 90, 20)) -> np.ndarray:
+    """A picture of the thing before ground of about (110, 120, 90)."""
+    return np.where(thing()[..., None], ground(1, colour), ground(2, (110, 120, 90)))
+
+
+def guess() -> np.ndarray:
+    """Sureness [H, W] of a mask that lies 8 px to the right of the thing."""
+    return cv2.GaussianBlur(np.roll(thing(), 8, axis=1).astype(np.float32), (0, 0), 3)
+
+
+def overlap(found: np.ndarray) -> float:
+    """Intersection over union with the thing."""
+    return float((found & thing()).sum() / (found | thing()).sum())
+
+
+def test_a_mask_beside_its_thing_is_moved_onto_it() -> None:
+    """Edges of texture are as strong as those of the thing: smoothing along them alone leaves the mask beside it."""
+    rgb, sure = scene(), guess()
+    told = colour_evidence(sure, rgb)
+    assert overlap(sure > 0.5) < 0.9
+    assert overlap(smooth_along_edges(sure, rgb, 1000.0, 3.0) > 0.5) < 0.9
+    assert overlap(smooth_along_edges(sure, rgb, 1000.0, 3.0, None, told) > 0.5) > 0.95
+
+
+def test_the_kernels_equal_histograms_read_one_by_one() -> None:
+    """Splatting and slicing against numpy's and scipy's, node by node."""
+    rgb, sure = scene()[40:90, 200:260], guess()[40:90, 200:260]
+    lab = cv2.cvtColor(rgb, cv2.COLOR_RGB2LAB)
+    weights = np.dstack([sure > 0.5, sure <= 0.5]).astype(np.float32)
+    v, u = np.mgrid[: rgb.shape[0], : rgb.shape[1]] / 20
+    places = np.concatenate([np.stack([v, u]), np.moveaxis(lab / BIN, -1, 0)]).reshape(5, -1)
+    size = [int(of.max()) + 2 for of in places]
+    grid, expected = np.zeros((*size, 2), np.float32), np.zeros((*size, 2))
+    shares = np.empty((5, 2))
+    colours._splat(lab, weights, 1 / 20, grid, shares)
+    below = places.astype(int)
+    for corner in np.ndindex(2, 2, 2, 2, 2):
+        upper = np.array(corner)[:, None]
+        share = np.where(upper, places - below, 1 - places + below).prod(axis=0)
+        np.add.at(expected, tuple(below + upper), share[:, None] * weights.reshape(-1, 2))
+    np.testing.assert_allclose(grid, expected, atol=1e-3)
+    totals, found = grid.sum(axis=(2, 3, 4)), np.zeros_like(weights)
+    colours._slice(lab, np.ones(rgb.shape[:2], bool), 1 / 20, grid, totals, found, shares)
+    axes = [np.arange(n) for n in size]
+    density = RegularGridInterpolator(axes, expected)(places.T)
+    around = RegularGridInterpolator(axes[:2], expected.sum(axis=(2, 3, 4)))(places[:2].T)
+    p, q = (density / np.maximum(around, 1e-6)).T
+    np.testing.assert_allclose(found[..., 0].ravel(), (p - q) / (p + q + RARE), atol=2e-3)
+    np.testing.assert_allclose(found[..., 1].ravel(), around.min(axis=1), rtol=1e-4)
+
+
+def test_colours_that_are_alike_tell_little() -> None:
+    """A histogram of few pixels differs by chance; how well it tells those that it was learnt from is asked, too."""
+    alike, apart = (np.abs(colour_evidence(guess(), scene(colour))).max() for colour in ((110, 120, 90), (190, 90, 20)))
+    assert alike < 0.35
+    assert apart > 0.6
+
+
+@pytest.mark.parametrize("mask", [np.zeros((H, W)), np.ones((H, W)), np.full((H, W), 0.5)])
+def test_a_mask_of_nothing_or_all_has_no_border(mask: np.ndarray) -> None:
+    assert not colour_evidence(mask.astype(np.float32), scene()).any()
+
+
+def test_what_is_thin_is_left_to_other_evidence() -> None:
+    """Nothing of it is far enough from the border to be learnt: no colour is said to be that of the ground."""
+    bar = np.zeros((H, W), np.float32)
+    bar[78:82] = 1
+    assert not colour_evidence(bar, scene()).any()
+
+
+@pytest.mark.parametrize("darkest", [0, 200])
+def test_the_grid_holds_every_place_and_colour(darkest: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Compiled loops check no bounds; here they run as plain Python, which does."""
+    for name in ("_tents", "_colour", "_splat", "_slice"):
+        monkeypatch.setattr(colours, name, getattr(colours, name).py_func)
+    rgb = np.random.default_rng(0).integers(darkest, 256, (24, 40, 3)).astype(np.uint8)
+    rgb[-1, -1], rgb[0, 0] = 255, darkest
+    mask = np.zeros((24, 40), np.float32)
+    mask[:, 20:] = 1
+    assert np.isfinite(colour_evidence(mask, rgb)).all()
+
+
+@pytest.mark.parametrize("bar", [np.s_[60:100, 352:358], np.s_[76:84, 350:358]])
+def test_what_is_thin_or_small_beside_a_larger_mover_is_not_denied(bar: tuple[slice, slice]) -> None:
+    """It has the colour of the ground, and nothing of it is learnt: without more, it would be taken for ground."""
+    rgb, sure = scene(), thing().astype(np.float32)
+    sure[bar] = 1
+    told = colour_evidence(sure, rgb)
+    alone = colour_evidence(thing().astype(np.float32), rgb)
+    assert alone[bar].mean() < -0.3
+    assert (told[bar] >= 0).all()
+
+
+def test_a_few_pixels_tell_little() -> None:
+    """Of a disc of 8 px eighty are learnt, and those around it have no such colour; of one of 30 px two thousand."""
+    most = []
+    for radius in (8, 30):
+        disc = cv2.circle(np.zeros((H, W), np.uint8), (250, 80), radius, 1, -1) > 0
+        rgb = np.where(disc[..., None], (200, 30, 30), ground(2, (110, 120, 90))).astype(np.uint8)
+        most.append(colour_evidence(disc.astype(np.float32), rgb).max())
+    assert most[0] < 0.3
+    assert most[1] > 0.6
+
+
+def test_colours_are_asked_near_borders_alone() -> None:
+    """A part of the thing in another colour, far inside of the mask, stays."""
+    rgb, sure = scene(), thing().astype(np.float32)
+    far = cv2.distanceTransform(thing().astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE) > ASKED_PX + 1
+    rgb[far] = ground(2, (110, 120, 90))[far]
+    told = colour_evidence(sure, rgb)
+    assert far.sum() > 1000
+    assert not told[far].any()
+    assert told.any()
+
+
+def test_a_frame_twice_as_large_says_the_same() -> None:
+    rgb, sure = scene(), guess()
+    large = [cv2.resize(of, None, fx=2, fy=2, interpolation=cv2.INTER_NEAREST) for of in (sure, rgb)]
+    small, twice = colour_evidence(sure, rgb), colour_evidence(*large)[::2, ::2]
+    assert np.corrcoef(small.ravel(), twice.ravel())[0, 1] > 0.97
+
+
+def test_a_place_has_the_colours_around_it() -> None:
+    """Red before blue ground on the left, and blue before red on the right: one histogram for all tells nothing."""
+    red, blue = ground(3, (180, 70, 60)), ground(4, (60, 80, 170))
+    left = np.arange(W)[None, :, None] < W // 2
+    things = np.zeros((H, W), bool)
+    things[50:110, 40:140] = things[50:110, 370:470] = True
+    rgb = np.where(things[..., None] == left, red, blue)
+    sure = np.roll(things, 6, axis=1).astype(np.float32)
+    told = colour_evidence(sure, rgb)
+    lost, kept = things & ~(sure > 0.5), things & (sure > 0.5)
+    assert told[lost].mean() > 0.5
+    assert told[(sure > 0.5) & ~things].mean() < -0.4
+    assert W / 2 > 2 * CELL_PX
+    assert told[kept].mean() > 0
