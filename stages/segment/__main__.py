@@ -61,11 +61,11 @@ def main(
 
     One system over the superpixels of all frames decides what belongs to something that moves in the clip. With the
     cameras of the round before it is solved again, with what the pictures give to movers and to the static scene. Its
-    borders then follow the colour edges of each frame. A mask may be empty. A frame that would be masked beyond
-    --max-share keeps its surest part; masks.json and the log name it. What is connected over space and time has one
-    number through the clip, in instances/frame_0001.png (16 bit, 0 = static). If the round before began with the same
-    cameras, its masks are carried over. Other sources write the masks that refinement is compared with, as one
-    instance, or those of the user as they are.
+    borders then follow the colour edges of each frame, and what colours near by are inside and outside of them. A mask
+    may be empty. A frame that would be masked beyond --max-share keeps its surest part; masks.json and the log name it.
+    What is connected over space and time has one number through the clip, in instances/frame_0001.png (16 bit, 0 =
+    static). If the round before began with the same cameras, its masks are carried over. Other sources write the masks
+    that refinement is compared with, as one instance, or those of the user as they are.
     """
     frames = read_sequence(sequence)
     begun = Solved(previous_poses, previous_depth), Solved(earlier_poses, earlier_depth)

@@ -29,6 +29,7 @@ def smooth_along_edges(
         shown: [h, w] in -1..1, what pictures show of each pixel: with a weight of SHOWN_WEIGHT |shown| it is averaged
             with the image, as 1 where it is positive, as 0 where it is negative (normalised convolution, Knutsson and
             Westin, CVPR 1993).
+        colours: [H, W] in -1..1, what `colour_evidence` says of each, likewise with a weight of COLOUR_WEIGHT.
     """
     H, W = rgb.shape[:2]
     weight = smoothness * relative_size(rgb) ** 2
