@@ -228,7 +228,8 @@ def test_ground_behind_a_wide_mover_has_the_depth_of_its_plane(hole: int) -> Non
     depths = layers._static_depths(world, 0, 1.0 - masked)
     nearest = np.min([np.abs(depth / plane - 1) for depth in depths], axis=0)
     assert np.mean(nearest[masked & (v > 40)] < 0.02) > 0.9
-    np.testing.assert_array_equal(depths[0][masked], depths[3][masked], err_msg="its own: that of the narrowest plane")
+    rim = masked & (cv2.erode(masked.astype(np.uint8), np.ones((9, 9), np.uint8)) == 0) & (v > 40)
+    np.testing.assert_allclose(depths[0][rim], plane[rim], rtol=0.02, err_msg="its own: that of the narrowest plane")
     fitted = np.where(masked, np.float32(np.inf), plane)  # an overflow of float16, where nothing fits
     lost = world._replace(as_static=lambda _: (fitted, ~masked))
     np.testing.assert_array_equal(layers._static_depths(lost, 0, np.ones((H, W)))[-1], depths[-1])
