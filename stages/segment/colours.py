@@ -55,8 +55,8 @@ def colour_evidence(sureness: np.ndarray, rgb: np.ndarray) -> np.ndarray:
     clear = np.clip(np.abs(sureness - 0.5) / SURE, 0, 1) * (np.maximum(*depths) <= ASKED_PX * px + cell_px)
     learnt = np.dstack([(depth > LEARNT_PX * px) * clear for depth in depths])[some].astype(np.float32) * step**2
     lab = cv2.cvtColor(rgb, cv2.COLOR_RGB2LAB)
-    lab -= lab.reshape(-1, 3).min(axis=0)
-    size = [int(n / cell_px) + 2 for n in sureness.shape] + [int(n / BIN) + 2 for n in lab.reshape(-1, 3).max(axis=0)]
+    lab -= np.array([of.min() for of in cv2.split(lab)])
+    size = [int(n / cell_px) + 2 for n in sureness.shape] + [int(of.max() / BIN) + 2 for of in cv2.split(lab)]
     grid, shares = np.zeros((*size, 2), np.float32), np.empty((5, 2))
     _splat(np.ascontiguousarray(lab[some]), learnt, step / cell_px, grid, shares)
     found, read = np.zeros((*sureness.shape, 2), np.float32), asked.copy()
