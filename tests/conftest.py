@@ -29,6 +29,7 @@ DATA = REPO.parent / "shared" / "data"
 SOURCES = ("Snakefile", "config.yaml", "profiles", "workflow", "stages")
 
 TIMEOUT_S = 900.0
+"""Of a run of Snakemake."""
 BEGUN_FIRST = "test_workflow"
 """The file of plans takes minutes: begun last, one process would wait for it in the end. It runs no stage, so that no
 kernel is compiled earlier than before."""

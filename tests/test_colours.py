@@ -13,9 +13,9 @@ from stages.shared.images import REFERENCE_PX
 H, W = 160, REFERENCE_PX
 
 
-def ground(seed: int, colour: tuple[int, int, int], h: int = H, w: int = W) -> np.ndarray:
-    """Texture [h, w, 3] uint8 of spots around a colour, without edges that only borders have."""
-    noise = np.random.default_rng(seed).normal(0, 60, (h, w, 3))
+def ground(seed: int, colour: tuple[int, int, int]) -> np.ndarray:
+    """Texture [H, W, 3] uint8 of spots around a colour, without edges that only borders have."""
+    noise = np.random.default_rng(seed).normal(0, 60, (H, W, 3))
     return np.clip(cv2.GaussianBlur(noise, (0, 0), 1.2) * 2 + colour, 0, 255).astype(np.uint8)
 
 

@@ -152,8 +152,6 @@ def _given(handed: GivenMasks) -> Masks:
 
 
 def _refined(options: SegmentOptions, frames: Sequence, flow: Path, prior: Path, previous: Solved) -> Masks:
-    from stages.segment.colours import colour_evidence  # compiled code, which masks from elsewhere spare
-
     evidence = read_dense(prior)
     if "weight" not in evidence or len(evidence["weight"]) != len(frames.frames):
         expected = f"columns 'probability' and 'weight' of {len(frames.frames)} frames"
@@ -192,16 +190,27 @@ def _refined(options: SegmentOptions, frames: Sequence, flow: Path, prior: Path,
 
     def mask(k: int, rgb: np.ndarray) -> Mask:
         of_pixels = None if shown is None else shown.of_frame(k)
-        edges = options.smoothness, options.colour_sigma
-        parts = pixels.paint(sure, k), rgb, *edges, of_pixels
-        sureness = smooth_along_edges(*parts)
-        threshold = guarded_threshold(sureness, DYNAMIC, options.max_share)
-        if threshold == DYNAMIC:  # else its surest part is wanted, and not that of the clearest colours
-            sureness = smooth_along_edges(*parts, colour_evidence(sureness, rgb))
-        dynamic = to_mask(sureness, threshold, options.min_area)
-        return Mask(dynamic, to_instances(dynamic, pixels.paint(instance, k)), threshold > DYNAMIC)
+        dynamic, guarded = _on_pixels(options, pixels.paint(sure, k), rgb, of_pixels)
+        return Mask(dynamic, to_instances(dynamic, pixels.paint(instance, k)), guarded)
 
     return mask
+
+
+def _on_pixels(
+    options: SegmentOptions, sure: np.ndarray, rgb: np.ndarray, shown: np.ndarray | None
+) -> tuple[np.ndarray, bool]:
+    """The mask [H, W] bool of a frame [H, W, 3] from how surely [h, w] it moves, and whether it was cut back.
+
+    `shown` [h, w] in -1..1 is what the pictures show of each pixel.
+    """
+    from stages.segment.colours import colour_evidence  # compiled code, which masks from elsewhere spare
+
+    parts = sure, rgb, options.smoothness, options.colour_sigma, shown
+    sureness = smooth_along_edges(*parts)
+    threshold = guarded_threshold(sureness, DYNAMIC, options.max_share)
+    if threshold == DYNAMIC:  # else its surest part is wanted, and not that of the clearest colours
+        sureness = smooth_along_edges(*parts, colour_evidence(sureness, rgb))
+    return to_mask(sureness, threshold, options.min_area), threshold > DYNAMIC
 
 
 def _one_by_one(columns: Dense, name: str) -> Iterator[np.ndarray]:

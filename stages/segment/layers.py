@@ -245,6 +245,6 @@ def _static_depths(world: StaticWorld, k: int, static: np.ndarray) -> list[np.nd
     square = np.ones((round(AROUND_PX * relative_size(solved)),) * 2, np.uint8)
     around = [cv2.erode(solved, square), cv2.dilate(solved, square)]
     known = np.where(fits, static, 0).astype(np.float32)
-    planes = [surrounding_plane(np.where(known > 0, fitted, 0), known, share) for share in BEHIND]  # it may be infinite
+    planes = [surrounding_plane(fitted, known, share) for share in BEHIND]
     narrow, *wide = (np.where(trust > LEAST_SHARE, plane, solved) for plane, trust in planes)
     return [np.where(fits, cv2.medianBlur(fitted, MEDIAN_PX), narrow), *around, *wide]

@@ -16,14 +16,14 @@ def surrounding_plane(inverse_depth: np.ndarray, trust: np.ndarray, share: float
     around it would be that of ground nearer by.
 
     Args:
-        inverse_depth: [h, w]. trust: [h, w], with which each pixel counts.
+        inverse_depth: [h, w], of any value where the trust is 0. trust: [h, w], with which each pixel counts.
         share: width of the square around a pixel, as a share of the longer side of the frame.
     """
     h, w = inverse_depth.shape
     size = max(w // COARSE_PX, 1), max(h // COARSE_PX, 1)
     window = 2 * round(share * max(size) / 2) + 1
     v, u = np.mgrid[: size[1], : size[0]] - np.array([size[1] / 2, size[0] / 2])[:, None, None]
-    weighed = np.dstack([trust, trust * inverse_depth]).astype(np.float64)
+    weighed = np.dstack([trust, trust * np.where(trust > 0, inverse_depth, 0)]).astype(np.float64)
     trust, d = np.moveaxis(cv2.resize(weighed, size, interpolation=cv2.INTER_AREA), -1, 0)
     d = d / np.maximum(trust, TINY)
 
