@@ -3,6 +3,7 @@
 It differs from a new process in what is read at a start: PYTHONPATH, the seed of hashes. Give `env` for those.
 """
 
+import functools
 import multiprocessing
 import os
 import runpy
@@ -11,7 +12,6 @@ import sys
 import tempfile
 from pathlib import Path
 
-TESTS = Path(__file__).resolve().parent
 _LOADED = multiprocessing.get_context("forkserver")
 _LOADED.set_forkserver_preload(["snakemake.cli"])
 
@@ -23,7 +23,7 @@ def run(folder: Path, arguments: tuple[str, ...], timeout_s: float) -> subproces
     """
     with tempfile.TemporaryDirectory() as name:
         said = [Path(name) / "stdout", Path(name) / "stderr"]
-        process = _LOADED.Process(target=_snakemake, args=(folder, arguments, dict(os.environ), said))
+        process = _LOADED.Process(target=_snakemake, args=(folder, arguments, dict(os.environ), _path(), said))
         process.start()
         try:
             process.join(timeout_s)
@@ -36,19 +36,22 @@ def run(folder: Path, arguments: tuple[str, ...], timeout_s: float) -> subproces
     return subprocess.CompletedProcess(["snakemake", *arguments], process.exitcode, stdout, stderr)
 
 
-def _snakemake(folder: Path, arguments: tuple[str, ...], environment: dict[str, str], said: list[Path]) -> None:
+def _snakemake(
+    folder: Path, arguments: tuple[str, ...], environment: dict[str, str], path: list[str], said: list[Path]
+) -> None:
     """The process itself: its streams are files, and it finds no modules that only tests see."""
-    for path, stream in zip(said, (sys.stdout, sys.stderr), strict=True):
-        os.dup2(os.open(path, os.O_WRONLY | os.O_CREAT), stream.fileno())
+    for file, stream in zip(said, (sys.stdout, sys.stderr), strict=True):
+        os.dup2(os.open(file, os.O_WRONLY | os.O_CREAT), stream.fileno())
     os.environ.clear()
     os.environ.update(environment)
     os.chdir(folder)
-    given = environment.get("PYTHONPATH", "").split(os.pathsep)
-    sys.path[:] = [str(folder), *(path for path in sys.path if path in given or not _of_tests(path))]
+    sys.path[:] = [str(folder), *path]
     sys.argv = ["snakemake", *arguments]
     runpy.run_module("snakemake", run_name="__main__", alter_sys=True)
 
 
-def _of_tests(path: str) -> bool:
-    """Whether pytest has put a folder where modules are found."""
-    return path in ("", str(TESTS.parent)) or Path(path).is_relative_to(TESTS)
+@functools.cache
+def _path() -> list[str]:
+    """Where a new process finds modules, but for its folder: pytest adds to its own, what is installed among it."""
+    asked = [sys.executable, "-c", "import sys; print(*sys.path[1:], sep='\\n')"]
+    return subprocess.run(asked, capture_output=True, text=True, check=True).stdout.splitlines()
