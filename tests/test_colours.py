@@ -56,18 +56,18 @@ def test_the_kernels_equal_histograms_read_one_by_one() -> None:
     weights = np.dstack([sure > 0.5, sure <= 0.5]).astype(np.float32)
     v, u = np.mgrid[: rgb.shape[0], : rgb.shape[1]] / 20
     places = np.concatenate([np.stack([v, u]), np.moveaxis(lab / BIN, -1, 0)]).reshape(5, -1)
-    size = [int(of.max()) + 2 for of in places]
-    grid, expected = np.zeros((*size, 2), np.float32), np.zeros((*size, 2))
-    shares = np.empty((5, 2))
-    colours._splat(lab, weights, 1 / 20, grid, shares)
+    size = np.array([int(of.max()) + 2 for of in places])
+    grid, expected = np.zeros((size[:2].prod(), size[2:].prod(), 2), np.float32), np.zeros((*size, 2))
+    totals, found = np.zeros((len(grid), 2), np.float32), np.zeros_like(weights)
+    colours._splat(lab, weights, 1 / 20, size, grid, totals)
     below = places.astype(int)
     for corner in np.ndindex(2, 2, 2, 2, 2):
         upper = np.array(corner)[:, None]
         share = np.where(upper, places - below, 1 - places + below).prod(axis=0)
         np.add.at(expected, tuple(below + upper), share[:, None] * weights.reshape(-1, 2))
-    np.testing.assert_allclose(grid, expected, atol=1e-3)
-    totals, found = grid.sum(axis=(2, 3, 4)), np.zeros_like(weights)
-    colours._slice(lab, np.ones(rgb.shape[:2], bool), 1 / 20, grid, totals, found, shares)
+    np.testing.assert_allclose(grid.reshape(expected.shape), expected, atol=1e-3)
+    np.testing.assert_allclose(totals, grid.sum(axis=1), rtol=1e-4)
+    colours._slice(lab, np.ones(rgb.shape[:2], bool), 1 / 20, size, grid, totals, found)
     axes = [np.arange(n) for n in size]
     density = RegularGridInterpolator(axes, expected)(places.T)
     around = RegularGridInterpolator(axes[:2], expected.sum(axis=(2, 3, 4)))(places[:2].T)
@@ -97,8 +97,15 @@ def test_what_is_thin_is_left_to_other_evidence() -> None:
 
 @pytest.mark.parametrize("darkest", [0, 200])
 def test_the_grid_holds_every_place_and_colour(darkest: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Compiled loops check no bounds; here they run as plain Python, which does."""
-    for name in ("_tents", "_colour", "_splat", "_slice"):
+    """Compiled loops check no bounds; here they run as plain Python, and every axis is checked."""
+    corners = colours._corners.py_func
+
+    def checked(place: tuple[float, ...], nodes: np.ndarray, at: np.ndarray, shares: np.ndarray) -> None:
+        assert all(0 <= int(of) < n - 1 for of, n in zip(place, nodes, strict=True))
+        corners(place, nodes, at, shares)
+
+    monkeypatch.setattr(colours, "_corners", checked)
+    for name in ("_splat", "_slice"):
         monkeypatch.setattr(colours, name, getattr(colours, name).py_func)
     rgb = np.random.default_rng(0).integers(darkest, 256, (24, 40, 3)).astype(np.uint8)
     rgb[-1, -1], rgb[0, 0] = 255, darkest

@@ -49,19 +49,22 @@ def colour_evidence(sureness: np.ndarray, rgb: np.ndarray) -> np.ndarray:
     depths = [_distance(of) for of in (inside, 1 - inside)]
     if not all(depth.any() for depth in depths):
         return np.zeros(sureness.shape, np.float32)
-    asked = np.maximum(*depths) <= ASKED_PX * px
+    away = np.maximum(*depths)
+    asked = away <= ASKED_PX * px
     step = max(1, round(EVERY_PX * px))
     some, cell_px = np.s_[::step, ::step], CELL_PX * px
-    clear = np.clip(np.abs(sureness - 0.5) / SURE, 0, 1) * (np.maximum(*depths) <= ASKED_PX * px + cell_px)
-    learnt = np.dstack([(depth > LEARNT_PX * px) * clear for depth in depths])[some].astype(np.float32) * step**2
+    clear = np.clip(np.abs(sureness[some] - 0.5) / SURE, 0, 1) * (away[some] <= ASKED_PX * px + cell_px)
+    learnt = np.dstack([(depth[some] > LEARNT_PX * px) * clear for depth in depths]).astype(np.float32) * step**2
     lab = cv2.cvtColor(rgb, cv2.COLOR_RGB2LAB)
     lab -= np.array([of.min() for of in cv2.split(lab)])
-    size = [int(n / cell_px) + 2 for n in sureness.shape] + [int(of.max() / BIN) + 2 for of in cv2.split(lab)]
-    grid, shares = np.zeros((*size, 2), np.float32), np.empty((5, 2))
-    _splat(np.ascontiguousarray(lab[some]), learnt, step / cell_px, grid, shares)
+    places = *(n / cell_px for n in sureness.shape), *(of.max() / BIN for of in cv2.split(lab))
+    nodes = np.array([int(last) + 2 for last in places])
+    grid = np.zeros((nodes[:2].prod(), nodes[2:].prod(), 2), np.float32)
+    totals = np.zeros((len(grid), 2), np.float32)
+    _splat(np.ascontiguousarray(lab[some]), learnt, step / cell_px, nodes, grid, totals)
     found, read = np.zeros((*sureness.shape, 2), np.float32), asked.copy()
     read[some] |= learnt.any(axis=2)
-    _slice(lab, read, 1 / cell_px, grid, grid.sum(axis=(2, 3, 4)), found, shares)
+    _slice(lab, read, 1 / cell_px, nodes, grid, totals, found)
     told = found[..., 0] * found[..., 1] / (found[..., 1] + ENOUGH * cell_px**2)
     own = [weigh(sign * told[some][..., None], learnt[..., side]) for side, sign in enumerate((1, -1))]
     tells = np.minimum(*(extend(of, cell_px / 2 / step)[0][..., 0] for of in own))
@@ -76,66 +79,62 @@ def _distance(mask: np.ndarray) -> np.ndarray:
 
 
 @numba.njit(**KERNEL)
-def _splat(lab, weights, per_px, grid, shares):  # type: ignore[no-untyped-def]
-    """Add the weights [h, w, 2] of pixels of colours lab [h, w, 3] uint8 to the grid [y, x, l, a, b, 2].
+def _splat(lab, weights, per_px, nodes, grid, totals):  # type: ignore[no-untyped-def]
+    """Add the weights [h, w, 2] of pixels of colours lab [h, w, 3] uint8 to the grid and to its sums over all colours.
 
-    `shares` [5, 2] is for what `_tents` gives.
+    The grid is [P, C, 2], with the nodes [5] of the axes y, x (P together) and l, a, b (C together). The sums are [P, 2].
     """
+    at, around, share, likely = np.empty(4, np.int64), np.empty(8, np.int64), np.empty(4), np.empty(8)
     for v in range(lab.shape[0]):
-        j = _tents(v * per_px, shares[0])
         for u in range(lab.shape[1]):
             inner, outer = weights[v, u, 0], weights[v, u, 1]
             if inner == 0 and outer == 0:
                 continue
-            i = _tents(u * per_px, shares[1])
-            k, m, n = _colour(lab, v, u, shares)
-            for y, x, c, d, e in np.ndindex(2, 2, 2, 2, 2):
-                share = shares[0, y] * shares[1, x] * shares[2, c] * shares[3, d] * shares[4, e]
-                grid[j + y, i + x, k + c, m + d, n + e, 0] += share * inner
-                grid[j + y, i + x, k + c, m + d, n + e, 1] += share * outer
+            _corners((v * per_px, u * per_px), nodes[:2], at, share)
+            _corners((lab[v, u, 0] / BIN, lab[v, u, 1] / BIN, lab[v, u, 2] / BIN), nodes[2:], around, likely)
+            for p in range(4):
+                totals[at[p], 0] += share[p] * inner
+                totals[at[p], 1] += share[p] * outer
+                for c in range(8):
+                    grid[at[p], around[c], 0] += share[p] * likely[c] * inner
+                    grid[at[p], around[c], 1] += share[p] * likely[c] * outer
 
 
 @numba.njit(**KERNEL)
-def _slice(lab, read, per_px, grid, totals, found, shares):  # type: ignore[no-untyped-def]
+def _slice(lab, read, per_px, nodes, grid, totals, found):  # type: ignore[no-untyped-def]
     """Into found [H, W, 2], where read: (p - q) / (p + q), and how much was learnt there of the side of which less was.
 
-    `totals` [y, x, 2] are the sums of the grid over all colours, `shares` [5, 2] is for what `_tents` gives.
+    Arguments as of `_splat`.
     """
+    at, around, share, likely = np.empty(4, np.int64), np.empty(8, np.int64), np.empty(4), np.empty(8)
     for v in range(lab.shape[0]):
-        j = _tents(v * per_px, shares[0])
         for u in range(lab.shape[1]):
             if not read[v, u]:
                 continue
-            i = _tents(u * per_px, shares[1])
-            k, m, n = _colour(lab, v, u, shares)
+            _corners((v * per_px, u * per_px), nodes[:2], at, share)
+            _corners((lab[v, u, 0] / BIN, lab[v, u, 1] / BIN, lab[v, u, 2] / BIN), nodes[2:], around, likely)
             inner, outer, all_inner, all_outer = 0.0, 0.0, 0.0, 0.0
-            for y, x in np.ndindex(2, 2):
-                here = shares[0, y] * shares[1, x]
-                all_inner += here * totals[j + y, i + x, 0]
-                all_outer += here * totals[j + y, i + x, 1]
-                for c, d, e in np.ndindex(2, 2, 2):
-                    share = here * shares[2, c] * shares[3, d] * shares[4, e]
-                    inner += share * grid[j + y, i + x, k + c, m + d, n + e, 0]
-                    outer += share * grid[j + y, i + x, k + c, m + d, n + e, 1]
-            p, q = inner / max(all_inner, TINY), outer / max(all_outer, TINY)
-            found[v, u, 0] = (p - q) / (p + q + RARE)
+            for p in range(4):
+                all_inner += share[p] * totals[at[p], 0]
+                all_outer += share[p] * totals[at[p], 1]
+                for c in range(8):
+                    inner += share[p] * likely[c] * grid[at[p], around[c], 0]
+                    outer += share[p] * likely[c] * grid[at[p], around[c], 1]
+            P, Q = inner / max(all_inner, TINY), outer / max(all_outer, TINY)
+            found[v, u, 0] = (P - Q) / (P + Q + RARE)
             found[v, u, 1] = min(all_inner, all_outer)
 
 
 @numba.njit(**KERNEL)
-def _colour(lab, v, u, shares):  # type: ignore[no-untyped-def]
-    """The lower nodes of a pixel's colour, with the shares of both in the last three of `shares` [5, 2]."""
-    return (
-        _tents(lab[v, u, 0] / BIN, shares[2]),
-        _tents(lab[v, u, 1] / BIN, shares[3]),
-        _tents(lab[v, u, 2] / BIN, shares[4]),
-    )
-
-
-@numba.njit(**KERNEL)
-def _tents(place, shares):  # type: ignore[no-untyped-def]
-    """The lower of the two nodes around a place on an axis; into `shares` [2] those of both, which are linear."""
-    node = int(place)
-    shares[1] = place - node
-    shares[0] = 1 - shares[1]
-    return node
+def _corners(place, nodes, at, shares):  # type: ignore[no-untyped-def]
+    """The 2^n nodes around a place on n axes, as indices into a grid with these nodes, and their multilinear shares."""
+    at[0], shares[0], known = 0, 1.0, 1
+    for axis in range(len(nodes)):
+        lower = int(place[axis])
+        upper_share = place[axis] - lower
+        for c in range(known):
+            at[known + c] = at[c] * nodes[axis] + lower + 1
+            at[c] = at[known + c] - 1
+            shares[known + c] = shares[c] * upper_share
+            shares[c] -= shares[known + c]
+        known *= 2

@@ -1,6 +1,6 @@
 """Superpixels of a clip, and what links them: shared borders within a frame, matches of the flow between frames."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import cv2
@@ -94,13 +94,12 @@ def _of_frame(rgb: np.ndarray) -> tuple[np.ndarray, int, np.ndarray]:
 
 def borders(pixels: Superpixels) -> sparse.csr_matrix:
     """Length in pixels of the border that two superpixels of a frame share, [N, N], symmetric."""
-    rows, columns = [], []
-    for start, labels in zip(pixels.first, pixels.labels, strict=False):
+    parts = []
+    for start, stop, labels in zip(pixels.first[:-1], pixels.first[1:], pixels.labels, strict=True):
         for a, b in ((labels[:, :-1], labels[:, 1:]), (labels[:-1], labels[1:])):
             apart = a != b
-            rows.append(start + a[apart])
-            columns.append(start + b[apart])
-    return _symmetric(rows, columns, [np.ones(len(part)) for part in rows], pixels.first[-1])
+            parts.append(_links(np.ones(apart.sum()), a[apart], b[apart], (start, stop), (start, stop)))
+    return _symmetric(parts, pixels.first[-1])
 
 
 def matches(pixels: Superpixels, pairs: Mapping[str, np.ndarray], start: int = 0) -> sparse.csr_matrix:
@@ -114,7 +113,7 @@ def matches(pixels: Superpixels, pairs: Mapping[str, np.ndarray], start: int = 0
     o, begin, end = SAMPLED_PX // 2, pairs["source"] - start, pairs["target"] - start
     linked = np.isin(np.abs(begin - end), LINKED_OFFSETS) & (np.minimum(begin, end) >= 0) & (np.maximum(begin, end) < T)
     v, u = np.mgrid[o:h:SAMPLED_PX, o:w:SAMPLED_PX]
-    rows, columns, weights = [], [], []
+    parts = []
     for n, e in enumerate(np.flatnonzero(linked)):
         i, j = begin[e], end[e]
         if n % AT_ONCE == 0 and isinstance(pairs, Dense):
@@ -123,21 +122,29 @@ def matches(pixels: Superpixels, pairs: Mapping[str, np.ndarray], start: int = 0
         confidence = pairs["confidence"][e, o::SAMPLED_PX, o::SAMPLED_PX].astype(np.float32)
         x, y = np.rint(u + flow[..., 0]).astype(int), np.rint(v + flow[..., 1]).astype(int)
         seen = (confidence > MIN_CONFIDENCE) & (x >= 0) & (x < w) & (y >= 0) & (y < h)
-        rows.append(pixels.first[i] + pixels.labels[i][v[seen], u[seen]])
-        columns.append(pixels.first[j] + pixels.labels[j][y[seen], x[seen]])
-        weights.append(SAMPLED_PX**2 * confidence[seen])
-    return _symmetric(rows, columns, weights, pixels.first[-1])
+        rows, columns = pixels.labels[i][v[seen], u[seen]], pixels.labels[j][y[seen], x[seen]]
+        of_frames = (pixels.first[k : k + 2] for k in (i, j))
+        parts.append(_links(SAMPLED_PX**2 * confidence[seen], rows, columns, *of_frames))
+    return _symmetric(parts, pixels.first[-1])
 
 
-def _symmetric(
-    rows: list[np.ndarray], columns: list[np.ndarray], weights: list[np.ndarray], N: int
-) -> sparse.csr_matrix:
-    """The sparse sum of the weights and of their transpose, [N, N]."""
-    parts = []
-    for part in zip(weights, rows, columns, strict=True):
-        links = sparse.coo_matrix((part[0], part[1:]), (N, N))
-        links.sum_duplicates()  # pixels become superpixels, part by part: all at once would take ten times the memory
-        parts.append((links.data, links.row, links.col))
+def _links(
+    weights: np.ndarray, rows: np.ndarray, columns: np.ndarray, of_rows: Sequence[int], of_columns: Sequence[int]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The summed weight of each two superpixels of two frames that are linked, and their numbers in the clip.
+
+    Args:
+        weights: [L] of single pixels, whose superpixels are rows and columns [L] of their frames. Frame by frame: all at
+            once would take ten times the memory.
+        of_rows, of_columns: first and last + 1 of the superpixels of both frames.
+    """
+    shape = of_rows[1] - of_rows[0], of_columns[1] - of_columns[0]
+    links = sparse.csr_matrix((weights, (rows, columns)), shape).tocoo()  # CSR sums duplicates, without a sort of all
+    return links.data, of_rows[0] + links.row, of_columns[0] + links.col
+
+
+def _symmetric(parts: list[tuple[np.ndarray, np.ndarray, np.ndarray]], N: int) -> sparse.csr_matrix:
+    """The sparse sum of links (weights, rows, columns) and of their transpose, [N, N]."""
     data, row, column = (np.concatenate(arrays) for arrays in zip(*parts, strict=True)) if parts else np.zeros((3, 0))
     total = sparse.coo_matrix((data, (row.astype(int), column.astype(int))), (N, N)).tocsr()
     return total + total.T
