@@ -1,4 +1,7 @@
-"""What is known of some pixels, extended to those around."""
+"""What is known of some pixels, extended to those around.
+
+Channel by channel: NumPy takes three times as long over the short axis of channels that a pixel has.
+"""
 
 import cv2
 import numpy as np
@@ -6,7 +9,11 @@ import numpy as np
 
 def weigh(values: np.ndarray, weight: np.ndarray) -> np.ndarray:
     """Values [h, w, c] times their weight [h, w], and behind them the weight: [h, w, c + 1]."""
-    return np.dstack([values * weight[..., None], weight])
+    weighted = np.empty((*weight.shape, values.shape[2] + 1), np.result_type(values, weight))
+    for c in range(values.shape[2]):
+        np.multiply(values[..., c], weight, out=weighted[..., c])
+    weighted[..., -1] = weight
+    return weighted
 
 
 def extend(weighted: np.ndarray, sigma_px: float) -> tuple[np.ndarray, np.ndarray]:
@@ -19,4 +26,7 @@ def extend(weighted: np.ndarray, sigma_px: float) -> tuple[np.ndarray, np.ndarra
     coarse = cv2.resize(weighted, (max(1, w // step), max(1, h // step)), interpolation=cv2.INTER_AREA)
     blurred = cv2.GaussianBlur(coarse, (0, 0), sigma_px / step, borderType=cv2.BORDER_CONSTANT)
     blurred = cv2.resize(blurred, (w, h), interpolation=cv2.INTER_LINEAR)
-    return blurred[..., :-1] / np.maximum(blurred[..., -1:], 1e-6), blurred[..., -1]
+    weight, means = np.maximum(blurred[..., -1], 1e-6), np.empty_like(blurred[..., :-1])
+    for c in range(means.shape[2]):
+        np.divide(blurred[..., c], weight, out=means[..., c])
+    return means, blurred[..., -1]
