@@ -82,7 +82,7 @@ def _distance(mask: np.ndarray) -> np.ndarray:
 def _splat(lab, weights, per_px, nodes, grid, totals):  # type: ignore[no-untyped-def]
     """Add the weights [h, w, 2] of pixels of colours lab [h, w, 3] uint8 to the grid and to its sums over all colours.
 
-    The grid is [P, C, 2], with the nodes [5] of the axes y, x (P together) and l, a, b (C together). The sums are [P, 2].
+    The grid is [P, C, 2], with `nodes` [5] along y, x (P together) and l, a, b (C together). The sums are [P, 2].
     """
     at, around, share, likely = np.empty(4, np.int64), np.empty(8, np.int64), np.empty(4), np.empty(8)
     for v in range(lab.shape[0]):

@@ -1,6 +1,6 @@
 """Superpixels of a clip, and what links them: shared borders within a frame, matches of the flow between frames."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from typing import NamedTuple
 
 import cv2
@@ -95,10 +95,11 @@ def _of_frame(rgb: np.ndarray) -> tuple[np.ndarray, int, np.ndarray]:
 def borders(pixels: Superpixels) -> sparse.csr_matrix:
     """Length in pixels of the border that two superpixels of a frame share, [N, N], symmetric."""
     parts = []
-    for start, stop, labels in zip(pixels.first[:-1], pixels.first[1:], pixels.labels, strict=True):
+    for k, labels in enumerate(pixels.labels):
+        own = pixels.first[k : k + 2]
         for a, b in ((labels[:, :-1], labels[:, 1:]), (labels[:-1], labels[1:])):
             apart = a != b
-            parts.append(_links(np.ones(apart.sum()), a[apart], b[apart], (start, stop), (start, stop)))
+            parts.append(_links(np.ones(apart.sum()), a[apart], b[apart], own, own))
     return _symmetric(parts, pixels.first[-1])
 
 
@@ -129,14 +130,14 @@ def matches(pixels: Superpixels, pairs: Mapping[str, np.ndarray], start: int = 0
 
 
 def _links(
-    weights: np.ndarray, rows: np.ndarray, columns: np.ndarray, of_rows: Sequence[int], of_columns: Sequence[int]
+    weights: np.ndarray, rows: np.ndarray, columns: np.ndarray, of_rows: np.ndarray, of_columns: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The summed weight of each two superpixels of two frames that are linked, and their numbers in the clip.
 
     Args:
-        weights: [L] of single pixels, whose superpixels are rows and columns [L] of their frames. Frame by frame: all at
-            once would take ten times the memory.
-        of_rows, of_columns: first and last + 1 of the superpixels of both frames.
+        weights: [L] of single pixels, whose superpixels are rows and columns [L] of their frames. All frames at once
+            would take ten times the memory.
+        of_rows, of_columns: [2] first and last + 1 of the superpixels of both frames.
     """
     shape = of_rows[1] - of_rows[0], of_columns[1] - of_columns[0]
     links = sparse.csr_matrix((weights, (rows, columns)), shape).tocoo()  # CSR sums duplicates, without a sort of all
