@@ -1,9 +1,8 @@
 """Snakemake in a process forked from one that has its modules loaded: they take longer to load than a plan to make.
 
-It differs from a new process in what is read at a start: PYTHONPATH, the seed of hashes. Give `env` for those.
+It differs from a new process in what is read at a start, as the seed of hashes is. Give `env` for that.
 """
 
-import functools
 import multiprocessing
 import os
 import runpy
@@ -23,7 +22,7 @@ def run(folder: Path, arguments: tuple[str, ...], timeout_s: float) -> subproces
     """
     with tempfile.TemporaryDirectory() as name:
         said = [Path(name) / "stdout", Path(name) / "stderr"]
-        process = _LOADED.Process(target=_snakemake, args=(folder, arguments, dict(os.environ), _path(), said))
+        process = _LOADED.Process(target=_snakemake, args=(folder, arguments, dict(os.environ), _path(folder), said))
         process.start()
         try:
             process.join(timeout_s)
@@ -50,8 +49,10 @@ def _snakemake(
     runpy.run_module("snakemake", run_name="__main__", alter_sys=True)
 
 
-@functools.cache
-def _path() -> list[str]:
-    """Where a new process finds modules, but for its folder: pytest adds to its own, what is installed among it."""
+def _path(folder: Path) -> list[str]:
+    """Where a new process in `folder` finds modules, but for the folder itself.
+
+    A new one is asked: pytest adds folders to the path of this one, and the installed package may lie in one of them.
+    """
     asked = [sys.executable, "-c", "import sys; print(*sys.path[1:], sep='\\n')"]
-    return subprocess.run(asked, capture_output=True, text=True, check=True).stdout.splitlines()
+    return subprocess.run(asked, cwd=folder, capture_output=True, text=True, check=True).stdout.splitlines()

@@ -101,7 +101,7 @@ def test_the_grid_holds_every_place_and_colour(darkest: int, monkeypatch: pytest
     corners = colours._corners.py_func
 
     def checked(place: tuple[float, ...], nodes: np.ndarray, at: np.ndarray, shares: np.ndarray) -> None:
-        assert all(0 <= int(of) < n - 1 for of, n in zip(place, nodes, strict=True))
+        assert all(0 <= of < n - 1 for of, n in zip(place, nodes, strict=True))
         corners(place, nodes, at, shares)
 
     monkeypatch.setattr(colours, "_corners", checked)

@@ -8,7 +8,7 @@ from scipy import sparse
 
 from stages.segment import permanence
 from stages.segment.permanence import Links, instances, level, persistent, solve, windows
-from stages.segment.superpixels import Superpixels, borders, matches, superpixels
+from stages.segment.superpixels import Superpixels, superpixels
 
 T, H, W = 9, 96, 160
 STEP = 5
@@ -223,40 +223,6 @@ def test_windows_read_their_own_pairs(monkeypatch: pytest.MonkeyPatch) -> None:
     assert all((pixels.paint(sure, k)[where[k] == 1] >= 0.5).mean() > 0.8 for k in (5, 6, 7, 8))
 
 
-def test_links_are_weaker_between_other_colours() -> None:
-    labels = np.array([[[0, 0, 1, 1]] * 4] * 2, np.int32)
-    colours = np.zeros((4, 3))
-    colours[3] = 20
-    pixels = Superpixels(labels, np.array([0, 2, 4]), np.full(4, 8.0), colours)
-    pairs = {"source": np.array([0]), "target": np.array([1])}
-    pairs |= {"flow": np.zeros((1, 4, 4, 2), np.float32), "confidence": np.ones((1, 4, 4))}
-    found = permanence.link_weights(pixels, pairs, 0, 3.0).toarray()
-    assert found[0, 2] == pytest.approx(3 * 8)
-    assert found[1, 3] == pytest.approx(3 * 8 * np.exp(-3 * 20**2 / (2 * 20**2)))
-    assert found[2, 3] == pytest.approx(2.4 * 4 * (4 / 512) * np.exp(-3 * 20**2 / (2 * 8**2)))
-
-
-def test_matches_follow_vertical_flow_between_near_frames_only() -> None:
-    labels = np.array([[[0] * 4] * 2 + [[1] * 4] * 2] * 5, np.int32)
-    pixels = Superpixels(labels, np.arange(0, 11, 2), np.full(10, 8.0), np.zeros((10, 3)))
-    flow = np.zeros((1, 4, 4, 2), np.float32)
-    flow[..., 1] = 2
-    pairs = {"source": np.array([0]), "target": np.array([3]), "flow": flow, "confidence": np.ones((1, 4, 4))}
-    found = matches(pixels, pairs)
-    assert found[0, 7] == 8
-    assert found.nnz == 2
-    assert matches(pixels, pairs | {"target": np.array([4])}).nnz == 0
-    assert matches(pixels, pairs | {"confidence": np.full((1, 4, 4), 0.04)}).nnz == 0
-
-
-@pytest.mark.parametrize("size", [(1, 40), (3, 20), (4, 4), (8, 8), (20, 30)])
-def test_superpixels_of_tiny_frames_cover_every_pixel(size: tuple[int, int]) -> None:
-    rgb = np.random.default_rng(0).integers(0, 256, (2, *size, 3)).astype(np.uint8)
-    pixels = superpixels(2, lambda k: rgb[k])
-    assert pixels.areas.sum() == 2 * size[0] * size[1]
-    assert len(pixels.areas) == pixels.first[-1] == len(pixels.colours)
-
-
 def test_confidence_counts_half_at_a_weight_of_one() -> None:
     np.testing.assert_allclose(permanence.confidence_of(np.array([0.0, 1.0, 3.0])), [0, 0.5, 0.75])
 
@@ -270,16 +236,3 @@ def test_instances_are_numbered_by_size() -> None:
     either = [(strong, large), (strong, -large)]
     np.testing.assert_array_equal(instances(dynamic, joined, np.ones(6), either), [2, 2, 0, 1, 1, 1])
     assert not instances(np.zeros(6, bool), joined, np.ones(6), [(strong,)]).any()
-
-
-def test_links_count_borders_and_matches() -> None:
-    labels = np.array([[[0, 0, 1, 1]] * 4, [[0, 0, 1, 1]] * 4], np.int32)
-    pixels = Superpixels(labels, np.array([0, 2, 4]), np.full(4, 8.0), np.zeros((4, 3)))
-    np.testing.assert_array_equal(borders(pixels).toarray(), np.kron(np.eye(2), [[0, 4], [4, 0]]))
-    flow = np.zeros((1, 4, 4, 2), np.float32)
-    flow[..., 0] = 2  # the left half goes to the right one, the right half leaves the frame
-    pairs = {"source": np.array([0]), "target": np.array([1]), "flow": flow, "confidence": np.full((1, 4, 4), 0.5)}
-    expected = np.zeros((4, 4))
-    expected[0, 3] = expected[3, 0] = 0.5 * 8
-    np.testing.assert_array_equal(matches(pixels, pairs).toarray(), expected)
-    assert matches(pixels, pairs | {"target": np.array([9])}).nnz == 0

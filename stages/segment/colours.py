@@ -82,7 +82,7 @@ def _distance(mask: np.ndarray) -> np.ndarray:
 def _splat(lab, weights, per_px, nodes, grid, totals):  # type: ignore[no-untyped-def]
     """Add the weights [h, w, 2] of pixels of colours lab [h, w, 3] uint8 to the grid and to its sums over all colours.
 
-    The grid is [P, C, 2], with `nodes` [5] along y, x (P together) and l, a, b (C together). The sums are [P, 2].
+    The grid is [N, C, 2], with `nodes` [5] along y, x (N together) and l, a, b (C together). The sums are [N, 2].
     """
     at, around, share, likely = np.empty(4, np.int64), np.empty(8, np.int64), np.empty(4), np.empty(8)
     for v in range(lab.shape[0]):
@@ -92,19 +92,19 @@ def _splat(lab, weights, per_px, nodes, grid, totals):  # type: ignore[no-untype
                 continue
             _corners((v * per_px, u * per_px), nodes[:2], at, share)
             _corners((lab[v, u, 0] / BIN, lab[v, u, 1] / BIN, lab[v, u, 2] / BIN), nodes[2:], around, likely)
-            for p in range(4):
-                totals[at[p], 0] += share[p] * inner
-                totals[at[p], 1] += share[p] * outer
+            for n in range(4):
+                totals[at[n], 0] += share[n] * inner
+                totals[at[n], 1] += share[n] * outer
                 for c in range(8):
-                    grid[at[p], around[c], 0] += share[p] * likely[c] * inner
-                    grid[at[p], around[c], 1] += share[p] * likely[c] * outer
+                    grid[at[n], around[c], 0] += share[n] * likely[c] * inner
+                    grid[at[n], around[c], 1] += share[n] * likely[c] * outer
 
 
 @numba.njit(**KERNEL)
 def _slice(lab, read, per_px, nodes, grid, totals, found):  # type: ignore[no-untyped-def]
     """Into found [H, W, 2], where read: (p - q) / (p + q), and how much was learnt there of the side of which less was.
 
-    Arguments as of `_splat`.
+    `lab` and `per_px` are those of all pixels; `nodes`, `grid` and `totals` as `_splat` leaves them.
     """
     at, around, share, likely = np.empty(4, np.int64), np.empty(8, np.int64), np.empty(4), np.empty(8)
     for v in range(lab.shape[0]):
@@ -114,14 +114,14 @@ def _slice(lab, read, per_px, nodes, grid, totals, found):  # type: ignore[no-un
             _corners((v * per_px, u * per_px), nodes[:2], at, share)
             _corners((lab[v, u, 0] / BIN, lab[v, u, 1] / BIN, lab[v, u, 2] / BIN), nodes[2:], around, likely)
             inner, outer, all_inner, all_outer = 0.0, 0.0, 0.0, 0.0
-            for p in range(4):
-                all_inner += share[p] * totals[at[p], 0]
-                all_outer += share[p] * totals[at[p], 1]
+            for n in range(4):
+                all_inner += share[n] * totals[at[n], 0]
+                all_outer += share[n] * totals[at[n], 1]
                 for c in range(8):
-                    inner += share[p] * likely[c] * grid[at[p], around[c], 0]
-                    outer += share[p] * likely[c] * grid[at[p], around[c], 1]
-            P, Q = inner / max(all_inner, TINY), outer / max(all_outer, TINY)
-            found[v, u, 0] = (P - Q) / (P + Q + RARE)
+                    inner += share[n] * likely[c] * grid[at[n], around[c], 0]
+                    outer += share[n] * likely[c] * grid[at[n], around[c], 1]
+            p, q = inner / max(all_inner, TINY), outer / max(all_outer, TINY)
+            found[v, u, 0] = (p - q) / (p + q + RARE)
             found[v, u, 1] = min(all_inner, all_outer)
 
 

@@ -134,9 +134,10 @@ def _links(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The summed weight of each two superpixels of two frames that are linked, and their numbers in the clip.
 
+    Pixels become superpixels frame by frame: all at once would take ten times the memory.
+
     Args:
-        weights: [L] of single pixels, whose superpixels are rows and columns [L] of their frames. All frames at once
-            would take ten times the memory.
+        weights: [L] of single pixels, whose superpixels are rows and columns [L] of their frames.
         of_rows, of_columns: [2] first and last + 1 of the superpixels of both frames.
     """
     shape = of_rows[1] - of_rows[0], of_columns[1] - of_columns[0]
@@ -146,6 +147,7 @@ def _links(
 
 def _symmetric(parts: list[tuple[np.ndarray, np.ndarray, np.ndarray]], N: int) -> sparse.csr_matrix:
     """The sparse sum of links (weights, rows, columns) and of their transpose, [N, N]."""
-    data, row, column = (np.concatenate(arrays) for arrays in zip(*parts, strict=True)) if parts else np.zeros((3, 0))
-    total = sparse.coo_matrix((data, (row.astype(int), column.astype(int))), (N, N)).tocsr()
+    parts = [(np.zeros(0), *np.zeros((2, 0), int)), *parts]  # a clip of one frame has no matches
+    data, row, column = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+    total = sparse.coo_matrix((data, (row, column)), (N, N)).tocsr()
     return total + total.T
