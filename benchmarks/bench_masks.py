@@ -16,9 +16,9 @@ import time
 import cv2
 import numpy as np
 
-from stages.segment.colours import colour_evidence
+from stages.segment.boundaries import Boundaries
+from stages.segment.options import SegmentOptions
 from stages.segment.permanence import Links, confidence_of, persistent
-from stages.segment.refinement import smooth_along_edges, to_mask
 from stages.segment.superpixels import superpixels
 
 WIDTH, HEIGHT = 512, 218
@@ -56,10 +56,9 @@ def run(T: int) -> None:
     pixels = superpixels(T, picture)
     probability = np.concatenate([pixels.part(k, k + 1).means(prior(k)[None]) for k in range(T)])
     sure, _ = persistent(Links(pixels, pairs, 3.0), probability, confidence_of(np.ones(len(probability))), 0.33)
+    boundaries = Boundaries(T, picture, lambda k: pixels.paint(sure, k), lambda _: None, SegmentOptions())
     for k in range(T):
-        parts = pixels.paint(sure, k), picture(k), 1000.0, 3.0, None
-        colours = colour_evidence(smooth_along_edges(*parts), parts[1])
-        to_mask(smooth_along_edges(*parts, colours), 0.5, 5e-4)
+        boundaries.mask(k)
     spent = time.process_time() - begun
     print(T, spent, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3)
 

@@ -90,7 +90,7 @@ def test_cameras_of_the_round_before_make_a_mover_whole(tmp_path: Path, monkeypa
     with monkeypatch.context() as patch:
         patch.setattr(Belonging, "of_frame", lambda shown, k: asked.append(k) or of_frame(shown, k))
         overlaps(*PREVIOUS)
-    assert sorted(asked) == list(range(T)), "each frame's mask goes by the pixels of that frame"
+    assert set(asked) == set(range(T)), "each frame's mask goes by the pixels of that frame"
     with pytest.raises(InputError, match="together with --previous-depth"):
         overlaps("poses.parquet")
     lost = replace(static_cameras(), status=np.full(T, "failed", object))

@@ -10,7 +10,8 @@ import pytest
 from conftest import write_frames
 
 from stages.segment import __main__ as segment_stage
-from stages.segment import colours
+from stages.segment import boundaries
+from stages.segment.colours import Learnt
 from stages.segment.options import SegmentOptions
 from stages.segment.refinement import guarded_threshold, smooth_along_edges, to_instances, to_mask
 from stages.shared.artifacts import read_dense, read_json, write_dense, write_json
@@ -172,14 +173,15 @@ def test_colours_decide_on_the_borders_of_each_frame(
     *inputs, discs = passing_disc
     asked = []
 
-    def denied(sureness: np.ndarray, rgb: np.ndarray) -> np.ndarray:
-        asked.append((sureness > 0.5, rgb))
+    def denied(sureness: np.ndarray, rgb: np.ndarray, others: list[Learnt]) -> np.ndarray:
+        asked.append((sureness > 0.5, rgb, len(others)))
         return np.where(np.arange(80)[:, None] < 40, -1, 0) * np.ones(sureness.shape)
 
-    monkeypatch.setattr(colours, "colour_evidence", denied)
+    monkeypatch.setattr(boundaries, "colour_evidence", denied)
     run(inputs, tmp_path / "masks", tmp_path / "segment.png", OPTIONS)
-    for number, disc, (before, rgb) in zip((7, 8, 9), discs, asked, strict=True):
+    for number, disc, (before, rgb, others) in zip((7, 8, 9), discs, asked, strict=True):
         mask = read_mask(tmp_path / f"masks/frame_{number:04d}.png")
+        assert others == 0, "none is three frames away"
         assert overlap(before, disc) > 0.9
         assert overlap(rgb[..., 0] > 100, disc) > 0.9, "each frame's own colours"
         assert not mask[:36].any()

@@ -12,7 +12,7 @@ from stages.given.files import of_sequence
 from stages.given.masks import GivenMasks
 from stages.segment.options import SegmentOptions
 from stages.segment.permanence import DYNAMIC, Links, confidence_of, persistent
-from stages.segment.refinement import guarded_threshold, smooth_along_edges, to_instances, to_mask
+from stages.segment.refinement import to_instances
 from stages.segment.static_world import MOTION_AGAIN, static_world
 from stages.segment.superpixels import AT_ONCE, superpixels
 from stages.shared import cli, drawing
@@ -37,8 +37,8 @@ class Mask(NamedTuple):
     guarded: bool = False
 
 
-Masks = Callable[[int, np.ndarray], Mask]
-"""From a frame's index and picture [H, W, 3] to its mask."""
+Masks = Callable[[int], Mask]
+"""From a frame's index to its mask."""
 WRITES = ("frame_*.png", "instances/frame_*.png", "masks.json")
 """Files of a folder of masks."""
 
@@ -80,13 +80,11 @@ def main(
     found, shown, overlays = _Facts(), set(drawing.spread(len(frames.numbers), 6).tolist()), []
     with atomic_folder(output, WRITES) as folder:
         for k, number in progress(list(enumerate(frames.numbers)), "masks"):
-            path = frames.frames[k]
-            rgb = read_rgb(path)
-            mask = masks(k, rgb) if burnt_in is None else _without(burnt_in, masks(k, rgb))
+            mask = masks(k) if burnt_in is None else _without(burnt_in, masks(k))
             write_image(mask_path(folder, number), mask.dynamic)
             write_image(instances_path(folder, number), mask.instances)
             found.add(number, mask)
-            overlays += [drawing.overlay_instances(rgb, mask.instances)] if k in shown else []
+            overlays += [drawing.overlay_instances(read_rgb(frames.frames[k]), mask.instances)] if k in shown else []
         facts = found.to_json() | ({"given": handed.kind} if handed else {})
         write_json(folder / "masks.json", facts | {"options": options.model_dump()})
     write_figure(figure, drawing.contact_sheet(overlays, columns=3))
@@ -124,13 +122,13 @@ def _masks(options: SegmentOptions, frames: Sequence, flow: Path | None, prior: 
     if options.source == "truth":
         return _true(frames)
     if options.source == "none":
-        return lambda _k, _rgb: _as_one(np.zeros(size[::-1], bool))
+        return lambda _: _as_one(np.zeros(size[::-1], bool))
     if prior is None or flow is None:
         raise InputError("--flow, --prior", f"both for `source: {options.source}`", "not both", "give both")
     if options.source == "refined":
         return _refined(options, frames, flow, prior, previous)
     probability = read_dense(prior)["probability"]
-    return lambda k, _: _as_one(enlarge(probability[k].astype(np.float32), size) > DYNAMIC)
+    return lambda k: _as_one(enlarge(probability[k].astype(np.float32), size) > DYNAMIC)
 
 
 def _handed_in(path: str | None, frames: Sequence, option: str = given_masks.OPTION) -> GivenMasks | None:
@@ -144,7 +142,7 @@ def _handed_in(path: str | None, frames: Sequence, option: str = given_masks.OPT
 
 
 def _given(handed: GivenMasks) -> Masks:
-    def mask(k: int, _: np.ndarray) -> Mask:
+    def mask(k: int) -> Mask:
         labels = handed.labels(k)
         return Mask(labels > 0, labels)
 
@@ -188,29 +186,21 @@ def _refined(options: SegmentOptions, frames: Sequence, flow: Path, prior: Path,
             moving = np.where(floats, np.maximum(shown.weight, MOVING), shown.weight)
             sure, instance = persistent(*given, moving, shown.asked)
 
-    def mask(k: int, rgb: np.ndarray) -> Mask:
-        of_pixels = None if shown is None else shown.of_frame(k)
-        dynamic, guarded = _on_pixels(options, pixels.paint(sure, k), rgb, of_pixels)
+    from stages.segment.boundaries import Boundaries  # compiled code, which masks from elsewhere spare
+
+    def sure_of(k: int) -> np.ndarray:
+        return pixels.paint(sure, k)
+
+    def shown_of(k: int) -> np.ndarray | None:
+        return None if shown is None else shown.of_frame(k)
+
+    boundaries = Boundaries(len(frames.frames), lambda k: read_rgb(frames.frames[k]), sure_of, shown_of, options)
+
+    def mask(k: int) -> Mask:
+        dynamic, guarded = boundaries.mask(k)
         return Mask(dynamic, to_instances(dynamic, pixels.paint(instance, k)), guarded)
 
     return mask
-
-
-def _on_pixels(
-    options: SegmentOptions, sure: np.ndarray, rgb: np.ndarray, shown: np.ndarray | None
-) -> tuple[np.ndarray, bool]:
-    """The mask [H, W] bool of a frame [H, W, 3] from how surely [h, w] it moves, and whether it was cut back.
-
-    `shown` [h, w] in -1..1 is what the pictures show of each pixel.
-    """
-    from stages.segment.colours import colour_evidence  # compiled code, which masks from elsewhere spare
-
-    parts = sure, rgb, options.smoothness, options.colour_sigma, shown
-    sureness = smooth_along_edges(*parts)
-    threshold = guarded_threshold(sureness, DYNAMIC, options.max_share)
-    if threshold == DYNAMIC:  # else its surest part is wanted, and not that of the clearest colours
-        sureness = smooth_along_edges(*parts, colour_evidence(sureness, rgb))
-    return to_mask(sureness, threshold, options.min_area), threshold > DYNAMIC
 
 
 def _one_by_one(columns: Dense, name: str) -> Iterator[np.ndarray]:
@@ -225,7 +215,7 @@ def _true(frames: Sequence) -> Masks:
     if not frames.has_truth("motion_mask"):
         expected = "motion_mask beside them, for every frame, for `source: truth`"
         raise InputError(frames.frames[0].parent, expected, "no motion_mask", "set `source: refined`")
-    return lambda k, _: _as_one(read_mask(frames.truth["motion_mask"][frames.numbers[k]]))
+    return lambda k: _as_one(read_mask(frames.truth["motion_mask"][frames.numbers[k]]))
 
 
 def _without(burnt_in: np.ndarray, mask: Mask) -> Mask:

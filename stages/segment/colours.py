@@ -4,7 +4,11 @@ Evidence of motion is blurred at borders: flow leaks over some pixels, and what 
 Its colours are not. Near every place two histograms are learnt, of what is surely inside and surely outside of the
 mask; both lie in one grid over places and colours (the bilateral grid of Chen et al., SIGGRAPH 2007; in segmentation of
 video that of Maerki et al., CVPR 2016), into which pixels are splatted and from which they are read multilinearly.
+Frames near by are splatted too: things keep their colours, while what is found of them comes and goes.
 """
+
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import cv2
 import numba
@@ -14,63 +18,100 @@ from stages.segment.extension import extend, weigh
 from stages.shared.images import relative_size
 from stages.shared.window_kernels import KERNEL
 
-CELL_PX, BIN = 64.0, 12.0
+CELL_PX, BIN = 64.0, 8.0
 """Distance of the grid's nodes, in frames of REFERENCE_PX and in colour levels (CIELAB, 0..255)."""
-LEARNT_PX, ASKED_PX = 3.0, 24.0
+LEARNT_PX, ASKED_PX = 3.0, 48.0
 """Distance from the border of the mask, in frames of REFERENCE_PX, from which on colours are learnt, and up to which
 they are asked. Nearly all of what is masked or missed by mistake lies within these."""
-EVERY_PX = 2.0
+EVERY_PX = 4.0
 """Distance of the pixels that are learnt, likewise."""
 THICK_PX, BESIDE_PX = 6.0, 9.0
 """What lies farther than BESIDE_PX from all that is THICK_PX within the mask, likewise, is not denied: too little is
 learnt of thin and small things, and beside a larger mover their colours would be those of the ground."""
 SURE = 0.3
 """How far from 1/2 the sureness of a pixel lies that is learnt fully."""
-ENOUGH = 0.02
+ENOUGH = 0.01
 """Share of a cell that must be learnt from, of either side, for its colours to count half."""
 RARE = 1e-3
 """Share of the pixels around that have a colour at which it tells half."""
 TINY = 1e-6
 
 
-def colour_evidence(sureness: np.ndarray, rgb: np.ndarray) -> np.ndarray:
+class Learnt(NamedTuple):
+    """What a frame teaches of the colours inside and outside of its mask, by one pixel in `_step` each way.
+
+    Attributes:
+        lab: [h, w, 3] uint8. weights: [h, w, 2] float32, with which it is learnt as inside, and as outside.
+    """
+
+    lab: np.ndarray
+    weights: np.ndarray
+
+
+def learn(sureness: np.ndarray, rgb: np.ndarray) -> Learnt:
+    """What colours are surely inside, and surely outside, near the border of a mask.
+
+    Args:
+        sureness: [H, W] in 0..1, above 1/2 inside of the mask. rgb: [H, W, 3] uint8.
+    """
+    px, some = relative_size(rgb), np.s_[:: _step(rgb), :: _step(rgb)]
+    depth, sure = _depth(sureness)[some], np.clip(np.abs(sureness[some] - 0.5) / SURE, 0, 1)
+    sure *= np.abs(depth) <= (ASKED_PX + CELL_PX) * px
+    weights = np.dstack([(side > LEARNT_PX * px) * sure for side in (depth, -depth)])
+    return Learnt(cv2.cvtColor(rgb[some], cv2.COLOR_RGB2LAB), weights.astype(np.float32))
+
+
+def colour_evidence(sureness: np.ndarray, rgb: np.ndarray, others: Sequence[Learnt] = ()) -> np.ndarray:
     """How clearly [H, W] float32 the colours say of each pixel that it moves, -1 (it does not) to 1.
 
-    With the shares p and q of the pixels around, inside and outside of the mask, that have its colour:
+    With the shares p and q of the pixels around, inside and outside of the masks, that have its colour:
     (p - q) / (p + q), less for rare colours and where little was learnt, times the root of how well that tells the
     pixels around from which it was learnt: of its means over those inside and over those outside, there negated, the
     smaller counts. It is 0 where both look alike. 0, too, farther than ASKED_PX from the border of the mask.
 
     Args:
         sureness: [H, W] in 0..1, above 1/2 inside of the mask. rgb: [H, W, 3] uint8.
+        others: what frames near by teach, of the same size.
     """
-    px = relative_size(rgb)
-    inside = (sureness > 0.5).astype(np.uint8)
-    depths = [_distance(of) for of in (inside, 1 - inside)]
-    if not all(depth.any() for depth in depths):
+    px, step, depth = relative_size(rgb), _step(rgb), _depth(sureness)
+    cell_px, some, asked = CELL_PX * px, np.s_[::step, ::step], np.abs(depth) <= ASKED_PX * px
+    if not asked.any():
         return np.zeros(sureness.shape, np.float32)
-    away = np.maximum(*depths)
-    asked = away <= ASKED_PX * px
-    step = max(1, round(EVERY_PX * px))
-    some, cell_px = np.s_[::step, ::step], CELL_PX * px
-    clear = np.clip(np.abs(sureness[some] - 0.5) / SURE, 0, 1) * (away[some] <= ASKED_PX * px + cell_px)
-    learnt = np.dstack([(depth[some] > LEARNT_PX * px) * clear for depth in depths]).astype(np.float32) * step**2
-    lab = cv2.cvtColor(rgb, cv2.COLOR_RGB2LAB)
-    lab -= np.array([of.min() for of in cv2.split(lab)])
-    places = *(n / cell_px for n in sureness.shape), *(of.max() / BIN for of in cv2.split(lab))
-    nodes = np.array([int(last) + 2 for last in places])
+    own, lab = learn(sureness, rgb), cv2.cvtColor(rgb, cv2.COLOR_RGB2LAB)
+    least, most = _range([lab, *(of.lab for of in others)])
+    nodes = np.array([int(last) + 2 for last in (*(n / cell_px for n in depth.shape), *(most - least) / BIN)])
     grid = np.zeros((nodes[:2].prod(), nodes[2:].prod(), 2), np.float32)
     totals = np.zeros((len(grid), 2), np.float32)
-    _splat(np.ascontiguousarray(lab[some]), learnt, step / cell_px, nodes, grid, totals)
-    found, read = np.zeros((*sureness.shape, 2), np.float32), asked.copy()
-    read[some] |= learnt.any(axis=2)
-    _slice(lab, read, 1 / cell_px, nodes, grid, totals, found)
-    told = found[..., 0] * found[..., 1] / (found[..., 1] + ENOUGH * cell_px**2)
-    own = [weigh(sign * told[some][..., None], learnt[..., side]) for side, sign in enumerate((1, -1))]
-    tells = np.minimum(*(extend(of, cell_px / 2 / step)[0][..., 0] for of in own))
-    told *= np.sqrt(np.clip(cv2.resize(tells, sureness.shape[::-1]), 0, 1))
-    thin = (inside > 0) & (_distance((depths[0] <= THICK_PX * px).astype(np.uint8)) > BESIDE_PX * px)
-    return np.where(asked, np.where(thin, np.maximum(told, 0), told), 0).astype(np.float32)
+    for of in (own, *others):
+        _splat(of.lab, least, of.weights, step / cell_px, nodes, grid, totals)
+    found, read = np.zeros((*depth.shape, 2), np.float32), asked.copy()
+    read[some] |= own.weights.any(axis=2)
+    _slice(lab, least, read, 1 / cell_px, nodes, grid, totals, found)
+    told = found[..., 0] * found[..., 1] / (found[..., 1] + ENOUGH * (1 + len(others)) * (cell_px / step) ** 2)
+    sides = [weigh(sign * told[some][..., None], own.weights[..., side]) for side, sign in enumerate((1, -1))]
+    tells = np.minimum(*(extend(of, cell_px / 2 / step)[0][..., 0] for of in sides))
+    told *= np.sqrt(np.clip(cv2.resize(tells, depth.shape[::-1]), 0, 1))
+    thick = _distance((depth <= THICK_PX * px).astype(np.uint8)) <= BESIDE_PX * px
+    return np.where(asked, np.where(thick | (depth < 0), told, np.maximum(told, 0)), 0).astype(np.float32)
+
+
+def _range(frames: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """The least and the largest level [3] of frames [h, w, 3] uint8."""
+    found = [[(int(of.min()), int(of.max())) for of in cv2.split(frame)] for frame in frames]
+    return np.min(found, axis=0)[:, 0], np.max(found, axis=0)[:, 1]
+
+
+def _depth(sureness: np.ndarray) -> np.ndarray:
+    """How far [H, W] px within the mask, and, negative, outside of it; infinite if there is no border."""
+    inside = (sureness > 0.5).astype(np.uint8)
+    if inside.all() or not inside.any():
+        return np.full(inside.shape, np.inf, np.float32)
+    return _distance(inside) - _distance(1 - inside)
+
+
+def _step(frame: np.ndarray) -> int:
+    """Distance in pixels of those of a frame [H, W, 3] that are learnt."""
+    return max(1, round(EVERY_PX * relative_size(frame)))
 
 
 def _distance(mask: np.ndarray) -> np.ndarray:
@@ -79,7 +120,7 @@ def _distance(mask: np.ndarray) -> np.ndarray:
 
 
 @numba.njit(**KERNEL)
-def _splat(lab, weights, per_px, nodes, grid, totals):  # type: ignore[no-untyped-def]
+def _splat(lab, least, weights, per_px, nodes, grid, totals):  # type: ignore[no-untyped-def]
     """Add the weights [h, w, 2] of pixels of colours lab [h, w, 3] uint8 to the grid and to its sums over all colours.
 
     The grid is [N, C, 2], with `nodes` [5] along y, x (N together) and l, a, b (C together). The sums are [N, 2].
@@ -91,7 +132,8 @@ def _splat(lab, weights, per_px, nodes, grid, totals):  # type: ignore[no-untype
             if inner == 0 and outer == 0:
                 continue
             _corners((v * per_px, u * per_px), nodes[:2], at, share)
-            _corners((lab[v, u, 0] / BIN, lab[v, u, 1] / BIN, lab[v, u, 2] / BIN), nodes[2:], around, likely)
+            light, a, b = lab[v, u, 0] - least[0], lab[v, u, 1] - least[1], lab[v, u, 2] - least[2]
+            _corners((light / BIN, a / BIN, b / BIN), nodes[2:], around, likely)
             for n in range(4):
                 totals[at[n], 0] += share[n] * inner
                 totals[at[n], 1] += share[n] * outer
@@ -101,7 +143,7 @@ def _splat(lab, weights, per_px, nodes, grid, totals):  # type: ignore[no-untype
 
 
 @numba.njit(**KERNEL)
-def _slice(lab, read, per_px, nodes, grid, totals, found):  # type: ignore[no-untyped-def]
+def _slice(lab, least, read, per_px, nodes, grid, totals, found):  # type: ignore[no-untyped-def]
     """Into found [H, W, 2], where read: (p - q) / (p + q), and how much was learnt there of the side of which less was.
 
     `lab` and `per_px` are those of all pixels; `nodes`, `grid` and `totals` as `_splat` leaves them.
@@ -112,7 +154,8 @@ def _slice(lab, read, per_px, nodes, grid, totals, found):  # type: ignore[no-un
             if not read[v, u]:
                 continue
             _corners((v * per_px, u * per_px), nodes[:2], at, share)
-            _corners((lab[v, u, 0] / BIN, lab[v, u, 1] / BIN, lab[v, u, 2] / BIN), nodes[2:], around, likely)
+            light, a, b = lab[v, u, 0] - least[0], lab[v, u, 1] - least[1], lab[v, u, 2] - least[2]
+            _corners((light / BIN, a / BIN, b / BIN), nodes[2:], around, likely)
             inner, outer, all_inner, all_outer = 0.0, 0.0, 0.0, 0.0
             for n in range(4):
                 all_inner += share[n] * totals[at[n], 0]
