@@ -16,7 +16,7 @@ import time
 import cv2
 import numpy as np
 
-from stages.segment.boundaries import Boundaries
+from stages.segment.boundaries import masks_on_pixels
 from stages.segment.options import SegmentOptions
 from stages.segment.permanence import Links, confidence_of, persistent
 from stages.segment.superpixels import superpixels
@@ -56,9 +56,8 @@ def run(T: int) -> None:
     pixels = superpixels(T, picture)
     probability = np.concatenate([pixels.part(k, k + 1).means(prior(k)[None]) for k in range(T)])
     sure, _ = persistent(Links(pixels, pairs, 3.0), probability, confidence_of(np.ones(len(probability))), 0.33)
-    boundaries = Boundaries(T, picture, lambda k: pixels.paint(sure, k), lambda _: None, SegmentOptions())
-    for k in range(T):
-        boundaries.mask(k)
+    for _ in masks_on_pixels(T, picture, lambda k: (pixels.paint(sure, k), None), SegmentOptions()):
+        pass
     spent = time.process_time() - begun
     print(T, spent, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3)
 

@@ -1,52 +1,80 @@
-"""Boundaries of masks on pixels: which frames teach the colours of which, and what is read of them."""
+"""Boundaries of masks on pixels: which frames teach the colours of which, and what is held of them."""
+
+import weakref
 
 import numpy as np
 import pytest
 
 from stages.segment import boundaries
-from stages.segment.boundaries import Boundaries
+from stages.segment.boundaries import masks_on_pixels
 from stages.segment.colours import Learnt
 from stages.segment.options import SegmentOptions
 
-T, H, W = 16, 40, 60
+T, H, W = 20, 40, 60
+SQUARE = np.zeros((H, W))
+SQUARE[10:30, 20:40] = 1
+RAMP = np.tile(np.linspace(0.55, 1, W), (H, 1))
+"""Nearly all of the frame, more than a mask may hold."""
 
 
-def grey(k: int) -> np.ndarray:
-    """Frame k [H, W, 3], of one level that no other frame has."""
-    return np.full((H, W, 3), 10 * k, np.uint8)
+class Clip:
+    """Frames of one level each: which teach the colours of each, and how many are held then."""
 
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, *nearly_full: int) -> None:
+        self.read: list[weakref.ref[np.ndarray]] = []
+        self.taught: dict[int, list[int]] = {}
+        self.held: list[int] = []
+        monkeypatch.setattr(boundaries, "learn", lambda sureness, rgb: Learnt(rgb[0, 0] // 10, sureness))
+        monkeypatch.setattr(boundaries, "colour_evidence", self.evidence)
+        sure = {k: RAMP if k in nearly_full else SQUARE for k in range(T)}
+        self.masks = list(masks_on_pixels(T, self.picture, lambda k: (sure[k], None), SegmentOptions()))
 
-def asked(monkeypatch: pytest.MonkeyPatch, sure: np.ndarray) -> tuple[list[int], dict[int, list[int]], list[bool]]:
-    """Of a clip of frames that are this sure [H, W]: which are read, which teach each, and which are cut back."""
-    read: list[int] = []
-    taught: dict[int, list[int]] = {}
+    def picture(self, k: int) -> np.ndarray:
+        """Frame k, which must be asked for after the one before it."""
+        assert k == len(self.read)
+        frame = np.full((H, W, 3), 10 * k, np.uint8)
+        self.read.append(weakref.ref(frame))
+        return frame
 
-    def picture(k: int) -> np.ndarray:
-        read.append(k)
-        return grey(k)
-
-    def evidence(sureness: np.ndarray, rgb: np.ndarray, others: list[Learnt]) -> np.ndarray:
-        taught[int(rgb[0, 0, 0]) // 10] = [int(of.lab[0, 0, 0]) for of in others]
+    def evidence(self, sureness: np.ndarray, rgb: np.ndarray, own: Learnt, others: list[Learnt]) -> np.ndarray:
+        """Nothing."""
+        k = int(own.lab[0])
+        assert (rgb == 10 * k).all()
+        self.taught[k] = [int(of.lab[0]) for of in others]
+        self.held.append(sum(frame() is not None for frame in self.read))
         return np.zeros(sureness.shape, np.float32)
 
-    monkeypatch.setattr(boundaries, "learn", lambda sureness, rgb: Learnt(rgb // 10, sureness))
-    monkeypatch.setattr(boundaries, "colour_evidence", evidence)
-    clip = Boundaries(T, picture, lambda _: sure, lambda _: None, SegmentOptions())
-    return read, taught, [clip.mask(k)[1] for k in range(T)]
+
+def near(k: int) -> list[int]:
+    """Frames that teach the colours of frame k."""
+    return [j for j in (k - 6, k - 3, k + 3, k + 6) if 0 <= j < T]
 
 
-def test_frames_near_by_teach_and_each_is_read_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    sure = np.zeros((H, W))
-    sure[10:30, 20:40] = 1
-    read, taught, cut = asked(monkeypatch, sure)
-    assert sorted(read) == list(range(T))
-    assert taught == {k: [j for j in (k - 6, k - 3, k + 3, k + 6) if 0 <= j < T] for k in range(T)}
-    assert not any(cut)
+def test_frames_near_by_teach_and_those_past_are_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
+    clip = Clip(monkeypatch)
+    assert len(clip.read) == len(clip.masks) == T
+    assert clip.taught == {k: near(k) for k in range(T)}
+    assert max(clip.held) == 7, "this one and six ahead"
+    assert not any(cut for _, cut in clip.masks)
 
 
-def test_colours_say_nothing_of_a_frame_that_is_cut_back(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its surest part is wanted, and not that of the clearest colours."""
-    sure = np.tile(np.linspace(0.55, 1, W), (H, 1))
-    _, taught, cut = asked(monkeypatch, sure)
-    assert not taught
-    assert all(cut)
+def test_a_frame_that_is_cut_back_neither_learns_nor_teaches(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its surest part is wanted, and not that of the clearest colours; most of what it masks is wrong."""
+    clip = Clip(monkeypatch, 7, 8)
+    assert [cut for _, cut in clip.masks] == [k in (7, 8) for k in range(T)]
+    assert clip.taught == {k: [j for j in near(k) if j not in (7, 8)] for k in range(T) if k not in (7, 8)}
+
+
+def test_borders_follow_what_pictures_show_and_colours(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pictures deny the upper half of the square in every other frame, and colours its left half in all."""
+    denied, left = np.zeros((H, W), np.float32), np.zeros((H, W), np.float32)
+    denied[:20], left[:, :30] = -1, -1
+    monkeypatch.setattr(boundaries, "colour_evidence", lambda *_: left)
+    known = [(0.7 * SQUARE, denied if k % 2 else None) for k in range(T)]
+    rgb = np.kron([[1, 2], [3, 4]], np.full((20, 30), 50))[..., None].repeat(3, axis=2).astype(np.uint8)
+    rgb[SQUARE == 0] = 0
+    masks = masks_on_pixels(T, lambda _: rgb, known.__getitem__, SegmentOptions())
+    for k, (mask, _) in enumerate(masks):
+        assert mask[22:28, 32:38].all()
+        assert not mask[:, :28].any()
+        assert mask[12:18, 32:38].all() != bool(k % 2)

@@ -173,7 +173,7 @@ def test_colours_decide_on_the_borders_of_each_frame(
     *inputs, discs = passing_disc
     asked = []
 
-    def denied(sureness: np.ndarray, rgb: np.ndarray, others: list[Learnt]) -> np.ndarray:
+    def denied(sureness: np.ndarray, rgb: np.ndarray, _: Learnt, others: list[Learnt]) -> np.ndarray:
         asked.append((sureness > 0.5, rgb, len(others)))
         return np.where(np.arange(80)[:, None] < 40, -1, 0) * np.ones(sureness.shape)
 

@@ -1,7 +1,7 @@
 """Refine the motion prior to binary dynamic masks at full resolution, and number what moves."""
 
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -37,8 +37,8 @@ class Mask(NamedTuple):
     guarded: bool = False
 
 
-Masks = Callable[[int], Mask]
-"""From a frame's index to its mask."""
+Masks = Iterator[Mask]
+"""The masks of the frames, in their order."""
 WRITES = ("frame_*.png", "instances/frame_*.png", "masks.json")
 """Files of a folder of masks."""
 
@@ -80,7 +80,7 @@ def main(
     found, shown, overlays = _Facts(), set(drawing.spread(len(frames.numbers), 6).tolist()), []
     with atomic_folder(output, WRITES) as folder:
         for k, number in progress(list(enumerate(frames.numbers)), "masks"):
-            mask = masks(k) if burnt_in is None else _without(burnt_in, masks(k))
+            mask = next(masks) if burnt_in is None else _without(burnt_in, next(masks))
             write_image(mask_path(folder, number), mask.dynamic)
             write_image(instances_path(folder, number), mask.instances)
             found.add(number, mask)
@@ -117,18 +117,18 @@ class _Facts:
 
 
 def _masks(options: SegmentOptions, frames: Sequence, flow: Path | None, prior: Path | None, previous: Solved) -> Masks:
-    """The function that computes the mask of a frame, for the chosen source."""
+    """The masks of the frames, for the chosen source: each is made when it is asked for."""
     size = frames.width, frames.height
     if options.source == "truth":
         return _true(frames)
     if options.source == "none":
-        return lambda _: _as_one(np.zeros(size[::-1], bool))
+        return (_as_one(np.zeros(size[::-1], bool)) for _ in frames.numbers)
     if prior is None or flow is None:
         raise InputError("--flow, --prior", f"both for `source: {options.source}`", "not both", "give both")
     if options.source == "refined":
         return _refined(options, frames, flow, prior, previous)
     probability = read_dense(prior)["probability"]
-    return lambda k: _as_one(enlarge(probability[k].astype(np.float32), size) > DYNAMIC)
+    return (_as_one(enlarge(probability[k].astype(np.float32), size) > DYNAMIC) for k in range(len(probability)))
 
 
 def _handed_in(path: str | None, frames: Sequence, option: str = given_masks.OPTION) -> GivenMasks | None:
@@ -142,11 +142,7 @@ def _handed_in(path: str | None, frames: Sequence, option: str = given_masks.OPT
 
 
 def _given(handed: GivenMasks) -> Masks:
-    def mask(k: int) -> Mask:
-        labels = handed.labels(k)
-        return Mask(labels > 0, labels)
-
-    return mask
+    return (Mask(labels > 0, labels) for labels in map(handed.labels, range(len(handed.paths))))
 
 
 def _refined(options: SegmentOptions, frames: Sequence, flow: Path, prior: Path, previous: Solved) -> Masks:
@@ -186,21 +182,13 @@ def _refined(options: SegmentOptions, frames: Sequence, flow: Path, prior: Path,
             moving = np.where(floats, np.maximum(shown.weight, MOVING), shown.weight)
             sure, instance = persistent(*given, moving, shown.asked)
 
-    from stages.segment.boundaries import Boundaries  # compiled code, which masks from elsewhere spare
+    from stages.segment.boundaries import masks_on_pixels  # compiled code, which masks from elsewhere spare
 
-    def sure_of(k: int) -> np.ndarray:
-        return pixels.paint(sure, k)
+    def known(k: int) -> tuple[np.ndarray, np.ndarray | None]:
+        return pixels.paint(sure, k), None if shown is None else shown.of_frame(k)
 
-    def shown_of(k: int) -> np.ndarray | None:
-        return None if shown is None else shown.of_frame(k)
-
-    boundaries = Boundaries(len(frames.frames), lambda k: read_rgb(frames.frames[k]), sure_of, shown_of, options)
-
-    def mask(k: int) -> Mask:
-        dynamic, guarded = boundaries.mask(k)
-        return Mask(dynamic, to_instances(dynamic, pixels.paint(instance, k)), guarded)
-
-    return mask
+    found = masks_on_pixels(len(frames.frames), lambda k: read_rgb(frames.frames[k]), known, options)
+    return (Mask(of, to_instances(of, pixels.paint(instance, k)), guarded) for k, (of, guarded) in enumerate(found))
 
 
 def _one_by_one(columns: Dense, name: str) -> Iterator[np.ndarray]:
@@ -215,7 +203,7 @@ def _true(frames: Sequence) -> Masks:
     if not frames.has_truth("motion_mask"):
         expected = "motion_mask beside them, for every frame, for `source: truth`"
         raise InputError(frames.frames[0].parent, expected, "no motion_mask", "set `source: refined`")
-    return lambda k: _as_one(read_mask(frames.truth["motion_mask"][frames.numbers[k]]))
+    return (_as_one(read_mask(frames.truth["motion_mask"][number])) for number in frames.numbers)
 
 
 def _without(burnt_in: np.ndarray, mask: Mask) -> Mask:

@@ -30,9 +30,9 @@ THICK_PX, BESIDE_PX = 6.0, 9.0
 learnt of thin and small things, and beside a larger mover their colours would be those of the ground."""
 SURE = 0.3
 """How far from 1/2 the sureness of a pixel lies that is learnt fully."""
-ENOUGH = 0.01
+ENOUGH = 0.02
 """Share of a cell that must be learnt from, of either side, for its colours to count half."""
-RARE = 1e-3
+RARE = 3e-4
 """Share of the pixels around that have a colour at which it tells half."""
 TINY = 1e-6
 
@@ -61,23 +61,23 @@ def learn(sureness: np.ndarray, rgb: np.ndarray) -> Learnt:
     return Learnt(cv2.cvtColor(rgb[some], cv2.COLOR_RGB2LAB), weights.astype(np.float32))
 
 
-def colour_evidence(sureness: np.ndarray, rgb: np.ndarray, others: Sequence[Learnt] = ()) -> np.ndarray:
+def colour_evidence(sureness: np.ndarray, rgb: np.ndarray, own: Learnt, others: Sequence[Learnt] = ()) -> np.ndarray:
     """How clearly [H, W] float32 the colours say of each pixel that it moves, -1 (it does not) to 1.
 
     With the shares p and q of the pixels around, inside and outside of the masks, that have its colour:
     (p - q) / (p + q), less for rare colours and where little was learnt, times the root of how well that tells the
-    pixels around from which it was learnt: of its means over those inside and over those outside, there negated, the
+    pixels around that this frame teaches: of its means over those inside and over those outside, there negated, the
     smaller counts. It is 0 where both look alike. 0, too, farther than ASKED_PX from the border of the mask.
 
     Args:
         sureness: [H, W] in 0..1, above 1/2 inside of the mask. rgb: [H, W, 3] uint8.
-        others: what frames near by teach, of the same size.
+        own: what the frame teaches, of `learn`; others: what frames near by do, of the same size.
     """
     px, step, depth = relative_size(rgb), _step(rgb), _depth(sureness)
     cell_px, some, asked = CELL_PX * px, np.s_[::step, ::step], np.abs(depth) <= ASKED_PX * px
     if not asked.any():
         return np.zeros(sureness.shape, np.float32)
-    own, lab = learn(sureness, rgb), cv2.cvtColor(rgb, cv2.COLOR_RGB2LAB)
+    lab = cv2.cvtColor(rgb, cv2.COLOR_RGB2LAB)
     least, most = _range([lab, *(of.lab for of in others)])
     nodes = np.array([int(last) + 2 for last in (*(n / cell_px for n in depth.shape), *(most - least) / BIN)])
     grid = np.zeros((nodes[:2].prod(), nodes[2:].prod(), 2), np.float32)
@@ -87,7 +87,7 @@ def colour_evidence(sureness: np.ndarray, rgb: np.ndarray, others: Sequence[Lear
     found, read = np.zeros((*depth.shape, 2), np.float32), asked.copy()
     read[some] |= own.weights.any(axis=2)
     _slice(lab, least, read, 1 / cell_px, nodes, grid, totals, found)
-    told = found[..., 0] * found[..., 1] / (found[..., 1] + ENOUGH * (1 + len(others)) * (cell_px / step) ** 2)
+    told = found[..., 0] * found[..., 1] / (found[..., 1] + ENOUGH * (cell_px / step) ** 2)
     sides = [weigh(sign * told[some][..., None], own.weights[..., side]) for side, sign in enumerate((1, -1))]
     tells = np.minimum(*(extend(of, cell_px / 2 / step)[0][..., 0] for of in sides))
     told *= np.sqrt(np.clip(cv2.resize(tells, depth.shape[::-1]), 0, 1))
@@ -123,7 +123,8 @@ def _distance(mask: np.ndarray) -> np.ndarray:
 def _splat(lab, least, weights, per_px, nodes, grid, totals):  # type: ignore[no-untyped-def]
     """Add the weights [h, w, 2] of pixels of colours lab [h, w, 3] uint8 to the grid and to its sums over all colours.
 
-    The grid is [N, C, 2], with `nodes` [5] along y, x (N together) and l, a, b (C together). The sums are [N, 2].
+    The grid is [N, C, 2], with `nodes` [5] along y, x (N together) and l, a, b (C together), these from the `least`
+    levels [3] on. The sums are [N, 2].
     """
     at, around, share, likely = np.empty(4, np.int64), np.empty(8, np.int64), np.empty(4), np.empty(8)
     for v in range(lab.shape[0]):

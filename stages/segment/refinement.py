@@ -8,7 +8,7 @@ from stages.shared.images import enlarge, relative_size
 SHOWN_WEIGHT = 0.8
 """Weight of what pictures show of a pixel, relative to that of its sureness: what is surest is not lost by it alone."""
 COLOUR_WEIGHT = 2.0
-"""Weight of what colours say, which are asked near borders alone: there they may outvote all else."""
+"""Weight of what colours say, where they are asked: clear ones may outvote all else."""
 
 
 def smooth_along_edges(

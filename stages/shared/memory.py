@@ -33,6 +33,7 @@ long_walk too, of 512 x 218 px with flow of 320 x 136.
 12, 50 and 300 frames of 512 x 218 px, which were not measured again. One byte per pixel of the flow grid, what the
 pictures show of it, was added by calculation. It keeps the links of a clip of one window since, with which 40 frames of
 512 x 218 px take as much as without.
+Since colours decide on borders it holds some frames at full size: 75 MB of 512 x 218 px, 256 MB of 1920 x 1080.
 `scene` was measured on 14, 40 and 200 frames of 512 x 218 px since it looks for moving shadows, before that on 300 and
 on those of long_walk; it keeps more of 200 frames than the bytes above, for which 45 per pixel are asked.
 `video` was measured on 20 and 90 frames of 1920 x 1080, whose peaks are alike, and on 40 of 3840 x 2160, on 4 threads;
@@ -99,7 +100,7 @@ NEEDS = {
     "flow": Need(230, per_grid=3, per_window=7.5),
     "lens": Need(360, per_edges=0.4, per_frame=40, per_window=0.7),
     "motion": Need(420, per_grid=31, per_window=2, keeps_flow=True),
-    "segment": Need(390, per_grid=12, per_window=5),
+    "segment": Need(380, per_frame=100, per_grid=12, per_window=5),
     "ba": Need(400, per_edges=1.5, keeps_flow=True),
     "scene": Need(180, per_grid=4, kept_grid=45, kept_mb=1200),
     "control": Need(590, per_grid=8, kept_grid=8, kept_mb=300),
