@@ -18,13 +18,14 @@ RAMP = np.tile(np.linspace(0.55, 1, W), (H, 1))
 
 
 class Clip:
-    """Frames of one level each: which teach the colours of each, and how many are held then."""
+    """Frames of one level each: which teach the colours of each, and how many frames and lessons are held then."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, *nearly_full: int) -> None:
         self.read: list[weakref.ref[np.ndarray]] = []
         self.taught: dict[int, list[int]] = {}
-        self.held: list[int] = []
-        monkeypatch.setattr(boundaries, "learn", lambda sureness, rgb: Learnt(rgb[0, 0] // 10, sureness))
+        self.learnt: list[weakref.ref[np.ndarray]] = []
+        self.held: list[tuple[int, int]] = []
+        monkeypatch.setattr(boundaries, "learn", self.learn)
         monkeypatch.setattr(boundaries, "colour_evidence", self.evidence)
         sure = {k: RAMP if k in nearly_full else SQUARE for k in range(T)}
         self.masks = list(masks_on_pixels(T, self.picture, lambda k: (sure[k], None), SegmentOptions()))
@@ -36,12 +37,19 @@ class Clip:
         self.read.append(weakref.ref(frame))
         return frame
 
+    def learn(self, sureness: np.ndarray, rgb: np.ndarray) -> Learnt:
+        """The number of the frame."""
+        number = rgb[0, 0] // 10
+        self.learnt.append(weakref.ref(number))
+        return Learnt(number, sureness)
+
     def evidence(self, sureness: np.ndarray, rgb: np.ndarray, own: Learnt, others: list[Learnt]) -> np.ndarray:
         """Nothing."""
         k = int(own.lab[0])
         assert (rgb == 10 * k).all()
         self.taught[k] = [int(of.lab[0]) for of in others]
-        self.held.append(sum(frame() is not None for frame in self.read))
+        frames, learnt = (sum(of() is not None for of in some) for some in (self.read, self.learnt))
+        self.held.append((frames, learnt))
         return np.zeros(sureness.shape, np.float32)
 
 
@@ -54,7 +62,7 @@ def test_frames_near_by_teach_and_those_past_are_forgotten(monkeypatch: pytest.M
     clip = Clip(monkeypatch)
     assert len(clip.read) == len(clip.masks) == T
     assert clip.taught == {k: near(k) for k in range(T)}
-    assert max(clip.held) == 7, "this one and six ahead"
+    assert max(clip.held) == (7, 13), "this one and six ahead, and what six behind teach"
     assert not any(cut for _, cut in clip.masks)
 
 

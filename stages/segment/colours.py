@@ -31,9 +31,9 @@ learnt of thin and small things, and beside a larger mover their colours would b
 SURE = 0.3
 """How far from 1/2 the sureness of a pixel lies that is learnt fully."""
 ENOUGH = 0.02
-"""Share of a cell that must be learnt from, of either side, for its colours to count half."""
+"""Share of a cell that must be learnt from, of either side, all frames together, for its colours to count half."""
 RARE = 3e-4
-"""Share of the pixels around that have a colour at which it tells half."""
+"""Share of the pixels around that have a colour at which it tells half. A finer BIN holds less of them."""
 TINY = 1e-6
 
 

@@ -33,7 +33,8 @@ long_walk too, of 512 x 218 px with flow of 320 x 136.
 12, 50 and 300 frames of 512 x 218 px, which were not measured again. One byte per pixel of the flow grid, what the
 pictures show of it, was added by calculation. It keeps the links of a clip of one window since, with which 40 frames of
 512 x 218 px take as much as without.
-Since colours decide on borders it holds some frames at full size: 75 MB of 512 x 218 px, 256 MB of 1920 x 1080.
+Since colours decide on borders it holds some frames at full size: `segment.boundaries` alone takes 75 MB more for
+frames of 512 x 218 px and 256 MB more for 1920 x 1080.
 `scene` was measured on 14, 40 and 200 frames of 512 x 218 px since it looks for moving shadows, before that on 300 and
 on those of long_walk; it keeps more of 200 frames than the bytes above, for which 45 per pixel are asked.
 `video` was measured on 20 and 90 frames of 1920 x 1080, whose peaks are alike, and on 40 of 3840 x 2160, on 4 threads;
