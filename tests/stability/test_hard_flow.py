@@ -9,7 +9,7 @@ from conftest import write_frames
 
 from stages.flow import __main__ as flow_stage
 from stages.flow import true_flow
-from stages.flow.confidence import flow_confidence
+from stages.flow.confidence import flow_confidence, variance_about_plane
 from stages.flow.dis import estimate_flow
 from stages.flow.edges import edge_list, long_edges
 from stages.flow.noise import flow_variance
@@ -63,6 +63,14 @@ def test_equal_frames_have_no_flow_and_full_confidence() -> None:
     flow, sure = both_ways(frame, frame.copy())
     assert np.abs(flow).max() < 0.01
     assert np.median(sure) > 0.9
+
+
+def test_smooth_flow_is_as_smooth_beside_flow_that_is_hundreds_of_pixels_faster() -> None:
+    """Variances of .01 px^2 beside means of (200 px)^2: their difference in single precision is off by as much."""
+    smooth = np.random.default_rng(0).normal(0, 0.05, (96, 160, 2)).astype(np.float32)
+    faster = smooth + np.where(np.arange(160) < 80, 0, 400).astype(np.float32)[:, None]
+    expected = variance_about_plane(smooth)[:, :70]
+    np.testing.assert_allclose(variance_about_plane(faster)[:, :70], expected, rtol=1e-3)
 
 
 def test_texture_within_the_rounding_of_8_bits_has_a_finite_bound() -> None:
