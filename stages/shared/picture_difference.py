@@ -1,7 +1,10 @@
 """What two pictures of one thing may differ by: exposure, and what a small error of position makes of an edge."""
 
 import cv2
+import numba
 import numpy as np
+
+from stages.shared.window_kernels import KERNEL
 
 TOLERANCE = 1.0, 0.5
 """Residual expected of a pixel that is matched right: colour levels, and the position error in pixels."""
@@ -29,35 +32,41 @@ def exposed(frame: np.ndarray, there: np.ndarray) -> np.ndarray:
     Args:
         there: the other picture of the same pixels, [::EVERY_PX, ::EVERY_PX] of it.
     """
-    here, there = (image.reshape(-1, 3) for image in (frame[::EVERY_PX, ::EVERY_PX], there))
-    corrected = [_line(here[:, c], there[:, c]) for c in range(3)]
+    here = frame[::EVERY_PX, ::EVERY_PX]
+    corrected = [_line(here[..., c].ravel(), there[..., c].ravel()) for c in range(3)]
     table = np.stack([gain * np.arange(256) + offset for gain, offset in corrected], axis=-1)
     return np.asarray(cv2.LUT(frame, np.clip(np.rint(table), 0, 255).astype(np.uint8)[None]))
 
 
-def _line(here: np.ndarray, there: np.ndarray) -> tuple[float, float]:
+@numba.njit(**KERNEL)
+def _line(here, there):  # type: ignore[no-untyped-def]
     """Gain and offset that take the levels [n] uint8 of one picture to those [n] of the other."""
-    counts = _counts(here)
-    middle = _median(counts)
-    bright, gain = np.arange(256) > middle, 1.0
-    above, all_there = _counts(there[here > middle]), _counts(there)
+    counts, all_there, above = np.zeros(256, np.int64), np.zeros(256, np.int64), np.zeros(256, np.int64)
+    for k in range(len(here)):
+        counts[here[k]] += 1
+        all_there[there[k]] += 1
+    middle, gain = _median(counts), 1.0
+    for k in range(len(here)):
+        above[there[k]] += here[k] > middle
     if 0 < above.sum() < len(here):
-        apart = _median(counts * bright) - _median(counts * ~bright)
+        bright = np.where(np.arange(256) > middle, counts, 0)
+        apart = _median(bright) - _median(counts - bright)
         if apart >= LEAST_CONTRAST:
-            gain = float(np.clip((_median(above) - _median(all_there - above)) / apart, *GAINS))
+            gain = min(max((_median(above) - _median(all_there - above)) / apart, GAINS[0]), GAINS[1])
     return gain, _median(all_there) - gain * middle
 
 
-def _counts(levels: np.ndarray) -> np.ndarray:
-    """How often [256] each level is among `levels` [n] uint8."""
-    return np.bincount(levels, minlength=256)
-
-
-def _median(counts: np.ndarray) -> float:
+@numba.njit(**KERNEL)
+def _median(counts):  # type: ignore[no-untyped-def]
     """Median of the levels that there are `counts` [256] of: to count takes a fraction of the time of `np.median`."""
-    upto = np.cumsum(counts)
-    middles = np.searchsorted(upto, ((upto[-1] - 1) // 2, upto[-1] // 2), side="right")
-    return float(middles.mean())
+    total, upto, lower = counts.sum(), 0, -1
+    for level in range(len(counts)):
+        upto += counts[level]
+        if lower < 0 and upto > (total - 1) // 2:
+            lower = level
+        if upto > total // 2:
+            return (lower + level) / 2
+    return 0.0
 
 
 def tolerance(frame: np.ndarray, noise: np.ndarray | float = 0.0) -> np.ndarray:
