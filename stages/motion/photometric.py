@@ -25,7 +25,7 @@ from stages.shared.picture_difference import EVERY_PX, difference, exposed, tole
 from stages.shared.planes import surrounding_plane
 from stages.shared.static_flow import dense_static_flow
 from stages.shared.threads import threaded
-from stages.shared.warp import is_inside, warp
+from stages.shared.warp import look_up
 
 RELIABLE = 0.5
 """From this mean confidence over its edges on, the flow of a pixel needs no confirmation, except where, before a camera
@@ -180,10 +180,9 @@ def _contradicted(
     others, compared = Others(len(depths), here), []
     for j, flow, A, b in zip(targets, flows, *projections, strict=True):
         ways = [flow.astype(np.float32, copy=False), *(dense_static_flow(A, b, depth) for depth in depths)]
-        warped = [warp(frames[int(j)], way) for way in ways]
-        expected = exposed(here, warped[0][::EVERY_PX, ::EVERY_PX])
-        for k, (way, found) in enumerate(zip(ways, warped, strict=True)):
-            inside = is_inside(way)
+        shown = [look_up(frames[int(j)], way) for way in ways]
+        expected = exposed(here, shown[0][0][::EVERY_PX, ::EVERY_PX])
+        for k, (found, inside) in enumerate(shown):
             apart = inside * difference(found, expected, WINDOW_PX)
             total[int(j > i), k] += apart
             seen[int(j > i), k] += inside

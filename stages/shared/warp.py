@@ -3,6 +3,8 @@
 import cv2
 import numpy as np
 
+Part = tuple[slice, slice]
+"""Rows and columns of an image."""
 REMAP_ROWS = 30_000
 """OpenCV's remap takes fewer than 32768 rows."""
 
@@ -20,7 +22,19 @@ def warp(image: np.ndarray, flow: np.ndarray, every: int = 1) -> np.ndarray:
 
     Sampling is bilinear; outside the image the border is repeated. The result is [::every, ::every] of the whole.
     """
-    u, v = matches(flow, every)
+    return _sampled(image, *matches(flow, every))
+
+
+def look_up(
+    image: np.ndarray, flow: np.ndarray, part: tuple[slice, slice] = np.s_[:, :]
+) -> tuple[np.ndarray, np.ndarray]:
+    """`warp` and `is_inside` of a part of the source, rows and columns, at once: most of the latter is the former."""
+    h, w = flow.shape[:2]
+    u, v = (of[part] for of in matches(flow))
+    return _sampled(image, u, v), _inside(u, v, h, w)
+
+
+def _sampled(image: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
     return np.asarray(cv2.remap(image, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
 
 
@@ -47,5 +61,8 @@ def bilinear(image: np.ndarray, uv: np.ndarray) -> np.ndarray:
 def is_inside(flow: np.ndarray) -> np.ndarray:
     """Whether flow [h, w, 2] ends inside the target's image, [h, w] bool."""
     h, w = flow.shape[:2]
-    u, v = matches(flow)
+    return _inside(*matches(flow), h, w)
+
+
+def _inside(u: np.ndarray, v: np.ndarray, h: int, w: int) -> np.ndarray:
     return np.asarray((u >= 0) & (u <= w - 1) & (v >= 0) & (v <= h - 1))
