@@ -1,5 +1,7 @@
 """What the pictures give to movers and to the static scene, where flow is lost."""
 
+import weakref
+
 import cv2
 import numpy as np
 import pytest
@@ -18,7 +20,7 @@ from passing_square import (
     tiles,
 )
 
-from stages.segment import layers, uncovered
+from stages.segment import layers, matching, uncovered
 from stages.segment.layers import MOVING, Belonging, belonging
 from stages.segment.permanence import Links, persistent
 from stages.segment.static_world import StaticWorld
@@ -140,25 +142,54 @@ def test_a_pixel_that_neither_explains_is_given_to_neither(left: int, monkeypatc
 
 
 def test_pictures_of_a_long_clip_are_held_a_block_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of five frames in blocks of one, each seen with those up to two frames away, where its flow is not sure."""
+    """Of five frames in blocks of one, each seen with those beside it, where its flow is unsure; each is read once."""
     frames, pixels, known = clip(60), tiles(), flow_columns()
     near = np.abs(known["source"] - known["target"]) == 1
     unsure = np.zeros_like(known["confidence"][near])
     pairs = FlowPairs(Dense({name: values[near] for name, values in known.items()} | {"confidence": unsure}))
     sure = pixels.means(np.stack([left_part(k) for k in range(T)]).astype(float)).round()
 
-    def found(asked: list[int]) -> np.ndarray:
-        shown = belonging(pixels, pairs, lambda k: asked.append(k) or frames[k], static_world(), sure)
+    def found(read: list[int], held: list[int]) -> np.ndarray:
+        alive: list[weakref.ref[np.ndarray]] = []
+
+        def picture(k: int) -> np.ndarray:
+            frame = frames[k].copy()
+            alive.append(weakref.ref(frame))
+            read.append(k)
+            held.append(sum(of() is not None for of in alive))
+            return frame
+
+        shown = belonging(pixels, pairs, picture, static_world(), sure)
         return np.concatenate([shown.weight, shown.pixels.ravel()])
 
-    asked: list[int] = []
-    monkeypatch.setattr(layers, "DISTANCES", (1, 2))
-    monkeypatch.setattr(uncovered, "DISTANCES", (1, 2))
-    whole = found([])
+    read: list[int] = []
+    held: list[int] = []
+    monkeypatch.setattr(layers, "DISTANCES", (1,))
+    monkeypatch.setattr(uncovered, "DISTANCES", (1,))
+    whole = found([], [])
     monkeypatch.setattr(flow_pairs, "BLOCK", 1)
     monkeypatch.setattr(layers, "REACH", 1)
-    np.testing.assert_array_equal(found(asked), whole)
-    assert sorted(asked) == sorted(j for k in range(T) for j in range(k - 2, k + 3) if 0 <= j < T)
+    np.testing.assert_array_equal(found(read, held), whole)
+    assert sorted(read) == list(range(T))
+    assert max(held) == 4  # the frame before and those beside it, and the next one
+
+
+def test_what_is_far_from_movers_need_not_be_compared(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Around a mover there is as much evidence as where the whole frame is compared."""
+    frames, pixels = clip(60), tiles()
+    sure = pixels.means(np.stack([square(k) for k in range(T)]).astype(float)).round()
+    parts: list[tuple[slice, slice]] = []
+
+    def found() -> Belonging:
+        return belonging(pixels, FlowPairs(Dense(flow_columns())), lambda k: frames[k], static_world(), sure)
+
+    bounds = matching._bounds
+    monkeypatch.setattr(matching, "_bounds", lambda mask: parts.append(bounds(mask)) or parts[-1])
+    beside = found()
+    monkeypatch.setattr(matching, "_bounds", lambda _: np.s_[:H, :W])
+    for part, whole in zip(beside, found(), strict=True):
+        np.testing.assert_allclose(part.astype(float), whole, atol=0.002)
+    assert max((rows.stop - rows.start) * (columns.stop - columns.start) for rows, columns in parts) < 0.8 * H * W
 
 
 def test_where_nothing_is_known_to_move_there_is_no_evidence() -> None:
@@ -225,15 +256,15 @@ def test_ground_behind_a_wide_mover_has_the_depth_of_its_plane(hole: int) -> Non
     masked[24:80, 80 : 80 + hole] = True
     solved = np.where(masked, np.float32(1.5), plane)
     world = static_world()._replace(inverse_depth=lambda _: solved, as_static=lambda _: (solved, ~masked))
-    depths = layers._static_depths(world, 0, 1.0 - masked)
+    depths = matching.static_depths(world, 0, 1.0 - masked)
     nearest = np.min([np.abs(depth / plane - 1) for depth in depths], axis=0)
     assert np.mean(nearest[masked & (v > 40)] < 0.02) > 0.9
     rim = masked & (cv2.erode(masked.astype(np.uint8), np.ones((9, 9), np.uint8)) == 0) & (v > 40)
     np.testing.assert_allclose(depths[0][rim], plane[rim], rtol=0.02, err_msg="its own: that of the narrowest plane")
     fitted = np.where(masked, np.float32(np.inf), plane)  # an overflow of float16, where nothing fits
     lost = world._replace(as_static=lambda _: (fitted, ~masked))
-    np.testing.assert_array_equal(layers._static_depths(lost, 0, np.ones((H, W)))[-1], depths[-1])
+    np.testing.assert_array_equal(matching.static_depths(lost, 0, np.ones((H, W)))[-1], depths[-1])
     moves = world._replace(as_static=lambda _: (solved, np.ones((H, W), bool)))
     np.testing.assert_array_equal(
-        layers._static_depths(moves, 0, 1.0 - masked)[-1], depths[-1], err_msg="of what rests"
+        matching.static_depths(moves, 0, 1.0 - masked)[-1], depths[-1], err_msg="of what rests"
     )

@@ -14,32 +14,16 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from stages.segment.extension import extend, weigh
+from stages.segment.matching import REACH, compared, static_depths
 from stages.segment.permanence import DYNAMIC
 from stages.segment.static_world import StaticWorld
 from stages.segment.superpixels import Superpixels
 from stages.segment.uncovered import DISTANCES, seen_again
 from stages.shared.flow_pairs import FlowPairs
-from stages.shared.images import relative_size
-from stages.shared.masks import within
-from stages.shared.picture_difference import EVERY_PX, difference, exposed, noise_of, tolerance
-from stages.shared.planes import surrounding_plane
-from stages.shared.static_flow import dense_static_flow
+from stages.shared.picture_difference import EVERY_PX, exposed, noise_of, tolerance
 from stages.shared.threads import threaded
 from stages.shared.warp import is_inside, warp
 
-REACH = 5
-"""Largest distance in frames between compared pictures: farther ones show other sides of a mover."""
-MOTION_PX = 4.0, 10.0, 22.0
-"""Standard deviations, in frames of REFERENCE_PX, over which the flow of a mover is averaged and extended: near its
-parts move apart, far its whole moves on."""
-BEHIND = 0.1, 0.2, 0.4
-"""Widths, as a share of the longer side of the frame, of the squares whose planes may be behind a mover."""
-AROUND_PX = 24.0
-"""Width of the square, in frames of REFERENCE_PX, whose nearest and farthest depth a static pixel may have too."""
-MEDIAN_PX, PATCH_PX = 5, 3
-UNSURE_FLOW = 0.02
-"""Weight of the flow of a mover where it has no confidence."""
 STATIC = 0.3
 """Sureness from which on a pixel says nothing of the depth behind a mover."""
 MOVING, RESTING = 0.25, 0.1
@@ -59,8 +43,6 @@ MOST = 0.7
 """nor in frames of which more moves: cameras may then be those of a mover, which seems to rest."""
 SHOWN_MOST = 127
 """What a pixel shows is kept in units of 1 / 127, in one byte."""
-LEAST_SHARE = 1e-3
-"""Share of what is extended among the pixels around, below which nothing is known of it: the Gaussian is cut off."""
 NEAR_ENOUGH = 0.15
 """Share of a mover among the pixels around, from which on its extended motion counts fully."""
 
@@ -99,9 +81,9 @@ def belonging(
         part, seen = pixels.part(k, k + 1), pixels.paint(sure, k).astype(np.float32)
         if not (seen >= DYNAMIC).any():
             return np.zeros((5, len(part.areas)))
-        depths = _static_depths(world, k, np.maximum(1 - seen / STATIC, 0) ** 2)
+        depths = static_depths(world, k, np.maximum(1 - seen / STATIC, 0) ** 2)
         allowed = tolerance(frames[k], _noise(k, pairs, frames))
-        static, moved, share, known = _compared(k, seen, allowed, depths, pairs, frames, world)
+        static, moved, share, known = compared(k, seen, allowed, depths, pairs, frames, world)
         asked = known * ((seen >= DYNAMIC).mean() <= MOST)
         limit = np.where(_sought(k, seen, pairs), np.maximum(2 * SURELY_MATCHED, moved + 1) * allowed, 0)
         again = seen_again(k, limit, depths, frames, covered, world) / allowed  # above the limit it changes nothing
@@ -113,10 +95,13 @@ def belonging(
         images = np.clip(static - moved, -1, 1), np.minimum(moved, 2 * MATCHED), share, rests, asked
         return np.stack([part.means([image]) for image in images])
 
+    frames: dict[int, np.ndarray] = {}
     for first, last in pairs.blocks(T, "movers against the static scene"):
         reach = max(REACH, DISTANCES[-1])
         near = range(max(first - reach, 0), min(last + reach, T))
-        frames = dict(zip(near, threaded(picture, near), strict=True))
+        new = [k for k in near if k not in frames]
+        read = dict(zip(new, threaded(picture, new), strict=True))
+        frames = {k: read[k] if k in read else frames[k] for k in near}
         covered = {k: _covered(pixels.paint(sure, k), pairs.scene) for k in near}
         found += threaded(of_frame, range(first, last), *(itertools.repeat(of) for of in (frames, covered)))
     excess, residual, share, rests, asked = np.concatenate(found, axis=1)
@@ -168,83 +153,3 @@ def _sought(i: int, sure: np.ndarray, pairs: FlowPairs) -> np.ndarray:
 def _covered(sure: np.ndarray, scene: np.ndarray | None) -> np.ndarray:
     """Where [h, w] bool a frame shows movers, or what is burnt into it."""
     return np.asarray((sure >= DYNAMIC) if scene is None else (sure >= DYNAMIC) | ~scene)
-
-
-def _compared(
-    i: int,
-    sure: np.ndarray,
-    allowed: np.ndarray,
-    depths: list[np.ndarray],
-    pairs: FlowPairs,
-    frames: dict[int, np.ndarray],
-    world: StaticWorld,
-) -> np.ndarray:
-    """Static residual and that of the mover, in tolerances `allowed` [h, w], both 0 where nothing is compared; share of
-    movers around; 1 where something is compared: [4, h, w].
-
-    The better of earlier and later frames counts: what is hidden on one side is usually seen on the other.
-    """
-    mover = np.where(sure >= DYNAMIC, sure, 0)
-    mean = _residuals(i, mover, depths, pairs, frames, world)
-    both = np.stack([mean[:, : len(depths)].min(axis=1), mean[:, len(depths) :].min(axis=1)], axis=1)
-    side = both.min(axis=1).argmin(axis=0)
-    static, moved = np.take_along_axis(both, side[None, None], axis=0)[0] / allowed
-    known = np.isfinite(static) & np.isfinite(moved)
-    static, moved = np.where(known, static, 0), np.where(known, moved, 0)
-    around = extend(weigh(mover[..., None], mover), MOTION_PX[-1] * relative_size(sure))[1]
-    return np.stack([static, moved, around, known])
-
-
-def _residuals(
-    i: int,
-    mover: np.ndarray,
-    depths: list[np.ndarray],
-    pairs: FlowPairs,
-    frames: dict[int, np.ndarray],
-    world: StaticWorld,
-) -> np.ndarray:
-    """Mean difference to earlier and to later frames, of pixels at each depth and with each motion of the mover,
-    [2, len(depths) + len(MOTION_PX), h, w] in colour levels; infinite where none shows the pixel.
-
-    Args:
-        mover: [h, w] weight of a pixel for the motion of the mover.
-    """
-    total, seen = np.zeros((2, 2, len(depths) + len(MOTION_PX), *mover.shape), np.float32)
-    for e in pairs.leaving(i, i + 1):
-        j = int(pairs.target[e])
-        if abs(j - i) > REACH or not world.observed(i, j):
-            continue
-        A, b = world.projection(i, j)
-        flow = pairs.flow[e].astype(np.float32)
-        weight = mover * (pairs.confidence[e].astype(np.float32) + UNSURE_FLOW)
-        ways = [dense_static_flow(A, b, depth) for depth in depths]
-        weighted = weigh(flow, weight)
-        extended = [extend(weighted, px * relative_size(mover)) for px in MOTION_PX]
-        ways += [motion for motion, _ in extended]
-        known = [True] * len(depths) + [share > LEAST_SHARE for _, share in extended]
-        expected = exposed(frames[i], warp(frames[j], flow, EVERY_PX))
-        for k, way in enumerate(ways):
-            inside = (is_inside(way) if pairs.scene is None else within(pairs.scene, way)) & known[k]
-            total[int(j > i), k] += inside * difference(warp(frames[j], way), expected, PATCH_PX)
-            seen[int(j > i), k] += inside
-    return np.asarray(np.where(seen > 0, total / np.maximum(seen, 1), np.inf))
-
-
-def _static_depths(world: StaticWorld, k: int, static: np.ndarray) -> list[np.ndarray]:
-    """Inverse depths [h, w] that a static pixel may have: its own, the farthest and nearest around, and behind movers.
-
-    Its own is that at which its flow fits a static scene, if it does, else that of the narrowest plane. Planes are of
-    what fits and does not move. In the adjustment, what was masked by mistake has the depth of a mover, at which it
-    would match nowhere, and be masked for good: that counts where nothing fits near by.
-
-    Args:
-        static: [h, w] weight of a pixel for what is behind a mover.
-    """
-    fitted, fits = world.as_static(k)
-    solved = cv2.medianBlur(world.inverse_depth(k), MEDIAN_PX)
-    square = np.ones((round(AROUND_PX * relative_size(solved)),) * 2, np.uint8)
-    around = [cv2.erode(solved, square), cv2.dilate(solved, square)]
-    known = np.where(fits, static, 0).astype(np.float32)
-    planes = [surrounding_plane(fitted, known, share) for share in BEHIND]
-    narrow, *wide = (np.where(trust > LEAST_SHARE, plane, solved) for plane, trust in planes)
-    return [np.where(fits, cv2.medianBlur(fitted, MEDIAN_PX), narrow), *around, *wide]
