@@ -66,6 +66,22 @@ def test_frames_near_by_teach_and_those_past_are_forgotten(monkeypatch: pytest.M
     assert not any(cut for _, cut in clip.masks)
 
 
+def test_frames_past_teach_what_their_masks_hold_in_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What colours deny in them, they no longer teach as inside; those ahead have no masks yet."""
+    denied, taught = np.full((H, W), -1, np.float32), {}
+
+    def evidence(_: np.ndarray, __: np.ndarray, own: Learnt, others: list[Learnt]) -> np.ndarray:
+        taught[int(own.lab)] = {int(of.lab): bool(of.weights[20, 30]) for of in (own, *others)}
+        return denied
+
+    monkeypatch.setattr(boundaries, "learn", lambda sureness, rgb: Learnt(rgb[0, 0, 0] // 10, sureness > 0.5))
+    monkeypatch.setattr(boundaries, "colour_evidence", evidence)
+    frames = (np.full((H, W, 3), 10 * k, np.uint8) for k in range(T))
+    masks = list(masks_on_pixels(T, lambda _: next(frames), lambda _: (0.7 * SQUARE, None), SegmentOptions()))
+    assert not any(mask.any() for mask, _ in masks)
+    assert taught == {k: {j: j >= k for j in (k, *near(k))} for k in range(T)}
+
+
 def test_a_frame_that_is_cut_back_neither_learns_nor_teaches(monkeypatch: pytest.MonkeyPatch) -> None:
     """Its surest part is wanted, and not that of the clearest colours; most of what it masks is wrong."""
     clip = Clip(monkeypatch, 7, 8)

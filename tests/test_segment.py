@@ -70,6 +70,18 @@ def test_masks_follow_what_pictures_show_of_each_pixel() -> None:
     np.testing.assert_array_equal(unseen, smooth_along_edges(prior, rgb, 1.0, 3.0))
 
 
+@pytest.mark.parametrize("shows", [None, 0.0, 0.25, -0.25])
+def test_colours_find_a_mover_of_which_pictures_say_nothing(shows: float | None) -> None:
+    """Colours that speak for a mover count twice there, those that speak against one do not."""
+    sure, rgb = np.full((40, 60), 0.15), np.full((80, 120, 3), 90, np.uint8)
+    shown = None if shows is None else np.full((40, 60), shows)
+    colours = np.full((80, 120), 0.3, np.float32)
+    found = smooth_along_edges(sure, rgb, 1.0, 3.0, shown, colours) > 0.5
+    assert (found == (shows != -0.25)).all()
+    kept = smooth_along_edges(1 - sure, rgb, 1.0, 3.0, shown, -colours) > 0.5
+    assert (kept == (shows != -0.25)).all()
+
+
 def test_specks_go_and_small_holes_close() -> None:
     probability = np.zeros((100, 100), np.float32)
     probability[20:60, 20:60] = 1.0

@@ -54,6 +54,7 @@ def masks_on_pixels(
             others = [learnt for step in TEACHING if (learnt := taught.get(k + step))]
             colours = colour_evidence(sureness, frame.rgb, frame.learnt, others)
             sureness = _along_edges(frame.known, frame.rgb, options, colours)
+            taught[k] = learn(sureness, frame.rgb)  # those that follow learn what its mask holds now
         taught.pop(k + min(TEACHING), None)
         yield to_mask(sureness, frame.threshold, options.min_area), frame.threshold > DYNAMIC
 
