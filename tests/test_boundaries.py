@@ -89,6 +89,24 @@ def test_a_frame_that_is_cut_back_neither_learns_nor_teaches(monkeypatch: pytest
     assert clip.taught == {k: [j for j in near(k) if j not in (7, 8)] for k in range(T) if k not in (7, 8)}
 
 
+def test_a_mask_that_colours_make_nearly_full_is_cut_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It teaches nothing that is learnt later."""
+    wide, taught = np.zeros((H, W)), {}
+    wide[:, :48] = 0.8
+
+    def evidence(_: np.ndarray, __: np.ndarray, own: Learnt, others: list[Learnt]) -> np.ndarray:
+        taught[int(own.lab)] = [int(of.lab) for of in others]
+        return np.linspace(0.5, 1, W, dtype=np.float32)[None].repeat(H, axis=0)
+
+    monkeypatch.setattr(boundaries, "learn", lambda sureness, rgb: Learnt(rgb[0, 0, 0] // 10, sureness))
+    monkeypatch.setattr(boundaries, "colour_evidence", evidence)
+    frames = (np.full((H, W, 3), 10 * k, np.uint8) for k in range(T))
+    for mask, cut in masks_on_pixels(T, lambda _: next(frames), lambda _: (wide, None), SegmentOptions()):
+        assert cut
+        assert mask.mean() <= 0.85
+    assert taught == {k: [j for j in near(k) if j > k] for k in range(T)}
+
+
 def test_borders_follow_what_pictures_show_and_colours(monkeypatch: pytest.MonkeyPatch) -> None:
     """Pictures deny the upper half of the square in every other frame, and colours its left half in all."""
     denied, left = np.zeros((H, W), np.float32), np.zeros((H, W), np.float32)

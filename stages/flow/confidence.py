@@ -63,8 +63,8 @@ def variance_about_plane(flow: np.ndarray) -> np.ndarray:
     """Variance of flow within WINDOW x WINDOW px about its affine fit, [h, w] px^2.
 
     Offsets have no mean in the window and are uncorrelated, so each explains its slope squared times their variance.
-    Means of squares cancel, hence the mean flow is subtracted first, and FAR_PX. At the image border the window is
-    reflected, and affine flow with it is not.
+    The difference of means of squares cancels: hence the mean flow is subtracted first, and what is far from it is
+    squared in double precision. At the image border the window is reflected, and affine flow with it is not.
     """
     offsets = np.arange(WINDOW, dtype=np.float32) - WINDOW // 2
     slope, mean = offsets / np.square(offsets).sum(), np.full(WINDOW, 1 / WINDOW, np.float32)

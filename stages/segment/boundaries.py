@@ -49,20 +49,25 @@ def masks_on_pixels(
             ahead[j] = _frame(picture(j), known(j), options)
             taught[j] = ahead[j].learnt
         frame = ahead.pop(k)
-        sureness = frame.sureness
+        sureness, threshold = frame.sureness, frame.threshold
         if frame.learnt:  # else its surest part is wanted, and not that of the clearest colours
             others = [learnt for step in TEACHING if (learnt := taught.get(k + step))]
             colours = colour_evidence(sureness, frame.rgb, frame.learnt, others)
             sureness = _along_edges(frame.known, frame.rgb, options, colours)
-            taught[k] = learn(sureness, frame.rgb)  # those that follow learn what its mask holds now
+            threshold, taught[k] = _guarded(sureness, frame.rgb, options)  # those that follow learn its mask itself
         taught.pop(k + min(TEACHING), None)
-        yield to_mask(sureness, frame.threshold, options.min_area), frame.threshold > DYNAMIC
+        yield to_mask(sureness, threshold, options.min_area), threshold > DYNAMIC
 
 
 def _frame(rgb: np.ndarray, known: tuple[np.ndarray, np.ndarray | None], options: SegmentOptions) -> _Frame:
     sureness = _along_edges(known, rgb, options)
+    return _Frame(rgb, known, sureness, *_guarded(sureness, rgb, options))
+
+
+def _guarded(sureness: np.ndarray, rgb: np.ndarray, options: SegmentOptions) -> tuple[float, Learnt | None]:
+    """The threshold of a mask, and what it teaches; None where it is cut back."""
     threshold = guarded_threshold(sureness, DYNAMIC, options.max_share)
-    return _Frame(rgb, known, sureness, threshold, learn(sureness, rgb) if threshold == DYNAMIC else None)
+    return threshold, learn(sureness, rgb) if threshold == DYNAMIC else None
 
 
 def _along_edges(

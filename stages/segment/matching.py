@@ -67,7 +67,7 @@ def compared(
     """
     mover = np.where(sure >= DYNAMIC, sure, 0)
     around = extend(weigh(mover[..., None], mover), MOTION_PX[-1] * relative_size(sure))[1]
-    part = _bounds(around >= min(LEAST_SHARE / (1 + UNSURE_FLOW), around.max()))
+    part = _bounds((mover > 0) | (around > LEAST_SHARE / (1 + UNSURE_FLOW)))
     mean = _residuals(i, mover, part, depths, pairs, frames, world)
     both = np.stack([mean[:, : len(depths)].min(axis=1), mean[:, len(depths) :].min(axis=1)], axis=1)
     side = both.min(axis=1).argmin(axis=0)
@@ -97,7 +97,8 @@ def _residuals(
     mover, [2, len(depths) + len(MOTION_PX), rows, columns] in colour levels; infinite where none shows the pixel.
 
     Args:
-        mover: [h, w] weight of a pixel for the motion of the mover. part: rows and columns that are compared.
+        mover: [h, w] weight of a pixel for the motion of the mover.
+        part: rows and columns that are compared.
     """
     total, seen = np.zeros((2, 2, len(depths) + len(MOTION_PX), *mover[part].shape), np.float32)
     for e in pairs.leaving(i, i + 1):

@@ -33,16 +33,18 @@ def smooth_along_edges(
             with the image, as 1 where it is positive, as 0 where it is negative (normalised convolution, Knutsson and
             Westin, CVPR 1993).
         colours: [H, W] in -1..1, what `colour_evidence` says of each, likewise with a weight of COLOUR_WEIGHT, or more
-            where pictures are silent.
+            where pictures were asked and are silent.
     """
     H, W = rgb.shape[:2]
     weight = smoothness * relative_size(rgb) ** 2
     smoother = cv2.ximgproc.createFastGlobalSmootherFilter(rgb, weight, colour_sigma)
     full = enlarge(image.astype(np.float32), (W, H))
-    shows = np.zeros((H, W), np.float32) if shown is None else enlarge(shown.astype(np.float32), (W, H))
-    says = SHOWN_WEIGHT * shows
-    if colours is not None:
+    says, silent = np.zeros((H, W), np.float32), 0.0
+    if shown is not None:
+        shows = enlarge(shown.astype(np.float32), (W, H))
+        says += SHOWN_WEIGHT * shows
         silent = np.maximum(1 - np.abs(shows) / SILENT, 0)
+    if colours is not None:
         says += COLOUR_WEIGHT * (colours + silent * np.maximum(colours, 0))
     if not says.any():
         return np.asarray(np.clip(smoother.filter(full), 0, 1))

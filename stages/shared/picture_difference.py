@@ -32,34 +32,44 @@ def exposed(frame: np.ndarray, there: np.ndarray) -> np.ndarray:
     Args:
         there: the other picture of the same pixels, [::EVERY_PX, ::EVERY_PX] of it.
     """
-    here = frame[::EVERY_PX, ::EVERY_PX]
-    corrected = [_line(here[..., c].ravel(), there[..., c].ravel()) for c in range(3)]
+    here, counts = frame[::EVERY_PX, ::EVERY_PX], np.empty((6, 256), np.int64)
+    corrected = [_line(here[..., c].ravel(), there[..., c].ravel(), counts) for c in range(3)]
     table = np.stack([gain * np.arange(256) + offset for gain, offset in corrected], axis=-1)
     return np.asarray(cv2.LUT(frame, np.clip(np.rint(table), 0, 255).astype(np.uint8)[None]))
 
 
 @numba.njit(**KERNEL)
-def _line(here, there):  # type: ignore[no-untyped-def]
-    """Gain and offset that take the levels [n] uint8 of one picture to those [n] of the other."""
-    counts, all_there, above = np.zeros(256, np.int64), np.zeros(256, np.int64), np.zeros(256, np.int64)
+def _line(here, there, counts):  # type: ignore[no-untyped-def]
+    """Gain and offset that take the levels [n] uint8 of one picture to those [n] of the other.
+
+    Medians are those of how often each level is there: to count takes a fraction of the time of `np.median`. `counts`
+    [6, 256] is room for that: of both pictures, and of where the first is bright and where it is not.
+    """
+    for row in range(6):
+        for level in range(256):
+            counts[row, level] = 0
     for k in range(len(here)):
-        counts[here[k]] += 1
-        all_there[there[k]] += 1
-    middle, gain = _median(counts), 1.0
+        counts[0, here[k]] += 1
+        counts[1, there[k]] += 1
+    middle, bright, gain = _median(counts[0]), 0, 1.0
     for k in range(len(here)):
-        above[there[k]] += here[k] > middle
-    if 0 < above.sum() < len(here):
-        bright = np.where(np.arange(256) > middle, counts, 0)
-        apart = _median(bright) - _median(counts - bright)
+        part = 2 if here[k] > middle else 4
+        counts[part, here[k]] += 1
+        counts[part + 1, there[k]] += 1
+        bright += part == 2
+    if 0 < bright < len(here):
+        apart = _median(counts[2]) - _median(counts[4])
         if apart >= LEAST_CONTRAST:
-            gain = min(max((_median(above) - _median(all_there - above)) / apart, GAINS[0]), GAINS[1])
-    return gain, _median(all_there) - gain * middle
+            gain = min(max((_median(counts[3]) - _median(counts[5])) / apart, GAINS[0]), GAINS[1])
+    return gain, _median(counts[1]) - gain * middle
 
 
 @numba.njit(**KERNEL)
 def _median(counts):  # type: ignore[no-untyped-def]
-    """Median of the levels that there are `counts` [256] of: to count takes a fraction of the time of `np.median`."""
-    total, upto, lower = counts.sum(), 0, -1
+    """Median of the levels that there are `counts` [256] of."""
+    total, upto, lower = 0, 0, -1
+    for level in range(len(counts)):
+        total += counts[level]
     for level in range(len(counts)):
         upto += counts[level]
         if lower < 0 and upto > (total - 1) // 2:

@@ -25,10 +25,8 @@ def warp(image: np.ndarray, flow: np.ndarray, every: int = 1) -> np.ndarray:
     return _sampled(image, *matches(flow, every))
 
 
-def look_up(
-    image: np.ndarray, flow: np.ndarray, part: tuple[slice, slice] = np.s_[:, :]
-) -> tuple[np.ndarray, np.ndarray]:
-    """`warp` and `is_inside` of a part of the source, rows and columns, at once: most of the latter is the former."""
+def look_up(image: np.ndarray, flow: np.ndarray, part: Part = np.s_[:, :]) -> tuple[np.ndarray, np.ndarray]:
+    """`warp` and `is_inside` of a part of the source, at once: both need the same coordinates."""
     h, w = flow.shape[:2]
     u, v = (of[part] for of in matches(flow))
     return _sampled(image, u, v), _inside(u, v, h, w)
