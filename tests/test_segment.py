@@ -13,7 +13,14 @@ from stages.segment import __main__ as segment_stage
 from stages.segment import boundaries
 from stages.segment.colours import Learnt
 from stages.segment.options import SegmentOptions
-from stages.segment.refinement import guarded_threshold, smooth_along_edges, to_instances, to_mask
+from stages.segment.refinement import (
+    COLOUR_WEIGHT,
+    SHOWN_WEIGHT,
+    guarded_threshold,
+    smooth_along_edges,
+    to_instances,
+    to_mask,
+)
 from stages.shared.artifacts import read_dense, read_json, write_dense, write_json
 from stages.shared.errors import InputError
 from stages.shared.images import read_mask, write_image
@@ -70,17 +77,15 @@ def test_masks_follow_what_pictures_show_of_each_pixel() -> None:
     np.testing.assert_array_equal(unseen, smooth_along_edges(prior, rgb, 1.0, 3.0))
 
 
-@pytest.mark.parametrize(("shows", "times"), [(None, 1), (0.0, 2), (0.0625, 1.75), (-0.125, 1.5), (0.25, 1), (-0.5, 1)])
-def test_colours_that_speak_for_a_mover_count_twice_where_pictures_are_silent(
-    shows: float | None, times: float
-) -> None:
-    """Where no picture was asked they count once, as those against one do everywhere; on a flat frame as means."""
-    sure, rgb = 0.15, np.full((80, 120, 3), 90, np.uint8)
+@pytest.mark.parametrize("shows", [None, 0.0, 0.5, -0.5])
+@pytest.mark.parametrize("colour", [0.3, -0.3])
+def test_what_pictures_show_and_colours_say_add_up(shows: float | None, colour: float) -> None:
+    """On a flat frame there are no edges to follow: what is left is a weighted mean."""
+    rgb, sure = np.full((80, 120, 3), 90, np.uint8), np.full((40, 60), 0.15)
     shown = None if shows is None else np.full((40, 60), shows)
-    for says, weight in ((0.3, 2 * times * 0.3), (-0.3, -2 * 0.3)):
-        total = weight + 0.8 * (shows or 0)
-        found = smooth_along_edges(np.full((40, 60), sure), rgb, 1.0, 3.0, shown, np.full((80, 120), says, np.float32))
-        np.testing.assert_allclose(found, (sure + max(total, 0)) / (1 + abs(total)), rtol=1e-5)
+    found = smooth_along_edges(sure, rgb, 1.0, 3.0, shown, np.full((80, 120), colour, np.float32))
+    total = SHOWN_WEIGHT * (shows or 0) + COLOUR_WEIGHT * colour
+    np.testing.assert_allclose(found, (0.15 + max(total, 0)) / (1 + abs(total)), rtol=1e-5)
 
 
 def test_specks_go_and_small_holes_close() -> None:

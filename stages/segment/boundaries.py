@@ -54,20 +54,15 @@ def masks_on_pixels(
             others = [learnt for step in TEACHING if (learnt := taught.get(k + step))]
             colours = colour_evidence(sureness, frame.rgb, frame.learnt, others)
             sureness = _along_edges(frame.known, frame.rgb, options, colours)
-            threshold, taught[k] = _guarded(sureness, frame.rgb, options)  # those that follow learn its mask itself
+            threshold = guarded_threshold(sureness, DYNAMIC, options.max_share)
         taught.pop(k + min(TEACHING), None)
         yield to_mask(sureness, threshold, options.min_area), threshold > DYNAMIC
 
 
 def _frame(rgb: np.ndarray, known: tuple[np.ndarray, np.ndarray | None], options: SegmentOptions) -> _Frame:
     sureness = _along_edges(known, rgb, options)
-    return _Frame(rgb, known, sureness, *_guarded(sureness, rgb, options))
-
-
-def _guarded(sureness: np.ndarray, rgb: np.ndarray, options: SegmentOptions) -> tuple[float, Learnt | None]:
-    """The threshold of a mask, and what it teaches; None where it is cut back."""
     threshold = guarded_threshold(sureness, DYNAMIC, options.max_share)
-    return threshold, learn(sureness, rgb) if threshold == DYNAMIC else None
+    return _Frame(rgb, known, sureness, threshold, learn(sureness, rgb) if threshold == DYNAMIC else None)
 
 
 def _along_edges(

@@ -9,9 +9,6 @@ SHOWN_WEIGHT = 0.8
 """Weight of what pictures show of a pixel, relative to that of its sureness: what is surest is not lost by it alone."""
 COLOUR_WEIGHT = 2.0
 """Weight of what colours say, where they are asked: clear ones may outvote all else."""
-SILENT = 0.25
-"""What pictures show of a pixel, up to which they say little. As far as they do, what colours say for a mover counts up
-to twice as much: masks lack more than they have too much where nothing else tells, as of thin and of far things."""
 
 
 def smooth_along_edges(
@@ -32,20 +29,17 @@ def smooth_along_edges(
         shown: [h, w] in -1..1, what pictures show of each pixel: with a weight of SHOWN_WEIGHT |shown| it is averaged
             with the image, as 1 where it is positive, as 0 where it is negative (normalised convolution, Knutsson and
             Westin, CVPR 1993).
-        colours: [H, W] in -1..1, what `colour_evidence` says of each, likewise with a weight of COLOUR_WEIGHT, or more
-            where pictures were asked and are silent.
+        colours: [H, W] in -1..1, what `colour_evidence` says of each, likewise with a weight of COLOUR_WEIGHT.
     """
     H, W = rgb.shape[:2]
     weight = smoothness * relative_size(rgb) ** 2
     smoother = cv2.ximgproc.createFastGlobalSmootherFilter(rgb, weight, colour_sigma)
     full = enlarge(image.astype(np.float32), (W, H))
-    says, silent = np.zeros((H, W), np.float32), 0.0
+    says = np.zeros((H, W), np.float32)
     if shown is not None:
-        shows = enlarge(shown.astype(np.float32), (W, H))
-        says += SHOWN_WEIGHT * shows
-        silent = np.maximum(1 - np.abs(shows) / SILENT, 0)
+        says += SHOWN_WEIGHT * enlarge(shown.astype(np.float32), (W, H))
     if colours is not None:
-        says += COLOUR_WEIGHT * (colours + silent * np.maximum(colours, 0))
+        says += COLOUR_WEIGHT * colours
     if not says.any():
         return np.asarray(np.clip(smoother.filter(full), 0, 1))
     smoothed = smoother.filter(full + np.maximum(says, 0)) / smoother.filter(1 + np.abs(says))
