@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 
 from stages.flow.noise import flow_variance
-from stages.shared.warp import is_inside, warp
+from stages.shared.warp import look_up, warp
 
 NOISE_PX = 0.3
 NOISE_PER_PX = 0.02
@@ -45,13 +45,14 @@ def flow_confidence(
         source, target: [h, w] uint8 grey frames.
         textured: [h, w], the `texture_confidence` of the source; None: computed here.
     """
-    disagreement = cv2.magnitude(*cv2.split(flow + warp(back, flow)))
+    returning, inside = look_up(back, flow)
+    disagreement = cv2.magnitude(*cv2.split(flow + returning))
     expected = NOISE_PX + NOISE_PER_PX * np.minimum(cv2.magnitude(*cv2.split(flow)), FAST_PX)
     consistent = 1 / (1 + (disagreement / expected) ** 2) ** 2
     smooth = 1 / (1 + variance_about_plane(flow) / (ROUGH * expected) ** 2)
     similar = 1 / (1 + (photometric_ratio(flow, source, target) / PHOTOMETRIC_LIMIT) ** 4)
     textured = texture_confidence(flow_variance(source)) if textured is None else textured
-    return np.asarray(consistent * smooth * similar * textured * is_inside(flow), np.float32)
+    return np.asarray(consistent * smooth * similar * textured * inside, np.float32)
 
 
 def texture_confidence(variance: np.ndarray) -> np.ndarray:

@@ -8,7 +8,7 @@ import numpy as np
 from stages.flow.edges import Edge
 from stages.flow.frames import Images
 from stages.shared.image_noise import MIN_NOISE, noise_variance
-from stages.shared.warp import is_inside, warp
+from stages.shared.warp import look_up
 
 BLUR_PX, TEXTURE_WINDOW_PX = 1.5, 15
 """Standard deviation of the blur before the gradients, and side of the structure tensor's window."""
@@ -88,11 +88,11 @@ def averaged(
     limit = MATCH_SIGMAS**2 * 2 * noise / (4 * np.pi * MATCH_BLUR_PX**2)
     for step in (*(-d for d in REACH), *REACH):
         if (i, i + step) in flow:
-            there = warp(grey[i + step], flow[i, i + step])
+            there, inside = look_up(grey[i + step], flow[i, i + step])
             difference = there - grey[i]
             difference -= np.median(difference[::2, ::2])
             unlike = cv2.GaussianBlur(difference, (0, 0), MATCH_BLUR_PX) ** 2 / limit
-            weight = np.exp(-unlike / 2) * is_inside(flow[i, i + step])
+            weight = np.exp(-unlike / 2) * inside
             total += weight * (grey[i] + difference)
             weights += weight
             squares += weight**2

@@ -79,6 +79,7 @@ def corroborate(
     def of_frame(
         i: int, frames: dict[int, np.ndarray], details: dict[int, np.ndarray], colours: dict[int, np.ndarray]
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Residual and weight [h, w] of frame i, and how surely [h, w] it shows what passes."""
         edges = _edges(pairs, i, flow_pairs.REACH)
         confidence = pairs.confidence[edges].astype(np.float32)
         reliability = confidence.sum(axis=0) / (RELIABLE * max(len(edges), 1))

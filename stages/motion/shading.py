@@ -16,7 +16,7 @@ import numpy as np
 from stages.motion.shadows import DARKEST, NEAR_PX, compared, log_detail
 from stages.shared.static_flow import dense_static_flow
 from stages.shared.threads import threaded
-from stages.shared.warp import is_inside, warp
+from stages.shared.warp import look_up, warp
 
 SAMPLED = 24
 """Frames from which the light is learnt."""
@@ -87,10 +87,11 @@ def changes(colours: dict[int, np.ndarray], i: int, view: View) -> np.ndarray:
     """
     found = np.zeros((len(view.targets), *colours[i].shape), np.float32)
     for change, (j, way) in zip(found, view.ways(), strict=True):
-        difference = colours[i] - warp(colours[j], way)
+        there, inside = look_up(colours[j], way)
+        difference = colours[i] - there
         difference -= np.median(difference[::EXPOSURE_PX, ::EXPOSURE_PX], axis=(0, 1))
         cv2.blur(difference, (NEAR_PX, NEAR_PX), dst=change)
-        change[~is_inside(way)] = 0
+        change[~inside] = 0
     return found
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from stages.motion.pooling import spread
 from stages.shared.static_flow import dense_static_flow
-from stages.shared.warp import bilinear, is_inside, warp
+from stages.shared.warp import bilinear, look_up
 
 DARKEST = 4.0
 """Colour levels added before the logarithm."""
@@ -70,9 +70,10 @@ def at_rest(
     for j, flow, A, b in zip(targets, flows, *projections, strict=True):
         ways = dense_static_flow(A, b, inverse_depth), flow.astype(np.float32, copy=False)
         squared = sum(apart**2 for apart in np.moveaxis(ways[0] - ways[1], -1, 0))
-        telling = squared / (squared + TELLING_PX**2) * (is_inside(ways[0]) & is_inside(ways[1]))
-        for k, way in enumerate(ways):
-            weight, share = compared(here, warp(details[int(j)], way))
+        shown = [look_up(details[int(j)], way) for way in ways]
+        telling = squared / (squared + TELLING_PX**2) * (shown[0][1] & shown[1][1])
+        for k, (there, _) in enumerate(shown):
+            weight, share = compared(here, there)
             counted[int(j > i), k] += telling * weight
             alike[int(j > i), k] += telling * weight * share
     static, along_flow = (_best_share(alike[:, k], counted[:, k], rgb) for k in range(2))

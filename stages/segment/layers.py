@@ -22,7 +22,7 @@ from stages.segment.uncovered import DISTANCES, seen_again
 from stages.shared.flow_pairs import FlowPairs
 from stages.shared.picture_difference import EVERY_PX, exposed, noise_of, tolerance
 from stages.shared.threads import threaded
-from stages.shared.warp import is_inside, warp
+from stages.shared.warp import look_up
 
 STATIC = 0.3
 """Sureness from which on a pixel says nothing of the depth behind a mover."""
@@ -78,6 +78,8 @@ def belonging(
     shown = np.zeros(pixels.labels.shape, np.int8)
 
     def of_frame(k: int, frames: dict[int, np.ndarray], covered: dict[int, np.ndarray]) -> np.ndarray:
+        """Means [5, n] over the n superpixels of frame k: by how much the static residual is larger, residual of the
+        mover, share of movers around, what rests by other frames, share compared."""
         part, seen = pixels.part(k, k + 1), pixels.paint(sure, k).astype(np.float32)
         if not (seen >= DYNAMIC).any():
             return np.zeros((5, len(part.areas)))
@@ -116,9 +118,9 @@ def _noise(i: int, pairs: FlowPairs, frames: dict[int, np.ndarray]) -> np.ndarra
     for e in pairs.leaving(i, i + 1):
         if abs(int(pairs.target[e]) - i) <= SURE_FRAMES:
             flow = pairs.flow[e].astype(np.float32)
-            there = warp(frames[int(pairs.target[e])], flow, EVERY_PX)
+            there, known = look_up(frames[int(pairs.target[e])], flow, every)
             apart.append(np.abs(exposed(frames[i], there)[every].astype(np.float32) - there).mean(axis=2))
-            inside.append(is_inside(flow)[every])
+            inside.append(known)
     shape = (len(apart), *frames[i][every].shape[:2])
     return noise_of(frames[i], np.reshape(apart, shape), np.reshape(inside, shape).astype(bool))
 

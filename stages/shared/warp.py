@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 
 Part = tuple[slice, slice]
-"""Rows and columns of an image."""
+"""Rows and columns of an image, with or without steps."""
 REMAP_ROWS = 30_000
 """OpenCV's remap takes fewer than 32768 rows."""
 
