@@ -10,7 +10,7 @@ PRESET := fast
 LONG_SCENE := long_walk
 LONG_FRAMES := 50 200 1000
 
-.PHONY: install demo results priced test test-long test-slurm bench bench-long lint clean
+.PHONY: install demo results priced train-masks test test-long test-slurm bench bench-long lint clean
 
 install: $(INSTALLED)
 
@@ -46,6 +46,15 @@ priced: $(INSTALLED)
 	$(BIN)/python -m stages.results.priced --results $(LIBRARY)/results/simulated --output docs/priced.md \
 		--chart docs/priced.png --readme README.md --command "make priced PRESET=$(PRESET) SCENES='$(SCENES)'" && exit $$ended
 
+# The network at the borders of masks, from nothing (training/masks/README.md). Begun again, it goes on where it stopped.
+TRAINING := training_masks
+IN_TRAINING := $(BIN)/snakemake --directory $(TRAINING) --max-jobs-per-timespan 1000/1m --max-threads 1 --keep-going
+train-masks: $(INSTALLED)
+	$(BIN)/python -m training.masks --work $(TRAINING) --scenes
+	$(IN_TRAINING) --configfile $(TRAINING)/tuned.yaml -- masks
+	$(IN_TRAINING) --configfile $(TRAINING)/random.yaml -- masks
+	$(BIN)/python -m training.masks --work $(TRAINING)
+
 # Two processes, each with whole files: much of a test is one thread, or waits for Slurm or Snakemake.
 test: lint
 	$(BIN)/pytest --numprocesses 2 --dist loadfile --no-loadscope-reorder
@@ -73,4 +82,4 @@ bench-long: $(INSTALLED)
 		--page docs/long_video.md --chart docs/long_video.png --config preset=$(PRESET) rounds=2
 
 clean:
-	rm -rf results simulated decoded logs .snakemake $(LIBRARY) library_balanced bench_long
+	rm -rf results simulated decoded logs .snakemake $(LIBRARY) library_balanced bench_long $(TRAINING)

@@ -19,6 +19,7 @@ import numpy as np
 from stages.segment.boundaries import masks_on_pixels
 from stages.segment.options import SegmentOptions
 from stages.segment.permanence import Links, confidence_of, persistent
+from stages.segment.refined import Known
 from stages.segment.superpixels import superpixels
 
 WIDTH, HEIGHT = 512, 218
@@ -56,7 +57,7 @@ def run(T: int) -> None:
     pixels = superpixels(T, picture)
     probability = np.concatenate([pixels.part(k, k + 1).means(prior(k)[None]) for k in range(T)])
     sure, _ = persistent(Links(pixels, pairs, 3.0), probability, confidence_of(np.ones(len(probability))), 0.33)
-    for _ in masks_on_pixels(T, picture, lambda k: (pixels.paint(sure, k), None), SegmentOptions()):
+    for _ in masks_on_pixels(T, picture, lambda k: Known(pixels.paint(sure, k)), SegmentOptions()):
         pass
     spent = time.process_time() - begun
     print(T, spent, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3)

@@ -2,13 +2,16 @@
 
 import weakref
 
+import cv2
 import numpy as np
 import pytest
 
 from stages.segment import boundaries
-from stages.segment.boundaries import masks_on_pixels
-from stages.segment.colours import Learnt
+from stages.segment.boundaries import bounded, maps_of, masks_on_pixels
+from stages.segment.colours import ASKED_PX, Learnt
+from stages.segment.network import STEPS, Network
 from stages.segment.options import SegmentOptions
+from stages.segment.refined import Known
 
 T, H, W = 20, 40, 60
 SQUARE = np.zeros((H, W))
@@ -28,7 +31,7 @@ class Clip:
         monkeypatch.setattr(boundaries, "learn", self.learn)
         monkeypatch.setattr(boundaries, "colour_evidence", self.evidence)
         sure = {k: RAMP if k in nearly_full else SQUARE for k in range(T)}
-        self.masks = list(masks_on_pixels(T, self.picture, lambda k: (sure[k], None), SegmentOptions()))
+        self.masks = list(masks_on_pixels(T, self.picture, lambda k: Known(sure[k]), SegmentOptions()))
 
     def picture(self, k: int) -> np.ndarray:
         """Frame k, which must be asked for after the one before it."""
@@ -62,7 +65,7 @@ def test_frames_near_by_teach_and_those_past_are_forgotten(monkeypatch: pytest.M
     clip = Clip(monkeypatch)
     assert len(clip.read) == len(clip.masks) == T
     assert clip.taught == {k: near(k) for k in range(T)}
-    assert max(clip.held) == (7, 13), "this one and six ahead, and what six behind teach"
+    assert max(clip.held) == (8, 13), "the one before, this one and six ahead, and what six behind teach"
     assert not any(cut for _, cut in clip.masks)
 
 
@@ -79,7 +82,7 @@ def test_a_mask_that_colours_make_nearly_full_is_cut_back(monkeypatch: pytest.Mo
     widened = np.linspace(0.5, 1, W, dtype=np.float32)[None].repeat(H, axis=0)
     monkeypatch.setattr(boundaries, "colour_evidence", lambda *_: widened)
     rgb = np.zeros((H, W, 3), np.uint8)
-    for mask, cut in masks_on_pixels(3, lambda _: rgb, lambda _: (wide, None), SegmentOptions()):
+    for mask, cut in masks_on_pixels(3, lambda _: rgb, lambda _: Known(wide), SegmentOptions()):
         assert cut
         assert mask.mean() <= 0.85
 
@@ -89,7 +92,7 @@ def test_borders_follow_what_pictures_show_and_colours(monkeypatch: pytest.Monke
     denied, left = np.zeros((H, W), np.float32), np.zeros((H, W), np.float32)
     denied[:20], left[:, :30] = -1, -1
     monkeypatch.setattr(boundaries, "colour_evidence", lambda *_: left)
-    known = [(0.7 * SQUARE, denied if k % 2 else None) for k in range(T)]
+    known = [Known(0.7 * SQUARE, denied if k % 2 else None) for k in range(T)]
     rgb = np.kron([[1, 2], [3, 4]], np.full((20, 30), 50))[..., None].repeat(3, axis=2).astype(np.uint8)
     rgb[SQUARE == 0] = 0
     masks = masks_on_pixels(T, lambda _: rgb, known.__getitem__, SegmentOptions())
@@ -97,3 +100,52 @@ def test_borders_follow_what_pictures_show_and_colours(monkeypatch: pytest.Monke
         assert mask[22:28, 32:38].all()
         assert not mask[:, :28].any()
         assert mask[12:18, 32:38].all() != bool(k % 2)
+
+
+def told(bias: float) -> Network:
+    """A network that says of every pixel it is asked about that it moves, or, below 0, that it does not."""
+    count = 4 + 2 + 8 + 3
+    shapes = (1, count), (1,), (len(STEPS), 1, 1, 3, 3), (len(STEPS), 1), (1,)
+    return Network(*(np.zeros(shape, np.float32) for shape in shapes), np.float32([bias]))
+
+
+@pytest.mark.parametrize("bias", [60.0, -60.0, 0.0])
+def test_the_network_decides_near_borders_where_pictures_were_asked(bias: float) -> None:
+    """Pixels at most 5 px from the border of the square; no others, and none of frames that are cut back."""
+    rgb = np.repeat((200 * SQUARE[..., None]).astype(np.uint8), 3, axis=2)
+    shown, evidence = np.zeros((H, W)), np.zeros((8, H, W), np.float32)
+    known = Known(SQUARE, shown, evidence), Known(SQUARE), Known(RAMP, shown, evidence)
+
+    def masks(network: Network | None) -> list[np.ndarray]:
+        return [mask for mask, _ in masks_on_pixels(3, lambda _: rgb, known.__getitem__, SegmentOptions(), network)]
+
+    before, found = masks(None), masks(told(bias))
+    near = np.ones((2 * int(ASKED_PX * W / 512) + 3,) * 2)
+    outer, inner = (op(before[0].astype(np.uint8), near) for op in (cv2.dilate, cv2.erode))
+    if bias > 0:
+        assert found[0].sum() > 1.5 * before[0].sum()
+        assert not found[0][outer == 0].any()
+    elif bias < 0:
+        assert found[0].sum() < 0.5 * before[0].sum()
+        assert found[0][inner > 0].all()
+    for k in (0, 1, 2) if bias == 0 else (1, 2):
+        np.testing.assert_array_equal(found[k], before[k])
+
+
+def test_what_the_network_is_told_fits_the_pixels() -> None:
+    """A square lies at one place, on the grid of the flow, of half the width, and in frames that are reduced."""
+    for scale in (1, 20):
+        grid, full = (SQUARE[::2, ::2], np.kron(SQUARE, np.ones((scale, scale))))
+        rgb = np.repeat((60 + 120 * full[..., None]).astype(np.uint8), 3, axis=2)
+        known = Known(grid, grid, np.stack([grid] * 8).astype(np.float32))
+        (frame,) = bounded(1, lambda _: rgb, lambda _: known, SegmentOptions())  # noqa: B023
+        maps = maps_of(frame)
+        small = cv2.resize(full.astype(np.float32), maps.shape[:0:-1], interpolation=cv2.INTER_AREA)
+        assert max(maps.shape[1:]) == min(scale * W, 512)
+        assert maps.dtype == np.float32
+        sides = (
+            cv2.erode((small > 0.99).astype(np.uint8), np.ones((5, 5))),
+            cv2.erode((small < 0.01).astype(np.uint8), np.ones((5, 5))),
+        )
+        for map_of in (maps[0], maps[1], maps[3], maps[4], *maps[6:14], maps[14]):
+            assert map_of[sides[0] > 0].min() > map_of[sides[1] > 0].max()

@@ -10,7 +10,7 @@ import pytest
 from passing_square import GROUND_PX, H, T, W, clip, flow_columns, left_part, square, static_cameras
 
 from stages.segment import __main__ as segment_stage
-from stages.segment import layers, refinement
+from stages.segment import layers, refined, refinement
 from stages.segment.layers import Belonging
 from stages.segment.options import SegmentOptions
 from stages.segment.permanence import DYNAMIC, Links
@@ -65,7 +65,7 @@ def test_loud_noise_is_smoothed_before_pictures_are_compared(tmp_path: Path, mon
         return float(np.mean([(mask & mover).sum() / (mask | mover).sum() for mask, mover in found]))
 
     smooth = overlap()
-    monkeypatch.setattr(segment_stage, "smoothed", lambda rgb, _: rgb)
+    monkeypatch.setattr(refined, "smoothed", lambda rgb, _: rgb)
     assert smooth > overlap() + 0.15
     monkeypatch.setattr(layers, "noise_of", lambda frame, *_: np.zeros(frame.shape[:2], np.float32))
     assert smooth > overlap() + 0.05, "nor without noise among what right matches differ by"
@@ -101,7 +101,7 @@ def test_cameras_of_the_round_before_make_a_mover_whole(tmp_path: Path, monkeypa
 def silent(pixels: Superpixels, *_: object) -> Belonging:
     """As `belonging`, of pictures that were compared everywhere and show nothing."""
     none = np.zeros(len(pixels.areas))
-    return Belonging(none, none + 1, np.zeros((T, H, W), np.int8))
+    return Belonging(none, none + 1, np.zeros((T, H, W), np.int8), np.zeros((T, 6, H, W), np.uint8))
 
 
 def test_what_floats_beside_a_mover_is_part_of_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

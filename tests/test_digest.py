@@ -44,6 +44,16 @@ def test_only_what_runs_changes_it(module: Path) -> None:
     assert found() != before
 
 
+def test_weights_beside_a_module_change_it(module: Path) -> None:
+    before, seen = found(), set()
+    for content in (b"one", b"other"):
+        (module.parent / "used.safetensors").write_bytes(content)
+        seen.add(found())
+    assert len(seen | {before}) == 3
+    (module.parent / "unused.safetensors").write_bytes(b"one")
+    assert found() in seen
+
+
 def test_a_change_of_no_size_at_no_time_is_seen(module: Path) -> None:
     before, stat = found(), module.stat()
     module.write_text(module.read_text().replace("HALF * x", "HALF + x"))

@@ -8,7 +8,7 @@ from stages.segment import layers, uncovered
 from stages.segment.layers import MOVING, belonging
 from stages.segment.static_world import StaticWorld
 from stages.segment.superpixels import Superpixels
-from stages.segment.uncovered import LEAST_FRAMES, seen_again
+from stages.segment.uncovered import LEAST_FRAMES, Around, frames_around, seen_again
 from stages.shared.artifacts import Dense
 from stages.shared.cameras import intrinsics, make_cameras
 from stages.shared.flow_pairs import FlowPairs
@@ -65,9 +65,19 @@ def inner(mask: np.ndarray) -> np.ndarray:
     return cv2.erode(mask.astype(np.uint8), np.ones((1, 5), np.uint8)) > 0
 
 
+def around(
+    depths: list[np.ndarray], frames: dict[int, np.ndarray], covered: dict[int, np.ndarray], seen: StaticWorld
+) -> Around:
+    """The frames around the middle one."""
+    found = frames_around(MIDDLE, depths[0], frames, covered, seen)
+    assert found is not None
+    return found
+
+
 def again(steps_px: int, covered: dict[int, np.ndarray]) -> np.ndarray:
     """`seen_again` of all pixels of the middle frame, at the depth of the ground."""
-    return seen_again(MIDDLE, LIMIT, [np.ones((H, W), np.float32)], clip(steps_px), covered, world())
+    depths = [np.ones((H, W), np.float32)]
+    return seen_again(LIMIT, depths, around(depths, clip(steps_px), covered, world()))
 
 
 @pytest.mark.parametrize("steps_px", [5, 9])
@@ -100,10 +110,10 @@ def test_what_too_few_frames_show_is_not_known() -> None:
 
 def test_from_the_limit_on_nothing_is_said_and_below_it_nothing_changes() -> None:
     covered, depths = {k: between(k, 5) for k in range(T)}, [np.full((H, W), depth) for depth in (1.0, 0.5)]
-    given = depths, clip(5), covered, world()
-    whole = seen_again(MIDDLE, LIMIT, *given)
+    given = depths, around(depths, clip(5), covered, world())
+    whole = seen_again(LIMIT, *given)
     limit = np.tile(np.float32([0, 1, 5, 20]), (H, W // 4))
-    found = seen_again(MIDDLE, limit, *given)
+    found = seen_again(limit, *given)
     np.testing.assert_array_equal(found, np.where(whole < limit, whole, np.inf))
     assert 0.1 < np.isfinite(found).mean() < 0.9
 
@@ -117,7 +127,7 @@ def test_the_kernel_is_the_quantile_over_uncovered_frames(monkeypatch: pytest.Mo
     frames = {k: random.integers(0, 256, (H, W, 3), np.uint8) for k in range(T)}
     covered = {k: random.random((H, W)) < 0.2 for k in range(T)}
     depths = [random.uniform(0.2, 1.2, (H, W)).astype(np.float32) for _ in range(2)]
-    found = seen_again(MIDDLE, LIMIT, depths, frames, covered, seen)
+    found = seen_again(LIMIT, depths, around(depths, frames, covered, seen))
     for v, u in random.integers((12, 60), (H - 12, W - 60), (60, 2)):
         apart = [_by_numpy(v, u, depth[v, u], frames, covered, seen) for depth in depths]
         best = [np.sort(of)[round(0.3 * (len(of) - 1))] for of in apart if len(of) >= 2]
@@ -153,7 +163,7 @@ def test_the_best_of_the_static_depths_counts() -> None:
     gap = inner(between(MIDDLE, 9) & ~legs(MIDDLE, 9))
     depths = [np.where(between(MIDDLE, 9), depth, 1).astype(np.float32) for depth in (1.5, 0.6, 1.0)]
     for count, (low, high) in ((2, (APART, 255)), (3, (0, ALIKE))):
-        found = seen_again(MIDDLE, LIMIT, depths[:count], clip(9), covered, world())
+        found = seen_again(LIMIT, depths[:count], around(depths, clip(9), covered, world()))
         assert low < np.median(found[gap]) < high
 
 
@@ -165,9 +175,9 @@ def test_frames_whose_cameras_are_not_known_are_left_out() -> None:
     covered, depths = {k: between(k, 9) for k in range(T)}, [np.ones((H, W), np.float32)]
     free = np.logical_and.reduce([cv2.dilate(between(k, 9).astype(np.uint8), np.ones((1, 15))) == 0 for k in near])
     free[:, :24] = free[:, -24:] = False
-    assert np.median(seen_again(MIDDLE, LIMIT, depths, clip(9), covered, seen)[free]) > APART
+    assert np.median(seen_again(LIMIT, depths, around(depths, clip(9), covered, seen))[free]) > APART
     seen.cameras.status[wrong] = "unobserved"
-    assert np.percentile(seen_again(MIDDLE, LIMIT, depths, clip(9), covered, seen)[free], 95) < ALIKE
+    assert np.percentile(seen_again(LIMIT, depths, around(depths, clip(9), covered, seen))[free], 95) < ALIKE
 
 
 def evidence(
@@ -177,8 +187,8 @@ def evidence(
     masked: list[np.ndarray],
     scene: np.ndarray | None = None,
 ) -> np.ndarray:
-    """What `belonging` says of the pixels [2, H, W] of the middle frame, by superpixels, in units of MOVING, and one by
-    one; its flow is dragged along with the legs."""
+    """What `belonging` says of the pixels [8, H, W] of the middle frame, by superpixels, in units of MOVING, one by
+    one, and in parts; its flow is dragged along with the legs."""
     v, u = np.mgrid[:H, :W] // TILE_PX
     labels, count = v * (W // TILE_PX) + u, H * W // TILE_PX**2
     first = count * np.arange(T + 1)
@@ -190,30 +200,43 @@ def evidence(
     sure = np.full(flow.shape[:3], confidence, np.float32)
     pairs = FlowPairs(Dense({"source": source, "target": target, "flow": flow, "confidence": sure}), scene=scene)
     found = belonging(pixels, pairs, frames.__getitem__, world(), pixels.means(np.stack(masked).astype(float)).round())
-    return np.stack([pixels.paint(found.weight, MIDDLE) / MOVING, found.of_frame(MIDDLE)])
+    return np.stack([pixels.paint(found.weight, MIDDLE) / MOVING, found.of_frame(MIDDLE), *found.in_parts(MIDDLE)])
 
 
 def test_ground_between_legs_is_taken_from_the_walker(monkeypatch: pytest.MonkeyPatch) -> None:
     """Also as a superpixel that is known to move; where the flow is sure it is not asked for."""
     masked = [between(k, 5) for k in range(T)]
     gap, walker = (inner(of) for of in (between(MIDDLE, 5) & ~legs(MIDDLE, 5), legs(MIDDLE, 5)))
-    by_tile, by_pixel = evidence(clip(5), 5, 0.0, masked)
+    by_tile, by_pixel, *_ = evidence(clip(5), 5, 0.0, masked)
     assert np.median(by_tile[gap]) < -0.2
     assert np.median(by_pixel[gap]) < -0.5
     assert (by_tile[walker] >= 0).all()
     assert (by_pixel[walker] > -0.1).mean() > 0.98
     assert np.median(evidence(clip(5), 5, 1.0, masked)[0][gap]) >= 0
-    monkeypatch.setattr(layers, "seen_again", lambda _, limit, *__: np.full(limit.shape, np.inf))
-    by_tile, by_pixel = evidence(clip(5), 5, 0.0, masked)
+    monkeypatch.setattr(layers, "seen_again", lambda limit, *_: np.full(limit.shape, np.inf))
+    by_tile, by_pixel, *_ = evidence(clip(5), 5, 0.0, masked)
     assert np.median(by_tile[gap]) >= 0
     assert np.median(by_pixel[gap]) > -0.5
+
+
+def test_the_evidence_is_told_in_parts() -> None:
+    """By its flow the ground between the legs moves; it matches the static scene, and stands out from nothing."""
+    masked = [between(k, 5) for k in range(T)]
+    static, mover, apart, alone, share, confidence = evidence(clip(5), 5, 0.2, masked)[2:]
+    gap, walker = (inner(of) for of in (between(MIDDLE, 5) & ~legs(MIDDLE, 5), legs(MIDDLE, 5)))
+    assert np.median(static[gap]) < 0.3 < np.median(static[walker])
+    assert np.median(mover[walker]) < 0.2 < np.median(mover[gap])
+    for of in (apart, alone):
+        assert np.median(of[gap]) < np.percentile(of[walker], 20) / 2
+    assert share[between(MIDDLE, 5)].min() > 0.2 > 0.02 > share[:, :40].max()
+    assert confidence == pytest.approx(0.2, abs=1 / 255)
 
 
 def test_a_mover_that_rests_is_not_taken_from_itself() -> None:
     """Found in one frame alone, it looks the same in all others, but its own motion tells no less."""
     frames = clip(-GROUND_PX)  # moves as the ground does: it rests
     masked = [between(k, -GROUND_PX) & (k == MIDDLE) for k in range(T)]
-    by_tile, by_pixel = evidence(frames, -GROUND_PX, 0.0, masked)
+    by_tile, by_pixel, *_ = evidence(frames, -GROUND_PX, 0.0, masked)
     inside = inner(between(MIDDLE, -GROUND_PX))
     assert (by_tile[inside] >= 0).all()
     assert (by_pixel[inside] > -0.1).all()
@@ -226,24 +249,40 @@ def test_ground_that_flickers_is_taken_from_nobody() -> None:
     for k, frame in frames.items():
         flickers = between(k, 5) & ~legs(k, 5)
         frame[flickers] = random.integers(0, 256, (int(flickers.sum()), 3))
-    by_tile, _ = evidence(frames, 5, 0.0, [between(k, 5) for k in range(T)])
+    by_tile, *_ = evidence(frames, 5, 0.0, [between(k, 5) for k in range(T)])
     assert (by_tile[gap] > -0.02).all()
 
 
-def test_masks_and_a_little_around_them_are_compared_and_logos_cover(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked = {}
+def asked_of(monkeypatch: pytest.MonkeyPatch) -> tuple[dict[int, np.ndarray], dict[int, dict[int, np.ndarray]]]:
+    """Limits [H, W] up to which the pixels of each frame are compared, and what covers the frames around it.
 
-    def spied(
-        i: int, limit: np.ndarray, _d: list, _f: dict, covered: dict[int, np.ndarray], _w: StaticWorld
-    ) -> np.ndarray:
-        asked[i] = limit, covered
+    Both are filled while `evidence` asks, on several threads.
+    """
+    numbers: dict[int, tuple[int, Around]] = {}
+    limits: dict[int, np.ndarray] = {}
+    coverings: dict[int, dict[int, np.ndarray]] = {}
+
+    def looked_at(i: int, depth: np.ndarray, frames: dict, covered: dict, seen: StaticWorld) -> Around:
+        found = frames_around(i, depth, frames, covered, seen)
+        assert found is not None
+        numbers[id(found)], coverings[i] = (i, found), covered
+        return found
+
+    def compared(limit: np.ndarray, _: list[np.ndarray], of: Around) -> np.ndarray:
+        limits[numbers[id(of)][0]] = limit
         return np.full(limit.shape, np.inf)
 
-    monkeypatch.setattr(layers, "seen_again", spied)
+    monkeypatch.setattr(layers, "frames_around", looked_at)
+    monkeypatch.setattr(layers, "seen_again", compared)
+    return limits, coverings
+
+
+def test_masks_and_a_little_around_them_are_compared_and_logos_cover(monkeypatch: pytest.MonkeyPatch) -> None:
+    limits, coverings = asked_of(monkeypatch)
     logo = np.zeros((H, W), bool)
     logo[10:20, 300:340] = True
     evidence(clip(5), 5, 0.0, [between(k, 5) for k in range(T)], scene=~logo)
-    limit, covered = asked[MIDDLE]
+    limit, covered = limits[MIDDLE], coverings[MIDDLE]
     shares = between(MIDDLE, 5).reshape(H // TILE_PX, TILE_PX, W // TILE_PX, TILE_PX).mean(axis=(1, 3))
     tiles = np.kron(shares.round(), np.ones((TILE_PX, TILE_PX)))
     near, far = (cv2.dilate(tiles, np.ones((1, 2 * px + 1))) > 0 for px in (4, 5))
@@ -257,14 +296,9 @@ def test_masks_and_a_little_around_them_are_compared_and_logos_cover(monkeypatch
 @pytest.mark.parametrize("share", [0.6, 0.8])
 def test_where_most_of_a_frame_moves_nothing_is_seen_again(share: float, monkeypatch: pytest.MonkeyPatch) -> None:
     """Cameras may follow the mover then, and what moves with it would be called static."""
-    asked = {}
-
-    def spied(i: int, limit: np.ndarray, *_: object) -> np.ndarray:
-        asked[i] = (limit > 0).mean()
-        return np.full(limit.shape, np.inf)
-
-    monkeypatch.setattr(layers, "seen_again", spied)
+    limits, _ = asked_of(monkeypatch)
     masked = np.arange(W) < share * W
     evidence(clip(5), 5, 0.0, T * [np.tile(masked, (H, 1))])
-    assert (asked[MIDDLE] >= share) == (share < 0.7)
-    assert (asked[MIDDLE] == 0) == (share > 0.7)
+    asked = (limits[MIDDLE] > 0).mean()
+    assert (asked >= share) == (share < 0.7)
+    assert (asked == 0) == (share > 0.7)

@@ -11,20 +11,16 @@ from stages.given import masks as given_masks
 from stages.given.files import of_sequence
 from stages.given.masks import GivenMasks
 from stages.segment.options import SegmentOptions
-from stages.segment.permanence import DYNAMIC, Links, confidence_of, persistent
-from stages.segment.refinement import to_instances
-from stages.segment.static_world import MOTION_AGAIN, static_world
-from stages.segment.superpixels import AT_ONCE, superpixels
+from stages.segment.permanence import DYNAMIC
+from stages.segment.refined import evidence_of_clip, refined
 from stages.shared import cli, drawing
-from stages.shared.artifacts import Dense, read_dense, read_json, write_json
+from stages.shared.artifacts import read_dense, read_json, write_json
 from stages.shared.atomic import atomic_folder, copy, copy_folder
 from stages.shared.cli import In, Out
 from stages.shared.errors import InputError
-from stages.shared.flow_pairs import FlowPairs
-from stages.shared.image_noise import blur_of_noise, smoothed
-from stages.shared.images import enlarge, read_mask, read_rgb, reduce, write_figure, write_image
+from stages.shared.images import enlarge, read_mask, read_rgb, write_figure, write_image
 from stages.shared.log import logger, progress
-from stages.shared.masks import instances_path, mask_path, read_burnt_in, read_scene_on_grid
+from stages.shared.masks import instances_path, mask_path, read_burnt_in
 from stages.shared.sequences import Sequence, read_sequence
 from stages.shared.settled import Solved, results_to_keep
 
@@ -126,7 +122,9 @@ def _masks(options: SegmentOptions, frames: Sequence, flow: Path | None, prior: 
     if prior is None or flow is None:
         raise InputError("--flow, --prior", f"both for `source: {options.source}`", "not both", "give both")
     if options.source == "refined":
-        return _refined(options, frames, flow, prior, previous)
+        handed = _handed_in(options.evidence, frames, "segment.evidence")
+        found = evidence_of_clip(options, frames, flow, prior, previous, handed)
+        return (Mask(*of) for of in refined(options, frames, found))
     probability = read_dense(prior)["probability"]
     return (_as_one(enlarge(probability[k].astype(np.float32), size) > DYNAMIC) for k in range(len(probability)))
 
@@ -143,60 +141,6 @@ def _handed_in(path: str | None, frames: Sequence, option: str = given_masks.OPT
 
 def _given(handed: GivenMasks) -> Masks:
     return (Mask(labels > 0, labels) for labels in map(handed.labels, range(len(handed.paths))))
-
-
-def _refined(options: SegmentOptions, frames: Sequence, flow: Path, prior: Path, previous: Solved) -> Masks:
-    evidence = read_dense(prior)
-    if "weight" not in evidence or len(evidence["weight"]) != len(frames.frames):
-        expected = f"columns 'probability' and 'weight' of {len(frames.frames)} frames"
-        raise InputError(prior, expected, f"columns {sorted(evidence)}", MOTION_AGAIN)
-    size = evidence["probability"].shape[:0:-1]
-
-    def raw(k: int) -> np.ndarray:
-        return reduce(read_rgb(frames.frames[k]), size)
-
-    blur_px = float(np.median([blur_of_noise(raw(int(k))) for k in drawing.spread(len(frames.frames), 3)]))
-
-    def picture(k: int) -> np.ndarray:
-        return smoothed(raw(k), blur_px)
-
-    pixels = superpixels(len(frames.frames), picture)
-    handed = _handed_in(options.evidence, frames, "segment.evidence")
-    stated = None
-    if handed:
-        marked = (reduce((handed.labels(k) > 0).astype(np.float32), size) for k in range(len(frames.frames)))
-        stated = pixels.means(marked)
-    probability, weight = (pixels.means(_one_by_one(evidence, name)) for name in ("probability", "weight"))
-    matched = read_dense(flow)
-    given = Links(pixels, matched, options.permanence), probability, confidence_of(weight), options.threshold, stated
-    world, shown = static_world(frames, evidence, prior, flow, *previous), None
-    sure, instance = persistent(*given, candidates=world is not None)
-    if world is not None and instance.any():
-        from stages.segment.floating import floating
-        from stages.segment.layers import MOVING, belonging
-
-        pairs = FlowPairs(matched, scene=read_scene_on_grid(frames, size))
-        shown = belonging(pixels, pairs, picture, world, sure)
-        sure, instance = persistent(*given, shown.weight, shown.asked)
-        if (floats := floating(given[0], world, sure)).any():  # beside what the pictures have confirmed
-            moving = np.where(floats, np.maximum(shown.weight, MOVING), shown.weight)
-            sure, instance = persistent(*given, moving, shown.asked)
-
-    from stages.segment.boundaries import masks_on_pixels  # compiled code, which masks from elsewhere spare
-
-    def known(k: int) -> tuple[np.ndarray, np.ndarray | None]:
-        return pixels.paint(sure, k), None if shown is None else shown.of_frame(k)
-
-    found = masks_on_pixels(len(frames.frames), lambda k: read_rgb(frames.frames[k]), known, options)
-    return (Mask(of, to_instances(of, pixels.paint(instance, k)), guarded) for k, (of, guarded) in enumerate(found))
-
-
-def _one_by_one(columns: Dense, name: str) -> Iterator[np.ndarray]:
-    """The rows of a column, whose memory is given back now and then."""
-    for k in range(len(columns[name])):
-        yield columns[name][k]
-        if k % AT_ONCE == 0:
-            columns.release()
 
 
 def _true(frames: Sequence) -> Masks:

@@ -1,75 +1,119 @@
-"""Boundaries of masks on pixels: along the edges of a frame, then by the colours of it and of others near by."""
+"""Boundaries of masks on pixels: along the edges of a frame, by the colours of it and of others, by a network."""
 
 from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 
-from stages.segment.colours import Learnt, colour_evidence, learn
+from stages.segment.colours import ASKED_PX, Learnt, border_distance, colour_evidence, learn
+from stages.segment.network import Network, correct
 from stages.segment.options import SegmentOptions
 from stages.segment.permanence import DYNAMIC
+from stages.segment.refined import Known
 from stages.segment.refinement import guarded_threshold, smooth_along_edges, to_mask
+from stages.shared.images import REFERENCE_PX, enlarge, reduce, reduced_size, relative_size
 
 TEACHING = -6, -3, 3, 6
 """Distances in frames of those whose colours count too: what is lost, or masked by mistake, in one is not in all."""
 
+BORDER_PX = 6.0
+"""Distance from the border of a mask, in frames of REFERENCE_PX, within which the network is told how far it is."""
+LEVELS = 32.0
+"""Colour levels (CIELAB, 0..255) that count as 1, from the middle ones on."""
 
-class _Frame(NamedTuple):
-    """A frame and what it teaches.
+
+class Bounded(NamedTuple):
+    """A frame, and how surely its pixels move by what follows the edges and the colours.
 
     Attributes:
-        rgb: [H, W, 3] uint8. known: [h, w] how surely each pixel moves, and what pictures show of it.
-        sureness: [H, W] the same along the edges of the frame; threshold: of its mask.
-        learnt: None of a frame whose mask is cut back, since it is wrong.
+        rgb: [H, W, 3] uint8. first: [H, W] without, sureness: with what colours say [H, W], -1..1, 0 where none are
+            asked. threshold: of its mask; above DYNAMIC if it is cut back.
     """
 
     rgb: np.ndarray
-    known: tuple[np.ndarray, np.ndarray | None]
+    known: Known
+    first: np.ndarray
+    colours: np.ndarray
     sureness: np.ndarray
     threshold: float
-    learnt: Learnt | None
 
 
 def masks_on_pixels(
     T: int,
     picture: Callable[[int], np.ndarray],
-    known: Callable[[int], tuple[np.ndarray, np.ndarray | None]],
+    known: Callable[[int], Known],
     options: SegmentOptions,
+    network: Network | None = None,
 ) -> Iterator[tuple[np.ndarray, bool]]:
     """The mask [H, W] bool of each of T frames in turn, and whether it was cut back, as it would be nearly full.
 
     Args:
-        picture: gives frame k [H, W, 3] uint8, once.
-        known: gives how surely each of its pixels moves [h, w], 0..1, and what pictures show of it, in -1..1, if known.
+        picture: gives frame k [H, W, 3] uint8, once. known: gives what is known of its pixels.
+        network: decides near borders, where the pictures were asked.
     """
-    taught: dict[int, Learnt | None] = {}
-    ahead: dict[int, _Frame] = {}
-    for k in range(T):
-        for j in range(max(ahead, default=-1) + 1, min(k + max(TEACHING) + 1, T)):
-            ahead[j] = _frame(picture(j), known(j), options)
-            taught[j] = ahead[j].learnt
-        frame = ahead.pop(k)
+    for frame in bounded(T, picture, known, options):
         sureness, threshold = frame.sureness, frame.threshold
-        if frame.learnt:  # else its surest part is wanted, and not that of the clearest colours
-            others = [learnt for step in TEACHING if (learnt := taught.get(k + step))]
-            colours = colour_evidence(sureness, frame.rgb, frame.learnt, others)
-            sureness = _along_edges(frame.known, frame.rgb, options, colours)
+        if network and frame.known.evidence is not None and threshold == DYNAMIC:
+            sureness = correct(network, maps_of(frame), near_border(frame), sureness)
             threshold = guarded_threshold(sureness, DYNAMIC, options.max_share)
-        taught.pop(k + min(TEACHING), None)
         yield to_mask(sureness, threshold, options.min_area), threshold > DYNAMIC
 
 
-def _frame(rgb: np.ndarray, known: tuple[np.ndarray, np.ndarray | None], options: SegmentOptions) -> _Frame:
-    sureness = _along_edges(known, rgb, options)
+def bounded(
+    T: int, picture: Callable[[int], np.ndarray], known: Callable[[int], Known], options: SegmentOptions
+) -> Iterator[Bounded]:
+    """Each of T frames in turn, with how surely its pixels move; arguments as of `masks_on_pixels`."""
+    taught: dict[int, Learnt | None] = {}
+    ahead: dict[int, Bounded] = {}
+    for k in range(T):
+        for j in range(max(ahead, default=-1) + 1, min(k + max(TEACHING) + 1, T)):
+            ahead[j] = _along_edges(picture(j), known(j), options)
+            taught[j] = learn(ahead[j].first, ahead[j].rgb) if ahead[j].threshold == DYNAMIC else None
+        frame = ahead.pop(k)
+        if own := taught[k]:  # else its surest part is wanted, and not that of the clearest colours
+            others = [learnt for step in TEACHING if (learnt := taught.get(k + step))]
+            frame = _by_colours(frame, colour_evidence(frame.first, frame.rgb, own, others), options)
+        taught.pop(k + min(TEACHING), None)
+        yield frame
+
+
+def near_border(frame: Bounded) -> np.ndarray:
+    """Pixels [H, W] bool of which colours, and the network, are asked."""
+    return np.asarray(np.abs(border_distance(frame.first)) <= ASKED_PX * relative_size(frame.rgb))
+
+
+def maps_of(frame: Bounded) -> np.ndarray:
+    """What the network is told [n, h, w] float32, all of it of the order of 1: what is known, and the colours.
+
+    Of frames whose longer side is above REFERENCE_PX, reduced to that: it has learnt from such.
+    """
+    sure, shown, evidence = frame.known
+    assert shown is not None
+    assert evidence is not None
+    H, W = frame.first.shape
+    size = reduced_size(W, H, REFERENCE_PX)
+    distance = np.tanh(border_distance(frame.first) / (BORDER_PX * relative_size(frame.rgb)))
+    on_pixels = 2 * frame.sureness - 1, 2 * frame.first - 1, frame.colours, distance
+    on_grid = 2 * sure - 1, shown, *(2 * evidence - 1)
+    lab = cv2.cvtColor(reduce(frame.rgb, size), cv2.COLOR_RGB2LAB).astype(np.float32) / LEVELS - 128 / LEVELS
+    maps = np.empty((len(on_pixels) + len(on_grid) + 3, *size[::-1]), np.float32)
+    for k, of in enumerate(on_pixels):
+        maps[k] = reduce(of, size)
+    for k, of in enumerate(on_grid, len(on_pixels)):
+        maps[k] = (reduce if of.shape[1] > size[0] else enlarge)(of.astype(np.float32), size)
+    maps[-3:] = np.moveaxis(lab, -1, 0)
+    return maps
+
+
+def _along_edges(rgb: np.ndarray, known: Known, options: SegmentOptions) -> Bounded:
+    first = smooth_along_edges(known.sure, rgb, options.smoothness, options.colour_sigma, known.shown)
+    threshold = guarded_threshold(first, DYNAMIC, options.max_share)
+    return Bounded(rgb, known, first, np.zeros_like(first), first, threshold)
+
+
+def _by_colours(frame: Bounded, colours: np.ndarray, options: SegmentOptions) -> Bounded:
+    sure, shown = frame.known[:2]
+    sureness = smooth_along_edges(sure, frame.rgb, options.smoothness, options.colour_sigma, shown, colours)
     threshold = guarded_threshold(sureness, DYNAMIC, options.max_share)
-    return _Frame(rgb, known, sureness, threshold, learn(sureness, rgb) if threshold == DYNAMIC else None)
-
-
-def _along_edges(
-    known: tuple[np.ndarray, np.ndarray | None],
-    rgb: np.ndarray,
-    options: SegmentOptions,
-    colours: np.ndarray | None = None,
-) -> np.ndarray:
-    sure, shown = known
-    return smooth_along_edges(sure, rgb, options.smoothness, options.colour_sigma, shown, colours)
+    return frame._replace(colours=colours, sureness=sureness, threshold=threshold)

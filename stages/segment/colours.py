@@ -55,7 +55,7 @@ def learn(sureness: np.ndarray, rgb: np.ndarray) -> Learnt:
         sureness: [H, W] in 0..1, above 1/2 inside of the mask. rgb: [H, W, 3] uint8.
     """
     px, some = relative_size(rgb), np.s_[:: _step(rgb), :: _step(rgb)]
-    depth, sure = _depth(sureness)[some], np.clip(np.abs(sureness[some] - 0.5) / SURE, 0, 1)
+    depth, sure = border_distance(sureness)[some], np.clip(np.abs(sureness[some] - 0.5) / SURE, 0, 1)
     sure *= np.abs(depth) <= (ASKED_PX + CELL_PX) * px
     weights = np.dstack([(side > LEARNT_PX * px) * sure for side in (depth, -depth)])
     return Learnt(cv2.cvtColor(rgb[some], cv2.COLOR_RGB2LAB), weights.astype(np.float32))
@@ -73,7 +73,7 @@ def colour_evidence(sureness: np.ndarray, rgb: np.ndarray, own: Learnt, others: 
         sureness: [H, W] in 0..1, above 1/2 inside of the mask. rgb: [H, W, 3] uint8.
         own: what the frame teaches, of `learn`; others: what frames near by do, of the same size.
     """
-    px, step, depth = relative_size(rgb), _step(rgb), _depth(sureness)
+    px, step, depth = relative_size(rgb), _step(rgb), border_distance(sureness)
     cell_px, some, asked = CELL_PX * px, np.s_[::step, ::step], np.abs(depth) <= ASKED_PX * px
     if not asked.any():
         return np.zeros(sureness.shape, np.float32)
@@ -101,7 +101,7 @@ def _range(frames: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     return np.min(found, axis=0)[:, 0], np.max(found, axis=0)[:, 1]
 
 
-def _depth(sureness: np.ndarray) -> np.ndarray:
+def border_distance(sureness: np.ndarray) -> np.ndarray:
     """How far [H, W] px within the mask, and, negative, outside of it; infinite if there is no border."""
     inside = (sureness > 0.5).astype(np.uint8)
     if inside.all() or not inside.any():

@@ -14,11 +14,12 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from stages.segment.background import against_background
 from stages.segment.matching import REACH, compared, static_depths
 from stages.segment.permanence import DYNAMIC
 from stages.segment.static_world import StaticWorld
 from stages.segment.superpixels import Superpixels
-from stages.segment.uncovered import DISTANCES, seen_again
+from stages.segment.uncovered import DISTANCES, Around, frames_around, seen_again
 from stages.shared.flow_pairs import FlowPairs
 from stages.shared.picture_difference import EVERY_PX, exposed, noise_of, tolerance
 from stages.shared.threads import threaded
@@ -43,6 +44,8 @@ MOST = 0.7
 """nor in frames of which more moves: cameras may then be those of a mover, which seems to rest."""
 SHOWN_MOST = 127
 """What a pixel shows is kept in units of 1 / 127, in one byte."""
+MOST_CODED = 20.0
+"""Residual, in tolerances, from which on a larger one tells no more."""
 NEAR_ENOUGH = 0.15
 """Share of a mover among the pixels around, from which on its extended motion counts fully."""
 
@@ -54,15 +57,23 @@ class Belonging(NamedTuple):
         weight: [N] with which they say so of a superpixel, relative to certain motion by the flow.
         asked: [N] share of its pixels that were compared; 0 in frames of which masks hold more than MOST.
         pixels: [T, h, w] int8, how clearly they say so of a pixel, -SHOWN_MOST to SHOWN_MOST.
+        evidence: [T, 6, h, w] uint8, the same in parts, in units of 1 / 255: `coded` residuals of the static scene and
+            of the mover, how far the frame lies from the background, in tolerances and over how far the frames around
+            lie from one another; the share of movers around, and the confidence of the flow.
     """
 
     weight: np.ndarray
     asked: np.ndarray
     pixels: np.ndarray
+    evidence: np.ndarray
 
     def of_frame(self, k: int) -> np.ndarray:
         """How clearly [h, w] each pixel of frame k moves, -1..1."""
         return np.asarray(self.pixels[k].astype(np.float32) / SHOWN_MOST)
+
+    def in_parts(self, k: int) -> np.ndarray:
+        """The evidence [6, h, w] of frame k, in 0..1."""
+        return np.asarray(self.evidence[k] / np.float32(255))
 
 
 def belonging(
@@ -76,6 +87,7 @@ def belonging(
     """
     T, found = len(pixels.labels), []
     shown = np.zeros(pixels.labels.shape, np.int8)
+    evidence = np.zeros((T, 6, *pixels.labels.shape[1:]), np.uint8)
 
     def of_frame(k: int, frames: dict[int, np.ndarray], covered: dict[int, np.ndarray]) -> np.ndarray:
         """Means [5, n] over the n superpixels of frame k: by how much the static residual is larger, residual of the
@@ -84,16 +96,19 @@ def belonging(
         if not (seen >= DYNAMIC).any():
             return np.zeros((5, len(part.areas)))
         depths = static_depths(world, k, np.maximum(1 - seen / STATIC, 0) ** 2)
-        allowed = tolerance(frames[k], _noise(k, pairs, frames))
+        allowed, confidence = tolerance(frames[k], _noise(k, pairs, frames)), _confidence(k, pairs)
         static, moved, share, known = compared(k, seen, allowed, depths, pairs, frames, world)
         asked = known * ((seen >= DYNAMIC).mean() <= MOST)
-        limit = np.where(_sought(k, seen, pairs), np.maximum(2 * SURELY_MATCHED, moved + 1) * allowed, 0)
-        again = seen_again(k, limit, depths, frames, covered, world) / allowed  # above the limit it changes nothing
+        limit = np.where(_sought(seen, confidence), np.maximum(2 * SURELY_MATCHED, moved + 1) * allowed, 0)
+        again, apart, spread = _by_others(depths, limit, known > 0, frames_around(k, depths[0], frames, covered, world))
+        again /= allowed  # above the limit it changes nothing
         rests = _clear(again - moved)[1] * _matches(again, SURELY_MATCHED)
         static = np.minimum(static, again)
         moving, resting = _clear(static - moved)
         clear = moving * _matches(moved, SURELY_MATCHED) - resting * _matches(static, SURELY_MATCHED)
         shown[k] = np.rint(SHOWN_MOST * _near(share) * clear)
+        parts = *map(coded, (static, moved, apart / allowed, apart / (spread + allowed))), share, confidence
+        evidence[k] = np.rint(255 * np.clip(parts, 0, 1))
         images = np.clip(static - moved, -1, 1), np.minimum(moved, 2 * MATCHED), share, rests, asked
         return np.stack([part.means([image]) for image in images])
 
@@ -109,7 +124,7 @@ def belonging(
     excess, residual, share, rests, asked = np.concatenate(found, axis=1)
     moving, resting = _clear(excess)
     weight = MOVING * moving * _matches(residual, MATCHED) - RESTING * (resting * (sure < DYNAMIC) + rests)
-    return Belonging(_near(share) * weight, asked, shown)
+    return Belonging(_near(share) * weight, asked, shown, evidence)
 
 
 def _noise(i: int, pairs: FlowPairs, frames: dict[int, np.ndarray]) -> np.ndarray:
@@ -142,12 +157,29 @@ def _near(share: np.ndarray) -> np.ndarray:
     return np.asarray(np.clip(share / NEAR_ENOUGH, 0, 1))
 
 
-def _sought(i: int, sure: np.ndarray, pairs: FlowPairs) -> np.ndarray:
-    """Where [h, w] bool movers are near, and the flow does not know what a pixel of frame i does."""
+def coded(residual: np.ndarray) -> np.ndarray:
+    """A residual of any shape, in tolerances, as a number from 0 to 1: the logarithm, up to MOST_CODED."""
+    return np.asarray(np.log1p(np.minimum(residual, MOST_CODED)) / np.log1p(MOST_CODED))
+
+
+def _by_others(depths: list[np.ndarray], limit: np.ndarray, asked: np.ndarray, around: Around | None) -> np.ndarray:
+    """`seen_again`, and `against_background`, [3, h, w]; infinite and 0 where there are no frames around."""
+    if around is None:
+        return np.stack([np.full(limit.shape, np.inf, np.float32), *np.zeros((2, *limit.shape), np.float32)])
+    return np.stack([seen_again(limit, depths, around), *against_background(depths[0], asked, around)])
+
+
+def _confidence(i: int, pairs: FlowPairs) -> np.ndarray:
+    """Mean confidence [h, w] of the flow of frame i to frames at most SURE_FRAMES away."""
+    near = [e for e in pairs.leaving(i, i + 1) if abs(int(pairs.target[e]) - i) <= SURE_FRAMES]
+    maps = [pairs.confidence[e].astype(np.float32) for e in near]
+    return np.mean(maps, axis=0) if maps else np.zeros(pairs.confidence.shape[1:], np.float32)
+
+
+def _sought(sure: np.ndarray, confidence: np.ndarray) -> np.ndarray:
+    """Where [h, w] bool movers are near, and the flow does not know what a pixel does."""
     if (sure >= DYNAMIC).mean() > MOST:
         return np.zeros(sure.shape, bool)
-    near = [e for e in pairs.leaving(i, i + 1) if abs(int(pairs.target[e]) - i) <= SURE_FRAMES]
-    confidence = np.mean([pairs.confidence[e].astype(np.float32) for e in near], axis=0) if near else 0
     around = cv2.dilate(sure, np.ones((1 + 2 * SOUGHT_PX,) * 2, np.uint8)) > SOUGHT
     return np.asarray(around & (confidence < UNSURE))
 

@@ -41,6 +41,11 @@ class SegmentOptions(Options):
     colour_sigma: float = Field(
         3.0, gt=0, le=100, description="colour step (0..255) that stops the smoothing; smaller follows finer edges"
     )
+    borders: Literal["learned", "geometric"] = Field(
+        "learned",
+        description="what decides near the borders of masks: a small network, trained on drawn scenes, that weighs the"
+        " evidence, or the evidence as it is",
+    )
     min_area: float = Field(
         5e-4, ge=0, le=0.1, description="regions smaller than this share of the frame are dropped, holes filled"
     )

@@ -5,6 +5,8 @@ dragged along with the leg. What is found of the movers tells in which frames no
 same in some of them, it rests: in some, since not all of the movers are found.
 """
 
+from typing import NamedTuple
+
 import numba
 import numpy as np
 
@@ -24,37 +26,54 @@ HALF_WINDOW = 1
 """Pixels of the compared windows on either side of their middle."""
 
 
-def seen_again(
-    i: int,
-    limit: np.ndarray,
-    depths: list[np.ndarray],
-    frames: dict[int, np.ndarray],
-    covered: dict[int, np.ndarray],
-    world: StaticWorld,
-) -> np.ndarray:
-    """Difference [h, w] in colour levels of frame i to those frames in which movers do not cover what its pixels show.
+class Around(NamedTuple):
+    """The frames around one, as far as cameras were found.
 
-    The least over the static `depths` [h, w] of the ALIKE quantile over the frames that show the place uncovered.
-    Infinite where fewer than LEAST_FRAMES do, and from the `limit` [h, w] on: a limit of 0 spares a pixel.
+    Attributes:
+        pictures: [F, h, w, 3] uint8. expected: [F, h, w, 3] uint8, the frame itself at the exposure of each.
+        covered: [F, h, w] bool, where movers, or what is burnt in, hide what is behind them.
+        A, b: [F, R, 3, 3] and [F, R, 3] of `StaticWorld.projection` into them.
+    """
+
+    pictures: np.ndarray
+    expected: np.ndarray
+    covered: np.ndarray
+    A: np.ndarray
+    b: np.ndarray
+
+
+def frames_around(
+    i: int, depth: np.ndarray, frames: dict[int, np.ndarray], covered: dict[int, np.ndarray], world: StaticWorld
+) -> Around | None:
+    """The frames at DISTANCES from frame i; None if there are none.
 
     Args:
+        depth: [h, w] static inverse depth of frame i, at which exposures are compared.
         frames: pictures [h, w, 3] uint8 of frames around. covered: [h, w] bool, where they show movers.
     """
-    limit, found = limit.astype(np.float32), np.full(limit.shape, np.inf, np.float32)
     others = [j for o in DISTANCES for j in (i - o, i + o) if j in frames and world.observed(i, j)]
-    v, u = (np.ascontiguousarray(of) for of in np.nonzero(limit > 0))
-    if not len(v) or not others:
-        return found
+    if not others:
+        return None
     A, b = (np.stack(part) for part in zip(*(world.projection(i, j) for j in others), strict=True))
-    ways = (dense_static_flow(*of, depths[0]) for of in zip(A, b, strict=True))
+    ways = (dense_static_flow(*of, depth) for of in zip(A, b, strict=True))
     shown = (warp(frames[j], way, EVERY_PX) for j, way in zip(others, ways, strict=True))
     expected = np.stack([exposed(frames[i], there) for there in shown])
     pictures, covers = (np.stack([of[j] for j in others]) for of in (frames, covered))
-    least = limit[v, u]
-    alike, places = np.empty(len(others)), np.empty((len(others), 3))
+    return Around(pictures, expected, covers, *of_rows(A, b))
+
+
+def seen_again(limit: np.ndarray, depths: list[np.ndarray], around: Around) -> np.ndarray:
+    """Difference [h, w] in colour levels of a frame to those frames in which movers do not cover what its pixels show.
+
+    The least over the static `depths` [h, w] of the ALIKE quantile over the frames that show the place uncovered.
+    Infinite where fewer than LEAST_FRAMES do, and from the `limit` [h, w] on: a limit of 0 spares a pixel.
+    """
+    limit, found = limit.astype(np.float32), np.full(limit.shape, np.inf, np.float32)
+    v, u = (np.ascontiguousarray(of) for of in np.nonzero(limit > 0))
+    least, places = limit[v, u], np.empty((len(around.covered), 3))
     static = np.stack([depth[v, u] for depth in depths])
-    flat = pictures.reshape(-1), expected.reshape(-1)
-    _seen_again(*flat, covers, *of_rows(A, b), u, v, static, least, alike, places)
+    flat = around.pictures.reshape(-1), around.expected.reshape(-1)
+    _seen_again(*flat, *around[2:], u, v, static, least, np.empty(len(places)), places)
     found[v, u] = np.where(least < limit[v, u], least, np.inf)
     return found
 
@@ -73,7 +92,7 @@ def _seen_again(images, expected, covered, A, b, u, v, depths, least, alike, pla
             shown = 0
             for j in range(len(covered)):
                 x, y = place(A, b, j, u[k], v[k], depths[d, k])
-                if _is_uncovered(covered, j, x, y):
+                if is_uncovered(covered, j, x, y):
                     places[shown, 0], places[shown, 1], places[shown, 2] = j, x, y
                     shown += 1
             if shown < LEAST_FRAMES:
@@ -103,7 +122,7 @@ def _insert(values, count, value):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(**KERNEL)
-def _is_uncovered(covered, j, x, y):  # type: ignore[no-untyped-def]
+def is_uncovered(covered, j, x, y):  # type: ignore[no-untyped-def]
     """Whether a place is in the image, and none of the four pixels around it is `covered` [F, h, w]."""
     h, w = covered.shape[1:]
     if not (0 <= x <= w - 1 and 0 <= y <= h - 1):

@@ -23,14 +23,14 @@ IMPORT = re.compile(r"^[ \t]*((?:from|import) stages\b[^\n(]*(?:\([^)]*\))?)", r
 
 @functools.cache
 def code_digest(module: str) -> str:
-    """12 hex digits over `module` and all `stages.*` modules it imports, at any depth.
+    """12 hex digits over `module` and all `stages.*` modules it imports, at any depth, with their weights.
 
     Args:
         module: a stage such as "stages.flow", whose script is its `__main__`, or a module such as "stages.render.view".
     """
     digest, script = hashlib.sha256(), f"{module}.__main__"
     for name in sorted(imported_modules(script if _file(script) else module)):
-        digest.update(name.encode() + _instructions(name).encode())
+        digest.update(name.encode() + _instructions(name).encode() + _weights(name))
     return digest.hexdigest()[:12]
 
 
@@ -69,6 +69,14 @@ def _source(module: str) -> bytes:
     file = _file(module)
     assert file is not None
     return file.read_bytes()
+
+
+def _weights(module: str) -> bytes:
+    """What a module has learnt, which lies beside it under its name; empty if it has nothing."""
+    file = _file(module)
+    assert file is not None
+    beside = file.with_suffix(".safetensors")
+    return beside.read_bytes() if beside.exists() else b""
 
 
 @functools.cache

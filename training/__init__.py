@@ -1,0 +1,1 @@
+"""Training of what stages read as weights."""

@@ -1,0 +1,1 @@
+"""Scenes, and what else it takes, to train the network that refines masks of motion."""
