@@ -12,6 +12,7 @@ from stages.segment.colours import ASKED_PX, Learnt
 from stages.segment.network import STEPS, Network
 from stages.segment.options import SegmentOptions
 from stages.segment.refined import Known
+from stages.shared.images import reduced_size
 
 T, H, W = 20, 40, 60
 SQUARE = np.zeros((H, W))
@@ -130,6 +131,37 @@ def test_the_network_decides_near_borders_where_pictures_were_asked(bias: float)
         assert found[0][inner > 0].all()
     for k in (0, 1, 2) if bias == 0 else (1, 2):
         np.testing.assert_array_equal(found[k], before[k])
+
+
+@pytest.mark.parametrize(
+    ("width", "height", "side"), [(1106, 1050, 516), (1106, 1050, 700), (300, 500, 512), (90, 70, 45)]
+)
+def test_frames_and_grids_of_any_size_fit(width: int, height: int, side: int) -> None:
+    """What is reduced to the grid, and from there to what the network sees, may lack a row."""
+    w, h = reduced_size(width, height, side)
+    grid, rgb = np.full((h, w), 0.4), np.zeros((height, width, 3), np.uint8)
+    (frame,) = bounded(1, lambda _: rgb, lambda _: Known(grid, grid, np.full((8, h, w), 0.4)), SegmentOptions())
+    maps = maps_of(frame)
+    assert maps.shape[:0:-1] == reduced_size(width, height, 512)
+    np.testing.assert_allclose(
+        maps[4:14], np.array([-0.2, 0.4] + 8 * [-0.2])[:, None, None] * np.ones(maps.shape[1:]), atol=1e-5
+    )
+
+
+def test_each_map_is_told_its_own() -> None:
+    """Maps of one value each: none stands for another."""
+    evidence = np.stack([np.full((H, W), k / 10) for k in range(8)])
+    (frame,) = bounded(
+        1,
+        lambda _: np.full((H, W, 3), 128, np.uint8),
+        lambda _: Known(SQUARE, 0.3 * SQUARE, evidence),
+        SegmentOptions(),
+    )
+    maps = maps_of(frame._replace(colours=np.full((H, W), -0.7, np.float32)))
+    middle = maps[:, H // 2, W // 2]
+    assert middle[[2, 4, 5]] == pytest.approx([-0.7, 1, 0.3])
+    assert middle[6:14] == pytest.approx(2 * np.arange(8) / 10 - 1)
+    assert middle[14:] == pytest.approx([0.28, 0, 0], abs=0.05)
 
 
 def test_what_the_network_is_told_fits_the_pixels() -> None:

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 from passing_square import GROUND_PX, H, T, W, clip, flow_columns, left_part, square, static_cameras
 
 from stages.segment import __main__ as segment_stage
-from stages.segment import layers, refined, refinement
+from stages.segment import layers, network, refined, refinement
 from stages.segment.layers import Belonging
 from stages.segment.options import SegmentOptions
 from stages.segment.permanence import DYNAMIC, Links
@@ -47,8 +48,9 @@ def masks_of(folder: Path, prior: np.ndarray, weight: float, noise: float = 0.0)
     cells = {"inverse_depth": np.ones((T, H // 4, W // 4), np.float32)}
     write_dense(folder / "depth.arrow", cells, {"stride_px": 8.0})
 
-    def masks(*previous: str) -> list[np.ndarray]:
-        inputs = folder / "sequence.json", folder / "masks", folder / "segment.png", SegmentOptions()
+    def masks(*previous: str, borders: Literal["learned", "geometric"] = "geometric") -> list[np.ndarray]:
+        options = SegmentOptions(borders=borders)
+        inputs = folder / "sequence.json", folder / "masks", folder / "segment.png", options
         evidence = folder / "pairs.arrow", folder / "prior.arrow"
         segment_stage.main(*inputs, *evidence, *(folder / name for name in previous))
         return [read_mask(folder / f"masks/frame_{k + 1:04d}.png")[::2, ::2] for k in range(T)]
@@ -98,6 +100,19 @@ def test_cameras_of_the_round_before_make_a_mover_whole(tmp_path: Path, monkeypa
     assert overlaps(*PREVIOUS) == alone
 
 
+def test_borders_are_learned_unless_they_are_to_be_geometric(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A network that denies whatever it is asked takes the border away, but where it is not asked for."""
+    shipped = network.read_network()
+    denies = shipped._replace(last=0 * shipped.last, last_bias=np.float32([-1e3]))
+    monkeypatch.setattr(network, "read_network", lambda: denies)
+    masks = masks_of(tmp_path, np.stack([left_part(k) for k in range(T)]), weight=1.0)
+    learned, without_cameras = masks(*PREVIOUS, borders="learned"), masks(borders="learned")
+    geometric, alone = masks(*PREVIOUS), masks()
+    assert sum(of.sum() for of in learned) < 0.5 * sum(of.sum() for of in geometric)
+    for one, other in zip(without_cameras, alone, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
 def silent(pixels: Superpixels, *_: object) -> Belonging:
     """As `belonging`, of pictures that were compared everywhere and show nothing."""
     none = np.zeros(len(pixels.areas))
@@ -139,7 +154,8 @@ def test_a_weak_mover_is_kept_if_the_pictures_confirm_it(tmp_path: Path) -> None
     assert all((mask & mover).sum() > 0.5 * (mask | mover).sum() for mask, mover in found)
 
 
-def test_what_no_picture_was_compared_with_is_kept(tmp_path: Path) -> None:
+@pytest.mark.parametrize("borders", ["learned", "geometric"])
+def test_what_no_picture_was_compared_with_is_kept(tmp_path: Path, borders: Literal["learned", "geometric"]) -> None:
     """As where the cameras of most frames are not known, so that these say nothing."""
     prior = np.stack([np.where(square(k), 0.54, 0.02) for k in range(T)])
     masks = masks_of(tmp_path, prior, weight=0.667)
@@ -149,7 +165,7 @@ def test_what_no_picture_was_compared_with_is_kept(tmp_path: Path) -> None:
     seen = np.where(np.arange(T) < 1, "estimated", "unobserved").astype(object)
     lost = replace(cameras, Ks=scale_intrinsics(cameras.Ks, 2), status=seen)
     write_cameras(tmp_path / "poses.parquet", lost)
-    np.testing.assert_array_equal(masks(*PREVIOUS), alone)
+    np.testing.assert_array_equal(masks(*PREVIOUS, borders=borders), alone)
 
 
 def test_ground_that_seems_to_move_is_dropped_if_the_pictures_do_not_confirm_it(tmp_path: Path) -> None:

@@ -53,8 +53,19 @@ def test_they_are_kept_and_read_again(results: Path, tmp_path: Path, monkeypatch
             np.testing.assert_array_equal(a, b)
 
 
-def test_a_sequence_without_cameras_teaches_nothing_and_is_kept_so(results: Path, tmp_path: Path) -> None:
-    (results / "round1/ba/poses.parquet").unlink()
+def test_a_sequence_that_is_not_solved_yet_teaches_nothing_until_it_is(results: Path, tmp_path: Path) -> None:
+    poses, elsewhere = results / "round1/ba/poses.parquet", tmp_path / "poses.parquet"
+    poses.rename(elsewhere)
     assert of_sequence(results, tmp_path) == []
+    elsewhere.rename(poses)
+    assert of_sequence(results, tmp_path)
+
+
+def test_frames_that_are_too_large_or_without_truth_teach_nothing(
+    results: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as patch:
+        patch.setattr(examples, "REFERENCE_PX", 2 * W - 1)
+        assert of_sequence(results, tmp_path) == []
+    monkeypatch.setattr(examples, "true_masks", lambda _: ({}, "none"))
     assert of_sequence(results, tmp_path) == []
-    assert (tmp_path / f"{results.name}.npz").exists()

@@ -40,7 +40,8 @@ def _against_background(pictures, expected, covered, A, b, depth, asked, sums, a
             if not asked[v, u]:
                 continue
             shown = 0
-            sums[:] = 0
+            for c in range(3):
+                sums[0, c] = sums[1, c] = 0
             for j in range(len(covered)):
                 x, y = place(A, b, j, u, v, depth[v, u])
                 if is_uncovered(covered, j, x, y):

@@ -98,12 +98,21 @@ def maps_of(frame: Bounded) -> np.ndarray:
     on_grid = 2 * sure - 1, shown, *(2 * evidence - 1)
     lab = cv2.cvtColor(reduce(frame.rgb, size), cv2.COLOR_RGB2LAB).astype(np.float32) / LEVELS - 128 / LEVELS
     maps = np.empty((len(on_pixels) + len(on_grid) + 3, *size[::-1]), np.float32)
-    for k, of in enumerate(on_pixels):
-        maps[k] = reduce(of, size)
-    for k, of in enumerate(on_grid, len(on_pixels)):
-        maps[k] = (reduce if of.shape[1] > size[0] else enlarge)(of.astype(np.float32), size)
+    for k, of in enumerate((*on_pixels, *on_grid)):
+        maps[k] = _at(of.astype(np.float32, copy=False), size)
     maps[-3:] = np.moveaxis(lab, -1, 0)
     return maps
+
+
+def _at(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """An image [h, w] float32 of the frame, reduced or enlarged to another of its reduced sizes (w, h).
+
+    What is reduced twice may lack a row, which repeats the last one.
+    """
+    if image.shape[1] < size[0]:
+        return enlarge(image, size)
+    found = reduce(image, size)
+    return np.asarray(cv2.copyMakeBorder(found, 0, size[1] - len(found), 0, 0, cv2.BORDER_REPLICATE))
 
 
 def _along_edges(rgb: np.ndarray, known: Known, options: SegmentOptions) -> Bounded:

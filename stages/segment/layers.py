@@ -71,9 +71,9 @@ class Belonging(NamedTuple):
         """How clearly [h, w] each pixel of frame k moves, -1..1."""
         return np.asarray(self.pixels[k].astype(np.float32) / SHOWN_MOST)
 
-    def in_parts(self, k: int) -> np.ndarray:
-        """The evidence [6, h, w] of frame k, in 0..1."""
-        return np.asarray(self.evidence[k] / np.float32(255))
+    def in_parts(self, k: int) -> np.ndarray | None:
+        """The evidence [6, h, w] of frame k, in 0..1; None where nothing was compared."""
+        return np.asarray(self.evidence[k] / np.float32(255)) if self.evidence[k].any() else None
 
 
 def belonging(
@@ -108,7 +108,7 @@ def belonging(
         clear = moving * _matches(moved, SURELY_MATCHED) - resting * _matches(static, SURELY_MATCHED)
         shown[k] = np.rint(SHOWN_MOST * _near(share) * clear)
         parts = *map(coded, (static, moved, apart / allowed, apart / (spread + allowed))), share, confidence
-        evidence[k] = np.rint(255 * np.clip(parts, 0, 1))
+        evidence[k] = np.rint(255 * np.clip(parts, 0, 1)) * known.any()
         images = np.clip(static - moved, -1, 1), np.minimum(moved, 2 * MATCHED), share, rests, asked
         return np.stack([part.means([image]) for image in images])
 

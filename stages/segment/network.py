@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numba
 import numpy as np
+from scipy.special import expit
 
 from stages.shared.artifacts import read_model
 from stages.shared.images import enlarge
@@ -63,7 +64,7 @@ def correct(network: Network, maps: np.ndarray, asked: np.ndarray, sureness: np.
     correction = np.zeros(size, np.float32)
     correction[tuple(part)] = _correction(network, maps[:, *part])
     logit = BELIEVED * (2 * sureness - 1) + COUNTED * enlarge(correction, (W, H))
-    return np.where(asked, 1 / (1 + np.exp(-logit)), sureness).astype(np.float32)
+    return np.where(asked, expit(logit), sureness).astype(np.float32)
 
 
 def _correction(network: Network, maps: np.ndarray) -> np.ndarray:
@@ -83,18 +84,20 @@ def _correction(network: Network, maps: np.ndarray) -> np.ndarray:
 def _convolve(given, size, kernel, bias, step, pad, row, result):  # type: ignore[no-untyped-def]
     """Into the result [c, h, w]: maps of this size, `given` as one row, and what a convolution with ReLU finds in them.
 
-    Within `pad` pixels of the border nothing is written, and `row` is room for a row of the rest. The nine taps of two
-    maps are summed at once, by unsigned indices, so that the loop over a row becomes vector instructions.
+    Within `pad` pixels of the border nothing is written, and `row` is room for a row of the rest. The nine taps between
+    two maps are summed at once, by unsigned indices, so that the loop over a row becomes vector instructions.
     """
     c, h, w = size
     for y in range(pad, h - pad):
         for to in range(c):
-            row[:] = bias[to]
+            for x in range(len(row)):
+                row[x] = bias[to]
             for of in range(c):
-                k, middle = kernel[to, of], (of * h + y) * w + pad
+                middle = (of * h + y) * w + pad
                 above, below = middle - step * w, middle + step * w
-                k00, k01, k02, k10, k11, k12 = k[0, 0], k[0, 1], k[0, 2], k[1, 0], k[1, 1], k[1, 2]
-                k20, k21, k22 = k[2, 0], k[2, 1], k[2, 2]
+                k00, k01, k02 = kernel[to, of, 0, 0], kernel[to, of, 0, 1], kernel[to, of, 0, 2]
+                k10, k11, k12 = kernel[to, of, 1, 0], kernel[to, of, 1, 1], kernel[to, of, 1, 2]
+                k20, k21, k22 = kernel[to, of, 2, 0], kernel[to, of, 2, 1], kernel[to, of, 2, 2]
                 for x in range(len(row)):
                     a, b, d = np.uint64(above + x), np.uint64(middle + x), np.uint64(below + x)
                     s = np.uint64(step)

@@ -43,8 +43,8 @@ class SegmentOptions(Options):
     )
     borders: Literal["learned", "geometric"] = Field(
         "learned",
-        description="what decides near the borders of masks: a small network, trained on drawn scenes, that weighs the"
-        " evidence, or the evidence as it is",
+        description="what decides near the borders of refined masks, from the second round on: a small network, trained"
+        " on drawn scenes, that weighs the evidence, or the evidence as it is",
     )
     min_area: float = Field(
         5e-4, ge=0, le=0.1, description="regions smaller than this share of the frame are dropped, holes filled"

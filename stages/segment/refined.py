@@ -101,8 +101,13 @@ def evidence_of_clip(
         sure, instance = persistent(*given, moving, shown.asked)
 
     def known(k: int) -> Known:
+        if k % AT_ONCE == 0:
+            evidence.release()
+        sure_here, in_parts = pixels.paint(sure, k), shown.in_parts(k)
+        if in_parts is None:
+            return Known(sure_here, shown.of_frame(k))
         of_flow = evidence["probability"][k], confidence_of(evidence["weight"][k].astype(np.float32))
-        return Known(pixels.paint(sure, k), shown.of_frame(k), np.concatenate([shown.in_parts(k), of_flow]))
+        return Known(sure_here, shown.of_frame(k), np.concatenate([in_parts, of_flow]))
 
     return ClipEvidence(pixels, instance, known)
 

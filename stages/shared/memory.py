@@ -35,8 +35,8 @@ pictures show of it, was added by calculation. It keeps the links of a clip of o
 512 x 218 px take as much as without.
 Since colours decide on borders it holds some frames at full size: `segment.boundaries` alone takes 75 MB more for
 frames of 512 x 218 px and 256 MB more for 1920 x 1080.
-Since a network decides near borders, 6 bytes per pixel of the flow grid, 30 per pixel of a frame and 30 MB were added
-by calculation.
+Since a network decides near borders, 6 bytes per pixel of the flow grid were added by calculation; of 26 frames of
+512 x 218 px, with a grid as large, it does not change the peak (462 and 470 MB without).
 `scene` was measured on 14, 40 and 200 frames of 512 x 218 px since it looks for moving shadows, before that on 300 and
 on those of long_walk; it keeps more of 200 frames than the bytes above, for which 45 per pixel are asked.
 `video` was measured on 20 and 90 frames of 1920 x 1080, whose peaks are alike, and on 40 of 3840 x 2160, on 4 threads;
@@ -103,7 +103,7 @@ NEEDS = {
     "flow": Need(230, per_grid=3, per_window=7.5),
     "lens": Need(360, per_edges=0.4, per_frame=40, per_window=0.7),
     "motion": Need(420, per_grid=31, per_window=2, keeps_flow=True),
-    "segment": Need(410, per_frame=130, per_grid=18, per_window=5),
+    "segment": Need(380, per_frame=100, per_grid=18, per_window=5),
     "ba": Need(400, per_edges=1.5, keeps_flow=True),
     "scene": Need(180, per_grid=4, kept_grid=45, kept_mb=1200),
     "control": Need(590, per_grid=8, kept_grid=8, kept_mb=300),

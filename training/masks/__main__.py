@@ -6,6 +6,7 @@ Begun again, that goes on where it stopped.
 """
 
 import argparse
+import hashlib
 import sys
 from pathlib import Path
 
@@ -47,9 +48,15 @@ def train(results: list[Path], work: Path, output: Path) -> None:
     folders = sorted(path.parent.parent for root in results for path in root.glob("*/lens/lens.json"))
     clips = {folder.name: of_sequence(folder, kept) for folder in progress(folders, "examples")}
     clips = {name: of for name, of in clips.items() if of}
+    if len(clips) < VALIDATED:
+        sys.exit(
+            f"{kept}: expected examples of {VALIDATED} sequences and more, found {len(clips)}; solve the scenes first"
+        )
     judged = list(clips)[::VALIDATED]
-    network = fit([of for name, of in clips.items() if name not in judged], settings, work / "checkpoint.pt")
-    facts = {**settings._asdict(), "sequences": sorted(clips), "judged": judged}
+    learnt = [name for name in clips if name not in judged]
+    run = hashlib.sha256(repr((settings, [(name, len(clips[name])) for name in learnt])).encode()).hexdigest()[:12]
+    network = fit([clips[name] for name in learnt], settings, work / f"checkpoint_{run}.pt")
+    facts = {**settings._asdict(), "learnt": learnt, "judged": judged}
     write_model(output, network._asdict(), {"training": facts})
     scores = np.array([_ious(network, clips[name]) for name in judged])
     for name, (before, after) in zip(judged, scores, strict=True):

@@ -12,7 +12,7 @@ from stages.segment.options import SegmentOptions
 from stages.segment.permanence import DYNAMIC
 from stages.segment.refined import evidence_of_clip
 from stages.shared.atomic import atomic
-from stages.shared.images import read_rgb
+from stages.shared.images import REFERENCE_PX, read_rgb
 from stages.shared.sequences import read_sequence
 from stages.shared.settled import Solved
 
@@ -36,10 +36,15 @@ class Example(NamedTuple):
 
 
 def of_sequence(results: Path, kept: Path) -> list[Example]:
-    """The examples of a sequence with truth, from its folder of results; kept in a file, and read from there again."""
+    """The examples of a sequence with truth, from its folder of results; kept in a file, and read from there again.
+
+    None of one that has not been solved yet, or whose frames are larger than those that the network sees.
+    """
     path = kept / f"{results.name}.npz"
     if not path.exists():
-        columns = [np.stack(of) for of in zip(*_found(results), strict=True)] or list(np.zeros((3, 0)))
+        columns = [np.stack(of) for of in zip(*_found(results), strict=True)]
+        if not columns:
+            return []
         with atomic(path) as partial, partial.open("wb") as file:
             np.savez(file, maps=columns[0], truth=columns[1], asked=columns[2])
     with np.load(path) as held:
@@ -50,6 +55,8 @@ def _found(results: Path) -> Iterator[Example]:
     """The examples of the first and of the last round that begins with cameras: of poor ones, and of better ones."""
     frames = read_sequence(results / "lens/sequence.json")
     truth, movers = true_masks(frames)[0], true_movers(frames)
+    if len(truth) < len(frames.numbers) or max(frames.width, frames.height) > REFERENCE_PX:
+        return
     rounds = len(list(results.glob("round*"))) + 1
     for before in sorted({1, rounds - 1}):
         own = results if before + 1 == rounds else results / f"round{before + 1}"
