@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 import pytest
-from test_uncovered import GROUND_PX, MIDDLE, H, T, W, around, between, clip, inner, legs, world
+from test_uncovered import GROUND_PX, MIDDLE, H, T, W, around, between, clip, inner, legs, turning, world
 
 from stages.segment import uncovered
 from stages.segment.background import LEAST_FRAMES, against_background
@@ -32,11 +32,8 @@ def test_what_too_few_frames_show_stands_out_from_nothing() -> None:
 def test_the_kernel_is_mean_and_deviation_over_uncovered_frames(monkeypatch: pytest.MonkeyPatch) -> None:
     """Pixel by pixel in numpy, for a camera that turns and moves on."""
     monkeypatch.setattr(uncovered, "exposed", lambda frame, _: frame)
-    random, seen = np.random.default_rng(3), world()
-    turns = [np.deg2rad(0.4) * (k - MIDDLE) for k in range(T)]
-    seen.cameras.cam_from_world[:, :3, :3] = [cv2.Rodrigues(np.array([0, a, a / 2]))[0] for a in turns]
-    frames = {k: random.integers(0, 256, (H, W, 3), np.uint8) for k in range(T)}
-    covered = {k: random.random((H, W)) < 0.2 for k in range(T)}
+    random = np.random.default_rng(3)
+    seen, frames, covered = turning(random)
     depth = random.uniform(0.2, 1.2, (H, W)).astype(np.float32)
     asked = random.random((H, W)) < 0.9
     apart, spread = against_background(depth, asked, around([depth], frames, covered, seen))

@@ -118,14 +118,19 @@ def test_from_the_limit_on_nothing_is_said_and_below_it_nothing_changes() -> Non
     assert 0.1 < np.isfinite(found).mean() < 0.9
 
 
+def turning(random: np.random.Generator) -> tuple[StaticWorld, dict[int, np.ndarray], dict[int, np.ndarray]]:
+    """A camera that turns as well, frames of noise, and what covers a fifth of each at random."""
+    seen, turns = world(), [np.deg2rad(0.4) * (k - MIDDLE) for k in range(T)]
+    seen.cameras.cam_from_world[:, :3, :3] = [cv2.Rodrigues(np.array([0, a, a / 2]))[0] for a in turns]
+    frames = {k: random.integers(0, 256, (H, W, 3), np.uint8) for k in range(T)}
+    return seen, frames, {k: random.random((H, W)) < 0.2 for k in range(T)}
+
+
 def test_the_kernel_is_the_quantile_over_uncovered_frames(monkeypatch: pytest.MonkeyPatch) -> None:
     """Pixel by pixel in numpy, for a camera that turns and moves on."""
     monkeypatch.setattr(uncovered, "exposed", lambda frame, _: frame)
-    random, seen = np.random.default_rng(3), world()
-    turns = [np.deg2rad(0.4) * (k - MIDDLE) for k in range(T)]
-    seen.cameras.cam_from_world[:, :3, :3] = [cv2.Rodrigues(np.array([0, a, a / 2]))[0] for a in turns]
-    frames = {k: random.integers(0, 256, (H, W, 3), np.uint8) for k in range(T)}
-    covered = {k: random.random((H, W)) < 0.2 for k in range(T)}
+    random = np.random.default_rng(3)
+    seen, frames, covered = turning(random)
     depths = [random.uniform(0.2, 1.2, (H, W)).astype(np.float32) for _ in range(2)]
     found = seen_again(LIMIT, depths, around(depths, frames, covered, seen))
     for v, u in random.integers((12, 60), (H - 12, W - 60), (60, 2)):
