@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 import pytest
-from test_uncovered import GROUND_PX, MIDDLE, H, T, W, around, between, clip, inner, legs, turning, world
+from test_uncovered import GROUND_PX, MIDDLE, H, T, W, around, between, clip, evidence, inner, legs, turning, world
 
 from stages.segment import uncovered
 from stages.segment.background import LEAST_FRAMES, against_background
@@ -65,3 +65,16 @@ def test_frames_at_rest_show_nothing() -> None:
     apart, spread = against_background(GROUND, ALL, around([GROUND], still, none, world()))
     assert apart[:, 40:-40].max() < 2
     assert spread[:, 40:-40].max() < 2
+
+
+def test_the_evidence_is_told_in_parts() -> None:
+    """By its flow the ground between the legs moves; it matches the static scene, and stands out from nothing."""
+    masked = [between(k, 5) for k in range(T)]
+    static, mover, apart, alone, share, confidence = evidence(clip(5), 5, 0.2, masked)[2:]
+    gap, walker = (inner(of) for of in (between(MIDDLE, 5) & ~legs(MIDDLE, 5), legs(MIDDLE, 5)))
+    assert np.median(static[gap]) < 0.3 < np.median(static[walker])
+    assert np.median(mover[walker]) < 0.2 < np.median(mover[gap])
+    for of in (apart, alone):
+        assert np.median(of[gap]) < np.percentile(of[walker], 20) / 2
+    assert share[between(MIDDLE, 5)].min() > 0.2 > 0.02 > share[:, :40].max()
+    assert confidence == pytest.approx(0.2, abs=1 / 255)

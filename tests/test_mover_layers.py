@@ -196,6 +196,19 @@ def test_what_is_far_from_movers_need_not_be_compared(monkeypatch: pytest.Monkey
     assert max((rows.stop - rows.start) * (columns.stop - columns.start) for rows, columns in parts) < 0.8 * H * W
 
 
+def test_the_evidence_in_parts_changes_nothing_else() -> None:
+    """Where it is not asked for it takes no memory either."""
+    frames, pixels = clip(60), tiles()
+    sure = pixels.means(np.stack([square(k) for k in range(T)]).astype(float)).round()
+    given = pixels, FlowPairs(Dense(flow_columns())), lambda k: frames[k], static_world(), sure
+    with_parts, without = belonging(*given), belonging(*given, in_parts=False)
+    for one, other in zip(with_parts[:3], without[:3], strict=True):
+        np.testing.assert_array_equal(one, other)
+    assert with_parts.in_parts(0) is not None
+    assert without.in_parts(0) is None
+    assert without.evidence.nbytes == 0
+
+
 def test_where_nothing_is_known_to_move_there_is_no_evidence() -> None:
     frames = clip(60)
     pixels = tiles()

@@ -27,6 +27,8 @@ def against_background(depth: np.ndarray, asked: np.ndarray, around: Around) -> 
         depth: [h, w] static inverse depth of the frame. asked: [h, w] bool.
     """
     apart, spread = np.zeros((2, *depth.shape), np.float32)
+    if not asked.any():
+        return apart, spread
     pictures, expected = (np.stack([cv2.blur(of, (WINDOW_PX,) * 2) for of in some]) for some in around[:2])
     _against_background(pictures, expected, *around[2:], depth, asked, np.empty((2, 3)), apart, spread)
     return apart, spread

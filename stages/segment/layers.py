@@ -59,7 +59,8 @@ class Belonging(NamedTuple):
         pixels: [T, h, w] int8, how clearly they say so of a pixel, -SHOWN_MOST to SHOWN_MOST.
         evidence: [T, 6, h, w] uint8, the same in parts, in units of 1 / 255: `coded` residuals of the static scene and
             of the mover, how far the frame lies from the background, in tolerances and over how far the frames around
-            lie from one another; the share of movers around, and the confidence of the flow.
+            lie from one another; the share of movers around, and the confidence of the flow. Without frames if it was
+            not asked for.
     """
 
     weight: np.ndarray
@@ -72,22 +73,28 @@ class Belonging(NamedTuple):
         return np.asarray(self.pixels[k].astype(np.float32) / SHOWN_MOST)
 
     def in_parts(self, k: int) -> np.ndarray | None:
-        """The evidence [6, h, w] of frame k, in 0..1; None where nothing was compared."""
-        return np.asarray(self.evidence[k] / np.float32(255)) if self.evidence[k].any() else None
+        """The evidence [6, h, w] of frame k, in 0..1; None where nothing was compared, or it was not asked for."""
+        return np.asarray(self.evidence[k] / np.float32(255)) if self.evidence[k : k + 1].any() else None
 
 
 def belonging(
-    pixels: Superpixels, pairs: FlowPairs, picture: Callable[[int], np.ndarray], world: StaticWorld, sure: np.ndarray
+    pixels: Superpixels,
+    pairs: FlowPairs,
+    picture: Callable[[int], np.ndarray],
+    world: StaticWorld,
+    sure: np.ndarray,
+    in_parts: bool = True,
 ) -> Belonging:
     """What the pictures of a clip give to its movers and to the static scene.
 
     Args:
         picture: gives frame k [h, w, 3] uint8 on the flow grid.
         sure: [N] of `permanence.persistent`, from DYNAMIC on what is known to move.
+        in_parts: whether the evidence is asked for in parts too, as the network reads it.
     """
     T, found = len(pixels.labels), []
     shown = np.zeros(pixels.labels.shape, np.int8)
-    evidence = np.zeros((T, 6, *pixels.labels.shape[1:]), np.uint8)
+    evidence = np.zeros((T * in_parts, 6, *pixels.labels.shape[1:]), np.uint8)
 
     def of_frame(k: int, frames: dict[int, np.ndarray], covered: dict[int, np.ndarray]) -> np.ndarray:
         """Means [5, n] over the n superpixels of frame k: by how much the static residual is larger, residual of the
@@ -100,15 +107,18 @@ def belonging(
         static, moved, share, known = compared(k, seen, allowed, depths, pairs, frames, world)
         asked = known * ((seen >= DYNAMIC).mean() <= MOST)
         limit = np.where(_sought(seen, confidence), np.maximum(2 * SURELY_MATCHED, moved + 1) * allowed, 0)
-        again, apart, spread = _by_others(depths, limit, known > 0, frames_around(k, depths[0], frames, covered, world))
+        compare = in_parts or (limit > 0).any()
+        around = frames_around(k, depths[0], frames, covered, world) if compare else None
+        again, apart, spread = _by_others(depths, limit, (known > 0) & in_parts, around)
         again /= allowed  # above the limit it changes nothing
         rests = _clear(again - moved)[1] * _matches(again, SURELY_MATCHED)
         static = np.minimum(static, again)
         moving, resting = _clear(static - moved)
         clear = moving * _matches(moved, SURELY_MATCHED) - resting * _matches(static, SURELY_MATCHED)
         shown[k] = np.rint(SHOWN_MOST * _near(share) * clear)
-        parts = *map(coded, (static, moved, apart / allowed, apart / (spread + allowed))), share, confidence
-        evidence[k] = np.rint(255 * np.clip(parts, 0, 1)) * known.any()
+        if in_parts and known.any():
+            parts = *map(coded, (static, moved, apart / allowed, apart / (spread + allowed))), share, confidence
+            evidence[k] = np.rint(255 * np.clip(parts, 0, 1))
         images = np.clip(static - moved, -1, 1), np.minimum(moved, 2 * MATCHED), share, rests, asked
         return np.stack([part.means([image]) for image in images])
 

@@ -94,7 +94,7 @@ def evidence_of_clip(
     from stages.segment.layers import MOVING, belonging
 
     pairs = FlowPairs(matched, scene=read_scene_on_grid(frames, size))
-    shown = belonging(pixels, pairs, picture, world, sure)
+    shown = belonging(pixels, pairs, picture, world, sure, options.borders == "learned")
     sure, instance = persistent(*given, shown.weight, shown.asked)
     if (floats := floating(given[0], world, sure)).any():  # beside what the pictures have confirmed
         moving = np.where(floats, np.maximum(shown.weight, MOVING), shown.weight)
